@@ -35,9 +35,8 @@ from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.explained import explained_twin
 from softcal.core.gap.shared_cause import LotDiagnosis, diagnose_lot
 from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis, diagnose_simulator
-from softcal.core.gap.transfer import LotUnit, PressedLot, Transfer
+from softcal.core.gap.transfer import CalibrationWorth, LotUnit, PressedLot, Transfer, calibration_worth
 from softcal.core.gap.transfer import transfer as transferred
-from softcal.core.gap.worth import CalibrationWorth, calibration_worth
 from softcal.core.recording import LabelledRecording, OutputRecording
 
 Row = tuple[object, ...]

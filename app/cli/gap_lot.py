@@ -9,7 +9,7 @@ from softcal.app.output import print_table, say, write_json
 
 if TYPE_CHECKING:
     from softcal.core.gap.shared_cause import LotDiagnosis
-    from softcal.core.gap.worth import CalibrationWorth
+    from softcal.core.gap.transfer import CalibrationWorth
 
 _LOT_EXAMPLES = """examples:
   softcal gap lot lot-7

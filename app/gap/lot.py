@@ -10,8 +10,7 @@ from softcal.app.gap.diagnose import read_twin
 from softcal.core.errors import InputError
 from softcal.core.gap.case import CHANNELS, Case
 from softcal.core.gap.shared_cause import FEWEST_UNITS, LotDiagnosis, diagnose_lot
-from softcal.core.gap.transfer import LotUnit, PressedLot, Transfer, transfer
-from softcal.core.gap.worth import CalibrationWorth, calibration_worth
+from softcal.core.gap.transfer import CalibrationWorth, LotUnit, PressedLot, Transfer, calibration_worth, transfer
 
 AUDIT = "audit"
 

@@ -14,9 +14,8 @@ from softcal.app.gap.diagnose import NO_TERMS
 from softcal.core.errors import InputError
 from softcal.core.gap.data_mistake import DataMistake
 from softcal.core.gap.identifiability import Identifiability
-from softcal.core.gap.simulator import Simulator, SimulatorRun, recorded
+from softcal.core.gap.simulator import Simulator, SimulatorRun, recorded, term_of, with_terms
 from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis, check_simulator, diagnose_simulator
-from softcal.core.gap.simulator_terms import term_of, with_terms
 
 PARAMETERS_SCHEMA = "softcal.simulator/1"
 

@@ -2,22 +2,23 @@
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
-from softcal.core.gap.drive import DrivingForce, driving_force
+from softcal.core.gap.method import METHOD
 from softcal.core.recording import Array
 from softcal.core.twin.effects import ChainStage
 from softcal.core.twin.parameters import ReadoutMetadata
+from softcal.core.twin.signals import compiled
 
 Mask: TypeAlias = NDArray[np.bool_]
 """Which samples are meant."""
 
 RunKind = Literal["press", "rigid_block", "dummy_resistor", "dead_weights", "rest"]
-KINDS: tuple[RunKind, ...] = ("press", "rigid_block", "dummy_resistor", "dead_weights", "rest")
+KINDS: tuple[RunKind, ...] = get_args(RunKind)
 CHANNELS = ("stage_mm", "force_N", "output_V", "temperature_C")
 NEEDED: dict[RunKind, tuple[str, ...]] = {
     "press": (),
@@ -36,11 +37,19 @@ SHOWN_BY: dict[ChainStage, str] = {
 }
 """The channel without which nothing of a stage shows."""
 
-WARMED_K = 1.0
-"""Change of temperature from which a dummy resistor tells whether the electronics follow it."""
-
 SHORTEST = 30
 """Fewest samples of a run; five base parameters and a noise level are estimated from them."""
+
+HALF_WIDTH = 4
+"""Samples on either side that a straight line is fitted to: 0.18 s at 50 Hz."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrivingForce:
+    """A measured force, (n,), smoothed to drive the chain, and the SD of the noise that is left."""
+
+    force_N: Array
+    sigma_N: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +61,10 @@ class Run:
         stage_mm, force_N, output_V, temperature_C: (n,) recorded channels.
         known_force_N: (n,) weights laid on, of a run with dead weights.
         dummy_ohm: the resistor in place of the sensor, of a run with a dummy resistor.
-        kind: `press`, or one of the special runs.
         is_planned: not recorded yet; its measured channels hold zeros and are not looked at.
 
     Raises:
-        InputError: a channel has another length, is not finite, is constant where it carries the diagnosis, time
-            goes back, or the kind lacks a channel it lives by.
+        InputError: a channel is too short, not finite or constant, time goes back, or one is missing.
     """
 
     name: str
@@ -94,12 +101,6 @@ class Run:
             if len(bad):
                 first = f"{channel} is {values[bad[0]]} at sample {bad[0]}"
                 raise InputError(f"{self.name}: {first}; {len(bad)} not finite")
-        self._check_kind()
-
-    def __len__(self) -> int:
-        return len(self.t_s)
-
-    def _check_kind(self) -> None:
         for channel in NEEDED[self.kind]:
             if getattr(self, channel) is None:
                 raise InputError(f"{self.name}: a {self.kind} run needs {channel}, which is not recorded")
@@ -112,6 +113,9 @@ class Run:
                 values = getattr(self, channel)
                 if values is not None and np.ptp(values) == 0:
                     raise InputError(f"{self.name}: {channel} is {values[0]:.6g} throughout; nothing was pressed")
+
+    def __len__(self) -> int:
+        return len(self.t_s)
 
     @property
     def seen_Hz(self) -> float:
@@ -128,7 +132,12 @@ class Run:
         """The measured force, smoothed to drive the chain where there is no stage position."""
         if self.force_N is None:
             raise ValueError(f"{self.name} has no force")
-        return driving_force(self.force_N)
+        squares = np.sort(np.diff(self.force_N, 2) ** 2 / 6)
+        # A straight ramp does not enter second differences; a Gaussian without its largest 20 % of squares keeps 0.438
+        # of its variance.
+        sigma_N = float(np.sqrt(np.mean(squares[: max(1, int(0.8 * len(squares)))]) / 0.438))
+        smooth_N, share = straightened(self.force_N, sigma_N, HALF_WIDTH)
+        return DrivingForce(smooth_N, sigma_N * np.sqrt(share))
 
     @cached_property
     def step_s(self) -> Array:
@@ -141,16 +150,44 @@ class Run:
         return None if self.temperature_C is None else self.temperature_C - self.temperature_C[0]
 
 
+@compiled
+def straightened(signal: Array, sigma: float, half: int) -> tuple[Array, Array]:
+    """Return the smoothed signal and, per sample, which share of the noise variance is left."""
+    out, share = signal.copy(), np.ones(len(signal))
+    for k in range(len(signal)):
+        # A line that leaves more than twice the noise's variance lies across a bend.
+        best = 2.0 * sigma * sigma
+        # Centred takes the most noise off; one-sided lines keep corners where they are.
+        for first, last in ((k - half, k + half), (k - half, k), (k, k + half)):
+            if first < 0 or last >= len(signal):
+                continue
+            count = last - first + 1
+            middle = 0.5 * (first + last)
+            spread = count * (count * count - 1.0) / 12.0
+            mean, slope = 0.0, 0.0
+            for j in range(first, last + 1):
+                mean += signal[j] / count
+                slope += (j - middle) * signal[j] / spread
+            left = 0.0
+            for j in range(first, last + 1):
+                left += (signal[j] - mean - slope * (j - middle)) ** 2
+            if left / (count - 2.0) < best:
+                out[k] = mean + slope * (k - middle)
+                share[k] = 1.0 / count + (k - middle) ** 2 / spread
+                break
+    return out, share
+
+
 @dataclass(frozen=True, eq=False)
 class Case:
     """Runs of one unit on one rig.
 
     Args:
         is_planned: a case of runs that are not recorded yet; a special run alone will do.
-        stiffness_N_mm: lowest and highest peak force over depth that units of this lot have, where the lot states it.
+        stiffness_N_mm: lowest and highest peak force over depth of this lot, where it states them.
 
     Raises:
-        InputError: no run in which the sensor is pressed, or runs whose units, rates or electronics differ.
+        InputError: nothing is pressed, or units, rates or electronics of the runs differ.
     """
 
     serial: str
@@ -190,11 +227,19 @@ class Case:
         """Whether the runs in which the sensor is pressed recorded this channel."""
         return all(getattr(run, channel) is not None for run in self.presses)
 
+    def recorded(self, channel: str) -> list[Array]:
+        """Return a channel, (n,) each, of the pressed runs that recorded it."""
+        return [values for run in self.presses if (values := getattr(run, channel)) is not None]
+
+    def changes(self, channel: str, kind: str = "press", by: float = 0.0) -> bool:
+        """Whether a channel changes, by so much, in any run of a kind."""
+        logs = [getattr(run, channel) for run in self.runs if run.kind == kind]
+        return any(log is not None and np.ptp(log) > 0 and np.ptp(log) >= by for log in logs)
+
     @property
     def has_warmed_dummy(self) -> bool:
         """Whether a dummy resistor was read while the logged temperature changed by 1 K or more."""
-        logs = [run.temperature_C for run in self.runs if run.kind == "dummy_resistor"]
-        return any(log is not None and np.ptp(log) >= WARMED_K for log in logs)
+        return self.changes("temperature_C", "dummy_resistor", METHOD.stranger.warmed_K)
 
     @property
     def unseen_stages(self) -> tuple[ChainStage, ...]:

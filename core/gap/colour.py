@@ -1,8 +1,8 @@
-"""Noise that is not white: a part that fades beside a white part, found by likelihood and taken out of residuals.
+"""Noise that is not white: a part that fades beside a white one, found by likelihood.
 
-The fading part is a first-order process, correlation exp(−t/τ). A Kalman filter turns the sum of both into independent
-values of variance 1; it is the exact likelihood, for any step of time and with samples left out
-(Brockwell and Davis, Time Series: Theory and Methods, 2nd ed. 1991, ch. 12).
+The fading part is a first-order process, correlation exp(−t/τ). A Kalman filter turns the sum into
+independent values of variance 1; it is the exact likelihood, for any step of time and with samples
+left out (Brockwell and Davis, Time Series: Theory and Methods, 2nd ed. 1991, ch. 12).
 """
 
 from collections.abc import Sequence
@@ -12,6 +12,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from softcal.core.recording import Array
+from softcal.core.settings import setting
 from softcal.core.twin.signals import compiled
 
 COMMON_STEP_s = 0.02
@@ -20,12 +21,7 @@ COMMON_STEP_s = 0.02
 
 @dataclass(frozen=True)
 class Colour:
-    """The part of a channel's noise that fades.
-
-    Args:
-        spread: standard deviation, in the channel's unit.
-        fading_s: time in which its correlation falls to 1/e.
-    """
+    """The part of a channel's noise that fades: its SD, and the time to a correlation of 1/e."""
 
     spread: float
     fading_s: float
@@ -38,13 +34,7 @@ class Colour:
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """A residual of one channel of one run, or a part of it.
-
-    Args:
-        error: (n,) in the channel's unit.
-        step_s: (n,) time since the sample before.
-        use: (n,) 1 where the sample counts, 0 elsewhere.
-    """
+    """A residual of one channel of one run, or a part: (n,) each; `use` is 1 where a sample counts."""
 
     error: Array
     step_s: Array
@@ -53,12 +43,7 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Noise:
-    """White and fading noise of one channel, and the log likelihood of the stretches it was read from.
-
-    Args:
-        white: standard deviation of the white part, in the channel's unit.
-        gain: by how much the log likelihood is above that of white noise alone.
-    """
+    """White and fading noise of one channel; `gain` is log likelihood above white noise alone."""
 
     white: float
     colour: Colour
@@ -71,17 +56,17 @@ class ColourConfig:
     """How noise is read from a residual.
 
     Args:
-        shortest_s, longest_s: fading times that are told from white noise and from a drift. Indicators and load cells
+        shortest_s, longest_s: fading times that are told from white noise and from a drift. Load cells
             filter over 0.05–2 s; a room wanders over minutes.
-        ratios, fading_s: where the search of the likelihood begins: one start per decade of what a rig shows.
-        gain: log likelihood that noise must gain by a fading part; two parameters more pay ln(n) ≈ 9 at 8,000 samples.
+        ratios, fading_s: where the search begins: one start per decade of what a rig shows.
+        gain: log likelihood to be gained by a fading part; two parameters pay ln(n) ≈ 9 at n = 8,000.
     """
 
-    shortest_s: float = 0.04
-    longest_s: float = 6.0
-    ratios: tuple[float, ...] = (0.3, 1.0, 3.0)
-    fading_s: tuple[float, ...] = (0.1, 0.4, 1.6)
-    gain: float = 12.0
+    shortest_s: float = setting(0.04)
+    longest_s: float = setting(6.0)
+    ratios: tuple[float, ...] = setting((0.3, 1.0, 3.0))
+    fading_s: tuple[float, ...] = setting((0.1, 0.4, 1.6))
+    gain: float = setting(12.0)
 
     def slower(self, times: float) -> "ColourConfig":
         """Return the same for a rig that is so many times slower than a common one."""

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from softcal.core.gap.case import Case
+from softcal.core.gap.method import METHOD
 from softcal.core.words.reason import Reason, in_words, reason
 
 Kind = Literal[
@@ -23,19 +24,13 @@ Kind = Literal[
     "constant",
 ]
 
-FEWEST_RUNS = 3
-"""With two runs nobody can tell which one is wrong."""
-
-SAME_FACTOR = 1.1
-"""A ratio this near to a unit's factor, beyond what the other runs differ by, is that unit."""
-
 
 @dataclass(frozen=True)
 class DataMistake:
     """One mistake: what it is, where it shows, and what would repair it.
 
     Args:
-        channel: `stage`, `force`, `output`, `temperature` or `time`; two with a plus where columns are swapped.
+        channel: `stage`, `force`, `output`, `temperature` or `time`; `one+other` where exchanged.
         runs: numbers of the runs; empty for all.
         factor: repaired values over recorded ones; None where there is no such number.
     """
@@ -76,7 +71,7 @@ def unit_of(factor: float, units: Mapping[str, float], others: float = 0.0) -> s
     if factor <= 0.0:
         return ""
     near = min(units, key=lambda unit: abs(np.log(units[unit] / factor)))
-    return near if abs(np.log(units[near] / factor)) < np.log(SAME_FACTOR) + others else ""
+    return near if abs(np.log(units[near] / factor)) < np.log(METHOD.mistake.same_factor) + others else ""
 
 
 def of_unit(

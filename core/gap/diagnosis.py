@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case
 from softcal.core.gap.data_mistake import DataMistake
-from softcal.core.gap.empirical import LearnedResidual, learned, terms_of_twin
+from softcal.core.gap.empirical import learned, terms_of_twin
 from softcal.core.gap.explained import explained_twin, in_catalogue_form, with_constants
 from softcal.core.gap.fit import Fit
 from softcal.core.gap.floor import is_noise
@@ -30,7 +30,6 @@ from softcal.core.gap.offsets import OFFSET_NAMES, Offsets, offsets
 from softcal.core.gap.outlier_run import outlier_run, outlier_run_beside
 from softcal.core.gap.place import likely_stages, loose_noise
 from softcal.core.gap.plausibility import doubts, mistakes
-from softcal.core.gap.posterior import confused_pairs, hidden_fraction
 from softcal.core.gap.problem import BASE
 from softcal.core.gap.residual import Map, Regime, is_clean, regimes, three_maps
 from softcal.core.gap.screen import is_told, visible_effects
@@ -48,12 +47,10 @@ from softcal.core.words.reason import Reason, reason, several
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Diagnosis(GapDiagnosis[EmpiricalTerm]):
-    """The diagnosis of the soft sensor's twin.
-
-    `best` has each cause by the equation that fits best, as the twin has it.
+    """The diagnosis of the soft sensor's twin; `best` has each cause by the equation that fits best.
 
     Args:
-        named: the best hypothesis with every cause by the catalogue's equation, as the report gives it.
+        named: the best hypothesis with every cause by the catalogue's equation, as reported.
         rivals: hypotheses that cannot be told apart, the best first.
         maps: the three chain relations fitted separately.
     """
@@ -72,7 +69,7 @@ class Diagnosis(GapDiagnosis[EmpiricalTerm]):
 
     @property
     def explained(self) -> Twin:
-        """The twin to go on with: with the named causes, or the refitted base alone where nothing explains the gap.
+        """The twin to go on with: with the named causes, or the refitted base where nothing explains.
 
         Raises:
             InputError: the recordings hold a mistake; a twin of them would hold it too.
@@ -84,10 +81,7 @@ class Diagnosis(GapDiagnosis[EmpiricalTerm]):
 
     @property
     def empirical(self) -> Twin | None:
-        """The twin with the empirical terms and the causes they stand beside; None where there are no terms.
-
-        With the verdict `unknown` those causes come nearest, and are no more a diagnosis than the terms are.
-        """
+        """The twin with empirical terms and the causes they stand beside, no diagnosis; None without."""
         if self.residual is None:
             return None
         return explained_twin(self.residual.fit, [one.term for one in self.residual.terms])
@@ -105,28 +99,30 @@ class Diagnosis(GapDiagnosis[EmpiricalTerm]):
 
     @property
     def offsets(self) -> list[Offsets]:
-        """What every run has of its own and no cause has to explain; taken off before anything is compared."""
+        """What every run has of its own and no cause has to explain."""
         found = self.named
         return offsets(found.problem, found.base, found.problem.bare.predict(found.hypothesis, found.coordinates))
 
-    def _shown(self, channel: str) -> str:
-        return channel.split("_")[0]
-
-    def _described(self, residual: LearnedResidual[EmpiricalTerm]) -> dict[str, object]:
-        first, twin = residual.terms[0].term, self.empirical
-        of_twin = None if twin is None else twin_record(twin)
-        return {"load_N": first.load_N, "depth_mm": first.depth_mm, "twin": of_twin}
-
-    def _own(self) -> dict[str, object]:
-        is_spoilt = self.verdict == "data"
-        return {
+    def report(self) -> dict[str, object]:
+        """Return the report of the contract, ready for JSON."""
+        is_spoilt, report = self.verdict == "data", super().report()
+        report["gap"] = {_short(channel): vars(gap) for channel, gap in self.gap.items()}
+        if self.residual is not None:
+            first = self.residual.terms[0].term
+            twin = None if self.empirical is None else twin_record(self.empirical)
+            report["residual"] = self.residual.record() | {
+                "load_N": first.load_N,
+                "depth_mm": first.depth_mm,
+                "twin": twin,
+            }
+        return report | {
             "missing_channels": list(self.case.missing_channels),
             "unseen_stages": list(self.case.unseen_stages),
             "plugins": [effect_id for effect_id in EFFECTS if effect_id not in OWN_EFFECTS],
             "base": {p.name: getattr(self.named.base, p.name) for p in BASE},
             "on_bound": self.on_bound,
             "noise": {
-                self._shown(channel): {"white": sigma, "fading": fades.spread, "fading_s": fades.fading_s}
+                _short(channel): {"white": sigma, "fading": fades.spread, "fading_s": fades.fading_s}
                 for channel, sigma in self.named.problem.sigma.items()
                 if (fades := self.named.problem.colour.get(channel)) is not None
             },
@@ -137,6 +133,10 @@ class Diagnosis(GapDiagnosis[EmpiricalTerm]):
         }
 
 
+def _short(channel: str) -> str:
+    return channel.split("_")[0]
+
+
 def diagnose(
     case: Case,
     progress: Callable[[str], None] | None = None,
@@ -145,13 +145,13 @@ def diagnose(
     """Diagnose the gap between the base twin and the recordings of a case.
 
     Args:
-        on_fits: called with every hypothesis that was fitted, under one noise level; not where the verdict is `data`.
+        on_fits: called with every hypothesis that was fitted; not where the verdict is `data`.
     """
     say = progress or (lambda _: None)
     say("looking for mistakes in the recordings")
     if spoilt := mistakes(case):
         return _stopped(unfitted(case), spoilt)
-    search = EffectSearch(case, say)
+    search = EffectSearch.of(case, say)
     runs_tell = told_by(search)
     for untold in reasons(runs_tell):
         say(str(untold))
@@ -159,7 +159,7 @@ def diagnose(
         return _stopped(search.base, (odd,))
     search.run()
     if not search.is_clean(search.best) or loose_noise(search.best) is not None:
-        search = under_its_floor(search, lambda problem: EffectSearch(case, say, problem), is_noise, say)
+        search = under_its_floor(search, lambda problem: EffectSearch.of(case, say, problem), is_noise, say)
     if (odd := outlier_run_beside(search)) is not None:
         return _stopped(search.base, (odd,))
     if search.stranger is None:
@@ -174,13 +174,16 @@ def diagnose(
     maps = three_maps(case)
     named = tuple(in_catalogue_form(found) for found in group)
     causes = ranked_causes(search, best, EFFECTS.values(), named, chances, quantified.shrink.held_out)
-    found_regimes = tuple(replace(r, channel=r.channel.split("_")[0]) for r in regimes(search.base))
+    found_regimes = tuple(replace(r, channel=_short(r.channel)) for r in regimes(search.base))
     partial = partial_of(search) if verdict == "unknown" else None
     say("describing what is left")
     beside = {"unknown": (search.base, told), "explained": (told,), "ambiguous": (told,)}
-    return Diagnosis(
+    return Diagnosis.of(
+        search.base,
+        best,
+        group,
+        quantified,
         verdict=verdict,
-        base=search.base,
         best=told,
         named=named[0],
         rivals=group,
@@ -188,12 +191,6 @@ def diagnose(
         places=_places(search, causes, maps, found_regimes, verdict),
         maps=maps,
         regimes=found_regimes,
-        gap=quantified.gap,
-        shrink=quantified.shrink,
-        protocol=quantified.protocol,
-        chosen=quantified.chosen,
-        ambiguous_with=confused_pairs(group),
-        hidden_fraction={i: hidden_fraction(best, i) for i in best.hypothesis.ids},
         next_experiment=_next(case, search, group, verdict),
         explained_share=search.explained_share(best) if partial is None else partial.share,
         mistakes=doubts(case),
@@ -207,7 +204,7 @@ def checked(case: Case) -> tuple[tuple[DataMistake, ...], Identifiability | None
     """Return the mistakes in the recordings and, where there is none, what the runs tell."""
     if spoilt := mistakes(case):
         return spoilt, None
-    search = EffectSearch(case)
+    search = EffectSearch.of(case)
     return doubts(case), told_by(search)
 
 
@@ -236,7 +233,7 @@ def _places(
     if verdict == "unknown":
         places = _unknown_places(search, maps, found, detail)
     else:
-        named = [c for c in causes if c.effect in search.best.hypothesis.ids]
+        named = [c for c in causes if c.effect in search.best.ids]
         of_causes = places_of(named, channel, regime, lambda i: reason("gap.seen.effect", effect=i, seen=detail))
         aliases, places = _open_aliases(search.best), []
         for c, place in zip(named, of_causes, strict=True):
@@ -253,23 +250,19 @@ def _places(
 
 
 def _loudest(found: tuple[Regime, ...]) -> tuple[str, Reason]:
-    """Return the channel and the regime in which a gap stands out most."""
     return (found[0].channel, found[0].name) if found else ("output", Reason("gap.regime.everywhere"))
 
 
 def _open_aliases(best: Fit) -> dict[str, Alias]:
     """What a named cause may be outside the catalogue, where no run tells; by cause."""
-    aliases = {i: EFFECTS[i].signs.alias for i in best.hypothesis.ids}
+    aliases = {i: EFFECTS[i].signs.alias for i in best.ids}
     return {i: alias for i, alias in aliases.items() if alias is not None and not is_told(best.problem.case, alias)}
 
 
 def _unknown_places(
     search: EffectSearch, maps: tuple[Map, ...], found: tuple[Regime, ...], detail: Reason
 ) -> list[GapPlace]:
-    """Where a gap lies that nothing in the catalogue explains: the likeliest stage first, with those it may also be.
-
-    The share of each is that of the gap's energy in the regime where it stands out most.
-    """
+    """Where a gap lies that nothing in the catalogue explains: the likeliest stage first."""
     channel, regime = _loudest(found)
     partial = partial_of(search)
     share = partial.share if partial is not None else 0.0
@@ -277,23 +270,23 @@ def _unknown_places(
     stages: tuple[str, ...] = likely_stages(search.base, maps)
     if search.stranger is not None:
         stranger = stranger_of(search.stranger)
-        stages = tuple(dict.fromkeys((stranger.effect.stage, *stages)))
-        detail = reason("gap.seen.like", like=stranger.like, seen=detail)
+        stages = tuple(dict.fromkeys((stranger.stage, *stages)))
+        detail = reason("gap.seen.like", like=Reason(stranger.id), seen=detail)
     elif loose is not None and (not stages or is_clean(search.best)):
         stages = tuple(dict.fromkeys((loose.stage, *stages)))
         detail = reason("gap.seen.noise", noise=loose.detail, seen=detail)
     if not stages:
-        stages = tuple(dict.fromkeys(EFFECTS[i].stage for i in search.best.hypothesis.ids)) or ("unknown",)
+        stages = tuple(dict.fromkeys(EFFECTS[i].stage for i in search.best.ids)) or ("unknown",)
     code = "gap.seen.left" if search.stranger is None else "gap.seen.better"
     text = reason(code, seen=detail, share=share)
-    # Nothing measures how a gap splits between stages that may each hold all of it: the order tells which is likelier.
+    # Nothing measures how a gap splits between stages that may each hold it: the likelier is first.
     seen = found[0].share if found else 1.0
     others = [GapPlace(s, channel, regime, seen, Reason("gap.seen.same_maps")) for s in stages[1:]]
     return [GapPlace(stages[0], channel, regime, seen, text), *others]
 
 
 def _next(case: Case, search: EffectSearch, group: tuple[Fit, ...], verdict: DiagnosisVerdict) -> NextExperiment:
-    # Where something is left besides, causes that look alike are told apart all the same, if a run can.
+    # Where something is left besides, causes that look alike are told apart all the same.
     proposed = propose(case, group, search.extent)
     if proposed is not None and (verdict != "unknown" or proposed.profile != "none"):
         return proposed

@@ -1,8 +1,8 @@
 """The learned residual: a few empirical terms that describe what no named cause explains.
 
-Terms are chosen forward from the variables of the twin, each together with a refit of base and causes, by what runs and
-contiguous quarters of runs that were held back say. The choice itself is held back as well: for every run that scores
-the result, terms are chosen anew without it (nested cross-validation; Varma and Simon, BMC Bioinformatics 2006).
+Terms are chosen forward, each with a refit of base and causes, by what runs and quarters of runs
+that were held back say. The choice is held back as well: for every run that scores the result,
+terms are chosen anew without it (nested cross-validation; Varma and Simon, BMC Bioinf. 2006).
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -17,40 +17,17 @@ from scipy.stats import t as student
 from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import energy
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.offsets import rows_of_runs
 from softcal.core.gap.problem import Problem
 from softcal.core.gap.residual import is_clean
-from softcal.core.gap.shrink import HELD_PARTS, Shrink
-from softcal.core.gap.simulator_terms import SimulatorTerm
+from softcal.core.gap.shrink import Shrink
+from softcal.core.gap.simulator import SimulatorTerm
 from softcal.core.recording import Array
 from softcal.core.twin.empirical_terms import PLACES, VARIABLES, EmpiricalTerm
 from softcal.core.twin.mechanics import elastic_force
 
-
-@dataclass(frozen=True)
-class LearnConfig:
-    """When a term is taken.
-
-    Args:
-        least: share of what is left above the noise that a further term must take away on samples held back.
-        chance: drop of χ² besides, for each time a sample is held back.
-        simpler: share of the gap by which terms beside the causes must do better than terms on the bare base.
-        errors: standard errors below which a coefficient is left out.
-        distinct: share of a variable's energy that base and causes must leave to it.
-        coverage: of the interval.
-    """
-
-    most: int = 3
-    least: float = 0.05
-    chance: float = 10.0
-    simpler: float = 0.05
-    errors: float = 3.0
-    distinct: float = 1e-3
-    coverage: float = 0.90
-
-
-CONFIG = LearnConfig()
-
+CONFIG, SHRINK = METHOD.learn, METHOD.shrink
 
 T = TypeVar("T", bound=EmpiricalTerm | SimulatorTerm)
 """A term of the twin or of a simulator: place += coefficient · variable."""
@@ -61,11 +38,7 @@ Cell: TypeAlias = tuple[int, int]
 
 @dataclass(frozen=True)
 class LearnedTerm(Generic[T]):
-    """A term with how well it is known.
-
-    Args:
-        chosen: share of the choices without a run (or quarter) that took the same variable at the same place.
-    """
+    """A term, how well it is known, and which share of the choices without a part took it too."""
 
     term: T
     standard_error: float
@@ -74,12 +47,10 @@ class LearnedTerm(Generic[T]):
 
 @dataclass(frozen=True, eq=False)
 class LearnedResidual(Generic[T]):
-    """What is left of a gap, described.
+    """What is left of a gap, described by terms, the largest first.
 
     Args:
-        terms: the largest first.
-        shrink: of the gap of the base, by causes and terms together, on runs that neither saw. The forecast of another
-            run is what runs held back have shown.
+        shrink: of the gap of the base, by causes and terms together, on runs that neither saw.
         without: the same by the causes alone.
     """
 
@@ -113,20 +84,20 @@ class LearnedResidual(Generic[T]):
     def beside(self) -> tuple[str, ...]:
         """The causes the terms stand beside."""
         own = {one.term.effect.id for one in self.terms}
-        return tuple(i for i in self.fit.hypothesis.ids if i not in own)
+        return tuple(i for i in self.fit.ids if i not in own)
 
 
 def learned(base: Fit, parents: Sequence[Fit], known: Callable[[Fit], Iterable[T]]) -> LearnedResidual[T] | None:
-    """Return the terms that describe what the parents leave; None where none holds on samples that were held back.
+    """Return the terms that describe what is left; None where none holds on samples held back.
 
     Args:
         base: the bare base; the gap is counted from it.
         parents: hypotheses the terms may stand beside, the simplest first.
         known: the terms that may be tried, without their coefficients.
     """
-    # A base that explains nothing stands for itself, and what belongs to one run says nothing of another.
-    parents = [p for k, p in enumerate(parents) if k == 0 or p.hypothesis.ids]
-    parents = [p for p in parents if not any(effect.belongs_to_run for effect in p.hypothesis.effects)]
+    # A base alone stands for itself, and what belongs to one run says nothing of another.
+    parents = [p for k, p in enumerate(parents) if k == 0 or p.ids]
+    parents = [p for p in parents if not any(effect.belongs_to_run for effect in p.effects)]
     if all(map(is_clean, parents)):
         return None
     tried = list(known(base))
@@ -166,17 +137,14 @@ def terms_of_twin(base: Fit) -> Iterator[EmpiricalTerm]:
 
 
 class _Choice(Generic[T]):
-    """Which terms stand beside one parent: all products of its derivatives, its residual and the candidates' columns.
-
-    To first order, base and causes are refitted with every term: their derivatives are columns like the candidates'.
-    """
+    """Which terms stand beside one parent, by products of derivatives, residual and columns of terms."""
 
     def __init__(self, parent: Fit, tried: Sequence[T]) -> None:
         self.parent = parent
-        # What each run has of its own is fitted anew by every prediction; its jumps would drown a small derivative.
+        # Offsets are fitted anew by every prediction; their jumps would drown a small derivative.
         self._bare = fit(parent.problem.bare, parent.hypothesis, parent.coordinates, steps=0)
-        # Per run, which samples it has and, (directions, samples), orthonormal directions of its own offsets.
-        problem, bare = self.parent.problem, self._bare
+        # Per run, its samples and, (directions, samples), orthonormal directions of its offsets.
+        problem, bare = parent.problem, self._bare
         along = problem.directions(bare.hypothesis, bare.coordinates, bare.predicted, {})
         rows, self._nuisance = rows_of_runs(problem, along), []
         for run in sorted({block.run for block in problem.blocks}):
@@ -184,9 +152,18 @@ class _Choice(Generic[T]):
             own = np.array([problem.whitened(row)[at] for row in rows[run]]) if run in rows else np.zeros((0, len(at)))
             left, size, _ = np.linalg.svd(own.T, full_matrices=False)
             self._nuisance.append((at, left[:, size > 1e-6 * max(float(size.max(initial=0.0)), 1e-300)].T))
-        self._own = self._cleared(self._bare.jacobian[np.any(self._bare.jacobian != 0.0, axis=1)])
-        self.candidates, columns = self._columns(tried)
-        self._rows = np.vstack([self._own, columns, self._cleared(self._bare.residual[np.newaxis])])
+        self._own = self._cleared(bare.jacobian[np.any(bare.jacobian != 0.0, axis=1)])
+        orthogonal, self.candidates, columns = np.linalg.qr(self._own.T)[0], list[T](), list[Array]()
+        for term in tried:
+            # (samples,) derivative of the prediction with respect to a coefficient that is 0.
+            effect, step = term.effect, 0.01 * term.effect.parameters[0].usual
+            moved = bare.problem.predict(bare.hypothesis.adding(effect), np.append(bare.coordinates, step))
+            column = self._cleared(problem.whitened(np.asarray((moved - bare.predicted) / step))[np.newaxis])
+            rest = column[0] - orthogonal @ (orthogonal.T @ column[0])
+            if energy(rest) > CONFIG.distinct * max(energy(column[0]), 1e-12):
+                self.candidates.append(term)
+                columns.append(column)
+        self._rows = np.vstack([self._own, *columns, self._cleared(bare.residual[np.newaxis])])
 
     def _cleared(self, rows: Array) -> Array:
         """(k, samples) rows without what the offsets of each run take up."""
@@ -195,27 +172,11 @@ class _Choice(Generic[T]):
             out[:, at] -= (out[:, at] @ directions.T) @ directions
         return out
 
-    def _columns(self, tried: Sequence[T]) -> tuple[list[T], Array]:
-        problem = self.parent.problem
-        orthogonal = np.linalg.qr(self._own.T)[0]
-        terms, columns = [], [np.empty((0, len(problem.measured)))]
-        for term in tried:
-            # (samples,) derivative of the prediction with respect to a coefficient that is 0.
-            effect, bare = term.effect, self._bare
-            step = 0.01 * effect.parameters[0].usual
-            moved = bare.problem.predict(bare.hypothesis.adding(effect), np.append(bare.coordinates, step))
-            column = self._cleared(problem.whitened(np.asarray((moved - bare.predicted) / step))[np.newaxis])[0]
-            rest = column - orthogonal @ (orthogonal.T @ column)
-            if energy(rest) > CONFIG.distinct * max(energy(column), 1e-12):
-                terms.append(term)
-                columns.append(column[np.newaxis])
-        return terms, np.vstack(columns)
-
     @cached_property
     def all_cells(self) -> frozenset[Cell]:
         """Every run and quarter of it in which the sensor is pressed."""
         runs = self.parent.problem.case.runs
-        return frozenset((k, q) for k, run in enumerate(runs) if run.kind == "press" for q in range(HELD_PARTS))
+        return frozenset((k, q) for k, run in enumerate(runs) if run.kind == "press" for q in range(SHRINK.parts))
 
     @cached_property
     def _products(self) -> dict[Cell, Array]:
@@ -231,14 +192,15 @@ class _Choice(Generic[T]):
     def noise(self, cells: frozenset[Cell]) -> float:
         """Return χ² of noise alone on the cells, each sample as often as it is held back."""
         problem, runs = self.parent.problem, self.parent.problem.case.runs
-        held = {k: sum(1 for cell in cells if cell[0] == k) / HELD_PARTS for k in range(len(runs))}
-        return times_held(cells) * sum(len(runs[b.run]) * held[b.run] for b in problem.blocks)
+        held = {k: sum(1 for cell in cells if cell[0] == k) / SHRINK.parts for k in range(len(runs))}
+        return len(splits(cells)) * sum(len(runs[b.run]) * held[b.run] for b in problem.blocks)
 
     def forward(self, cells: frozenset[Cell]) -> tuple[list[T], float]:
         """Choose terms on these cells; return them and χ² on parts held back in turn."""
         # Special runs always count for the fit: they calibrate, and are never held back.
         special = [cell for cell in self._products if cell not in self.all_cells]
-        folds = [(self._added((*(cells - held), *special)), self._added(held)) for held in parts_of(cells)]
+        parts = splits(cells)
+        folds = [(self._added((*(cells - held), *special)), self._added(held)) for part in parts for held in part]
         taken: list[int] = []
         lost, noise = self._lost(folds, taken), self.noise(cells)
         while folds and len(taken) < CONFIG.most:
@@ -246,7 +208,7 @@ class _Choice(Generic[T]):
             if not tried:
                 break
             best = min(tried, key=lambda k: tried[k])
-            if lost - tried[best] <= CONFIG.least * max(lost - noise, 0.0) + CONFIG.chance * times_held(cells):
+            if lost - tried[best] <= CONFIG.least * max(lost - noise, 0.0) + CONFIG.chance * len(parts):
                 break
             taken, lost = [*taken, best], tried[best]
         return [self.candidates[k] for k in taken], lost
@@ -265,21 +227,15 @@ class _Choice(Generic[T]):
         return total
 
 
-def times_held(cells: frozenset[Cell]) -> int:
-    """Return how often a sample is held back: with its quarter, and with its run where there are several."""
-    return (len({run for run, _ in cells}) > 1) + (len({quarter for _, quarter in cells}) > 1)
-
-
-def parts_of(cells: frozenset[Cell]) -> list[frozenset[Cell]]:
-    """Return what is held back in turn: each of several runs, and the same quarter of every run."""
-    runs, quarters = sorted({run for run, _ in cells}), sorted({quarter for _, quarter in cells})
-    by_run = [frozenset(c for c in cells if c[0] == run) for run in runs] if len(runs) > 1 else []
-    by_quarter = [frozenset(c for c in cells if c[1] == quarter) for quarter in quarters] if len(quarters) > 1 else []
-    return by_run + by_quarter
+def splits(cells: frozenset[Cell]) -> list[list[frozenset[Cell]]]:
+    """Return what is held back in turn: each of several runs, then the same quarter of every run."""
+    names = [sorted({cell[k] for cell in cells}) for k in (0, 1)]
+    return [
+        [frozenset(cell for cell in cells if cell[k] == name) for name in names[k]] for k in (0, 1) if len(names[k]) > 1
+    ]
 
 
 def _chosen(choices: Sequence[_Choice[T]], cells: frozenset[Cell]) -> tuple[Fit, list[T]]:
-    """Return parent and terms that lose least on parts held back, the simplest unless one is far better."""
     first, *others = ((choice.parent, *choice.forward(cells)) for choice in choices)
     noise, best = choices[0].noise(cells), first
     for other in others:
@@ -303,7 +259,6 @@ def _with_terms(parent: Fit, terms: Sequence[T], use: Array | None) -> tuple[Fit
 
 
 def _error(found: Fit, effect_id: str) -> float:
-    """Standard error of a coefficient; it grows with what is left, which is no white noise."""
     at = found.hypothesis.place_of(effect_id)
     worse = max(1.0, float(np.sqrt(found.chi2 / max(found.problem.count, 1))))
     return max(worse * float(np.sqrt(max(found.covariance[at, at], 0.0))), 1e-300)
@@ -311,7 +266,7 @@ def _error(found: Fit, effect_id: str) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Scores:
-    """Sums of squares on samples held back, by twin (before, without terms, after), fold and channel."""
+    """Sums of squares on samples held back, by twin (before, without, after), fold and channel."""
 
     squares: dict[str, Array]
     """(folds, channels) each."""
@@ -334,13 +289,11 @@ class _Scores:
         n, value = len(self.counts), self.shrink(of, over)
         each = np.array([self.shrink(of, over, k) for k in range(n)])
         error = float(np.sqrt((n - 1) / n * np.sum((each - each.mean()) ** 2))) if n > 1 else 1.0
-        # One recording does not know its own forecast better than to 0.02.
-        margin = max(0.02, float(student.ppf(0.5 + 0.5 * CONFIG.coverage, max(n - 1, 1))) * error)
+        margin = max(SHRINK.least_margin, float(student.ppf(0.5 + 0.5 * CONFIG.coverage, max(n - 1, 1))) * error)
         return value, value - margin, min(1.0, value + margin)
 
 
 def _held_out(base: Fit, choices: Sequence[_Choice[T]]) -> tuple[_Scores, list[list[T]]]:
-    """Score base, parent and terms on every part in turn, all chosen and fitted without it."""
     cells, problem = choices[0].all_cells, base.problem
     runs = sorted({run for run, _ in cells})
     folds = [frozenset(c for c in cells if c[0] == run) for run in runs]
@@ -357,24 +310,21 @@ def _held_out(base: Fit, choices: Sequence[_Choice[T]]) -> tuple[_Scores, list[l
         parent, terms = _chosen(choices, cells - held)
         before = fit(problem.seeing(seen), base.hypothesis, base.coordinates, steps=6)
         without = before
-        if parent.hypothesis.ids:
+        if parent.ids:
             without = fit(parent.problem.seeing(seen), parent.hypothesis, parent.coordinates, steps=6)
         after, terms = _with_terms(without, terms, seen) if terms else (without, terms)
         taken.append(terms)
-        for what, found in (("before", before), ("without", without), ("after", after)):
-            error = problem.measured - found.predicted
-            for block in problem.blocks:
-                if block.channel in channels:
-                    squares[what][k, channels.index(block.channel)] += energy(error[block.place][unseen[block.place]])
-        for block in problem.blocks:
-            if block.channel in channels:
-                counts[k, channels.index(block.channel)] += np.count_nonzero(unseen[block.place])
+        for block in (b for b in problem.blocks if b.channel in channels):
+            at, hidden = channels.index(block.channel), unseen[block.place]
+            counts[k, at] += np.count_nonzero(hidden)
+            for what, found in (("before", before), ("without", without), ("after", after)):
+                squares[what][k, at] += energy((problem.measured - found.predicted)[block.place][hidden])
     return _Scores(squares, counts, np.array([problem.floor(c) for c in channels])), taken
 
 
 def _places_of(problem: Problem) -> Iterator[tuple[Cell, slice]]:
     """Yield the samples of every quarter of every block, with its run and quarter."""
     for block in problem.blocks:
-        ends = [part[0] for part in np.array_split(np.arange(block.place.start, block.place.stop), HELD_PARTS)]
+        ends = [part[0] for part in np.array_split(np.arange(block.place.start, block.place.stop), SHRINK.parts)]
         for quarter, (start, stop) in enumerate(pairwise([*ends, block.place.stop])):
             yield (block.run, quarter), slice(start, stop)

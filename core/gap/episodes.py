@@ -9,41 +9,25 @@ from numpy.typing import NDArray
 
 from softcal.core.gap.case import Mask
 from softcal.core.gap.coordinates import start_coordinates
-from softcal.core.gap.fit import EPISODE_COST, Fit, fit
+from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import energy, wave_sums
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.problem import Block, Episodes
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Placing
 from softcal.core.twin.probes import Extent
 from softcal.core.twin.signals import compiled
 
-LONGEST_LEAD = 20
-"""Samples by which a fitted delay may lie wrong before the losses are placed."""
+CONFIG = METHOD.episode
 
-LONGEST_LOSS = 60
-"""Most samples one run may lose in all; more is another recording."""
-
-JUDGED = 20
-"""Samples that must follow a loss to judge it by."""
-
+JUDGED = CONFIG.judged
 PLACEMENTS = 4
 """How often episodes are placed again; they hardly move after the third time."""
 
 MAINS_Hz = (50.0, 60.0)
-MAINS_TOLERANCE_Hz = 0.5
-LINE_GAIN = 30.0
-"""χ² that the strongest line of a spectrum must take away, in units of the noise or of what surrounds it, whichever is
-more: white noise reaches 20 in a thousand lines, and a gap of other causes has power everywhere."""
-
-FLAT_SAMPLES = 8
-"""Samples that must lie clearly beyond a level before the output is taken as clipped there."""
 
 ACROSS = np.array([1.0, 1.0, 0.0, -1.0, -1.0]) / 2.0
 """Mean after an instant less mean before it; the sample that placed the instant is left out."""
-
-EVENT_SHARE, EVENT_SIGMA = 0.7, 3.0
-"""A contact is bad where the output jumps: share of the fitted jumps that it must show, and standard errors. Intervals
-that only mop up a smooth gap show none."""
 
 SKEW_STEPS = 8
 """Skews tried on either side before losses are placed, each half a sample more in a run."""
@@ -56,60 +40,50 @@ Placer: TypeAlias = Callable[[Fit, Effect, Extent], Fit | None]
 
 
 def with_losses(found: Fit, effect: Effect, _: Extent) -> Fit | None:
-    """Add an effect that loses samples: place the losses, fit, place again."""
-    return _placed(_with_clock_to_place_by(found, effect), effect, _lost_samples)
+    """Add an effect that loses samples: place the losses, fit, place again.
 
-
-def _clocks(found: Fit, kind: str) -> list[str]:
-    """Return the causes of a fit that move the instants of the output in this way."""
-    return [e.id for e in found.hypothesis.effects if e.signs.clock == kind]
-
-
-def _with_clock_to_place_by(found: Fit, effect: Effect) -> Fit:
-    """Return the fit with the skew of its clock at which placed losses leave least.
-
-    A skew that was fitted through losses is wrong between them, and steps of one sample stand in for the rest of it.
+    A skew fitted through losses is wrong between them, and steps of one sample stand in for the rest.
+    So they are placed by the skew of the clock at which placed losses leave least.
     """
-    rates = _clocks(found, "rate")
-    if not rates:
-        return found
-    at, problem = found.hypothesis.place_of(rates[0]), found.problem
-    samples = max(len(run) for run in problem.case.presses)
-    best, least = found, np.inf
-    for skew in np.arange(-SKEW_STEPS, SKEW_STEPS + 1) * 0.5 / samples:
+    rates, best, least = _clocks(found, "rate"), found, np.inf
+    problem, samples = found.problem, max(len(run) for run in found.problem.case.presses)
+    for skew in np.arange(-SKEW_STEPS, SKEW_STEPS + 1) * 0.5 / samples if rates else ():
         coordinates = found.coordinates.copy()
-        coordinates[at] = skew
+        coordinates[found.hypothesis.place_of(rates[0])] = skew
         start = replace(found, coordinates=coordinates, predicted=problem.predict(found.hypothesis, coordinates))
-        rows, _ = _lost_samples(start, effect.id)
+        rows = _lost_samples(start, effect.id)[0]
         placed = found.hypothesis.adding(effect, episodes=_merged(found, effect.id, rows))
         predicted = problem.predict(placed, np.append(coordinates, 0.0))
         left = energy(problem.whitened(problem.measured - predicted))
-        cost = left + EPISODE_COST * float(np.log(problem.count)) * placed.episode_count
+        cost = left + METHOD.evidence.episode_cost * float(np.log(problem.count)) * placed.episode_count
         if cost < least:
             best, least = start, cost
-    return best
+    return _placed(best, effect, _lost_samples)
+
+
+def _clocks(found: Fit, kind: str) -> list[str]:
+    return [e.id for e in found.effects if e.signs.clock == kind]
 
 
 def with_intervals(found: Fit, effect: Effect, _: Extent) -> Fit | None:
     """Add an effect that acts in a few intervals: place, fit, again; None where nothing jumps."""
     grown = _placed(found, effect, _bad_contacts)
-    return grown if grown is not None and _jumps(grown, effect.id) else None
-
-
-def _jumps(found: Fit, effect_id: str) -> bool:
-    """Whether what an effect takes away jumps within three samples, as the effect does."""
-    without, left = found.hypothesis.without(effect_id)
-    problem, clean = found.problem, found.problem.predict(without, found.coordinates[left])
+    if grown is None:
+        return None
+    # What it takes away must jump within three samples, as it does.
+    without, left = grown.hypothesis.without(effect.id)
+    problem, clean = grown.problem, grown.problem.predict(without, grown.coordinates[left])
     pull = power = 0.0
     for block in problem.blocks_of("output_V"):
-        told, seen = (
+        fitted, seen = (
             np.convolve((values - clean)[block.place] / problem.noise[block.place], ACROSS, mode="valid")
-            for values in (found.predicted, problem.measured)
+            for values in (grown.predicted, problem.measured)
         )
-        pull, power = pull + float(told @ seen), power + energy(told)
-    # Neighbouring differences share most of their noise: of white noise their sum has Σ|w|² times as many samples.
+        pull, power = pull + float(fitted @ seen), power + energy(fitted)
+    # Neighbouring differences share most of their noise: their sum has that of Σ|w|² as many.
     error = np.sqrt(energy(ACROSS) * len(ACROSS) * power)
-    return power > 0.0 and pull > EVENT_SHARE * power and pull > EVENT_SIGMA * error
+    is_bad = power > 0.0 and pull > CONFIG.event_share * power and pull > CONFIG.event_sigma * error
+    return grown if is_bad else None
 
 
 def _placed(found: Fit, effect: Effect, place: Place) -> Fit | None:
@@ -134,7 +108,7 @@ def _placed(found: Fit, effect: Effect, place: Place) -> Fit | None:
 def placed_again(found: Fit) -> Fit:
     """Place the episodes of a hypothesis once more: what was added since may have blurred them."""
     best = found
-    episodic = sorted((e for e in found.hypothesis.effects if e.is_episodic), key=lambda e: list(ROWS).index(_how(e)))
+    episodic = sorted((e for e in found.effects if e.is_episodic), key=lambda e: list(ROWS).index(_how(e)))
     for effect in episodic:
         for _ in range(PLACEMENTS):
             rows, _ = ROWS[_how(effect)](best, effect.id)
@@ -160,7 +134,6 @@ def _merged(found: Fit, effect_id: str, rows: list[Array]) -> Episodes:
 
 
 def _robust_noise(found: Fit, blocks: list[Block]) -> float:
-    """Return the level of the error of the output in units of its white noise, at least 1."""
     error = np.abs(found.problem.measured - found.predicted) * found.problem.weights
     parts = np.concatenate([error[b.place] for b in blocks])
     return max(1.0, 1.48 * float(np.median(parts)))
@@ -170,7 +143,7 @@ def _lost_samples(found: Fit, effect_id: str) -> tuple[list[Array], float]:
     case = found.problem.case
     rows: list[Array] = [np.empty((0, 2)) for _ in case.runs]
     plain = replace(found.hypothesis, episodes=_merged(found, effect_id, rows))
-    # Zero, seat and resistance of a run are fitted to what was measured: with its losses open they would follow them.
+    # Offsets of a run are fitted to what was measured: with its losses open they would follow them.
     bare = found.problem.bare
     closed = bare.predict(plain, found.coordinates)
     own = found.predicted - bare.predict(found.hypothesis, found.coordinates)
@@ -178,14 +151,14 @@ def _lost_samples(found: Fit, effect_id: str) -> tuple[list[Array], float]:
         own = np.zeros(len(own))
     blocks = found.problem.blocks_of("output_V", "press")
     level = _robust_noise(found, blocks)
-    # A delay that was fitted through the losses lies in their middle: the first samples then stand before it.
-    lead = LONGEST_LEAD if _clocks(found, "delay") else 0
+    # A delay fitted through the losses lies in their middle: the first samples stand before it.
+    lead = CONFIG.longest_lead if _clocks(found, "delay") else 0
     for block in blocks:
         measured = found.problem.measured[block.place]
         noise = found.problem.noise[block.place] * level
         known = closed[block.place] + float(np.median(own[block.place]))
         ahead = np.concatenate([np.full(lead, known[0]), known])
-        shifts = lag_path(measured, ahead, noise, lead, LONGEST_LOSS, 4.0 * np.log(len(measured)))
+        shifts = lag_path(measured, ahead, noise, lead, CONFIG.longest_loss, 4.0 * np.log(len(measured)))
         at = np.flatnonzero(np.diff(shifts) > 0) + 1
         t_s = case.runs[block.run].elapsed_s
         rows[block.run] = np.array([(t_s[k], shifts[k] - shifts[k - 1]) for k in at]).reshape(-1, 2)
@@ -196,7 +169,7 @@ def _lost_samples(found: Fit, effect_id: str) -> tuple[list[Array], float]:
 def lag_path(measured: Array, predicted: Array, noise: Array, lead: int, longest: int, penalty: float) -> Array:
     """Return how many samples were lost before each sample: the cheapest path that never falls.
 
-    Viterbi over the loss so far; each further loss costs `penalty`, a sample at most 25 (it may be an outlier).
+    Viterbi over the loss so far; a further loss costs `penalty`, a sample at most 25: an outlier.
 
     Args:
         measured, noise: (n,).
@@ -220,7 +193,7 @@ def lag_path(measured: Array, predicted: Array, noise: Array, lead: int, longest
             if stay < cheapest:
                 cheapest, source = stay, s
         for s in range(longest + 1):
-            # After the end of the run nobody knows what was measured: it costs what a right prediction would.
+            # After the end nobody knows what was measured: it costs what a right prediction would.
             z = (measured[k] - predicted[k + s]) / noise[k] if k + s < n + lead else 1.0
             cost[s] = moved[s] + min(z * z, 25.0)
     out = np.empty(n)
@@ -235,7 +208,7 @@ def _bad_contacts(found: Fit, effect_id: str) -> tuple[list[Array], float]:
     case, readout = found.problem.case, found.problem.case.readout
     rows: list[Array] = [np.empty((0, 2)) for _ in case.runs]
     good = found.coordinates
-    if effect_id in found.hypothesis.ids:
+    if effect_id in found.ids:
         good = found.coordinates.copy()
         good[found.hypothesis.place_of(effect_id)] = 0.0
     clean = found.problem.predict(found.hypothesis, good)
@@ -299,17 +272,29 @@ def with_line(found: Fit, effect: Effect, _: Extent) -> Fit | None:
     case, problem = found.problem.case, found.problem
     blocks = problem.blocks_of("output_V")
     longest_s = max(float(case.runs[b.run].elapsed_s[-1]) for b in blocks)
-    grid = _alias_grid(case.readout.sample_rate_Hz, longest_s)
+    # Where mains may stand in the spectrum: nowhere at 0 and at half the rate.
+    rate_Hz, within_Hz, parts = case.readout.sample_rate_Hz, CONFIG.mains_tolerance_Hz, [np.empty(0)]
+    for mains_Hz in MAINS_Hz:
+        alias_Hz = abs(mains_Hz - rate_Hz * round(mains_Hz / rate_Hz))
+        if within_Hz < alias_Hz < rate_Hz / 2 - within_Hz:
+            parts.append(np.arange(alias_Hz - within_Hz, alias_Hz + within_Hz, 0.4 / longest_s))
+    grid = np.unique(np.concatenate(parts))
     if not len(grid):
         return None
+    losses = [e.id for e in found.effects if e.signs.placing == Placing.LOSSES]
     power = np.zeros(len(grid))
     sums: dict[int, NDArray[np.complex128]] = {}
     for block in blocks:
-        sums[block.run] = wave_sums(grid, _taken_s(found, block.run), (problem.measured - found.predicted)[block.place])
+        # When the samples were taken: later by those lost before.
+        run, taken_s = case.runs[block.run], case.runs[block.run].elapsed_s.copy()
+        episodes = found.hypothesis.episodes_of(block.run)
+        for lost_at_s, count in (row for effect_id in losses for row in episodes.get(effect_id, ())):
+            taken_s += count / run.readout.sample_rate_Hz * (run.elapsed_s >= lost_at_s)
+        sums[block.run] = wave_sums(grid, taken_s, (problem.measured - found.predicted)[block.place])
         power += np.abs(sums[block.run]) ** 2 / (block.place.stop - block.place.start)
     at = int(np.argmax(power))
     level = max(problem.floor("output_V") ** 2, float(np.median(power)) / len(blocks))
-    if 2 * power[at] / level < LINE_GAIN:
+    if 2 * power[at] / level < CONFIG.line_gain:
         return None
     effect = effect if effect.of_runs is None else effect.of_runs(len(case.runs))
     values = [float(np.sqrt(2 * power[at] / sum(b.place.stop - b.place.start for b in blocks))), float(grid[at])]
@@ -318,27 +303,6 @@ def with_line(found: Fit, effect: Effect, _: Extent) -> Fit | None:
     values += [phases.get(k, 0.0) for k in range(len(case.runs))]
     start = np.concatenate([found.coordinates, start_coordinates([effect], [values])])
     return fit(problem, found.hypothesis.adding(effect), start)
-
-
-def _taken_s(found: Fit, run: int) -> Array:
-    """(n,) when the samples of the output were taken: later by those lost before."""
-    recorded = found.problem.case.runs[run]
-    taken_s = recorded.elapsed_s.copy()
-    episodes = found.hypothesis.episodes_of(run)
-    losses = [e.id for e in found.hypothesis.effects if e.signs.placing == Placing.LOSSES]
-    for lost_at_s, count in (row for effect_id in losses for row in episodes.get(effect_id, ())):
-        taken_s += count / recorded.readout.sample_rate_Hz * (recorded.elapsed_s >= lost_at_s)
-    return taken_s
-
-
-def _alias_grid(rate_Hz: float, longest_s: float) -> Array:
-    """Return where mains may stand in the spectrum; nowhere at 0 and at half the rate."""
-    parts = [np.empty(0)]
-    for mains_Hz in MAINS_Hz:
-        alias_Hz = abs(mains_Hz - rate_Hz * round(mains_Hz / rate_Hz))
-        if MAINS_TOLERANCE_Hz < alias_Hz < rate_Hz / 2 - MAINS_TOLERANCE_Hz:
-            parts.append(np.arange(alias_Hz - MAINS_TOLERANCE_Hz, alias_Hz + MAINS_TOLERANCE_Hz, 0.4 / longest_s))
-    return np.unique(np.concatenate(parts))
 
 
 def with_level(found: Fit, effect: Effect, extent: Extent) -> Fit | None:
@@ -356,14 +320,14 @@ def with_level(found: Fit, effect: Effect, extent: Extent) -> Fit | None:
             near[block.place] = problem.measured[block.place] > extent.highest_V - margin_V
         else:
             near[block.place] = problem.measured[block.place] < extent.lowest_V + margin_V
-    if not 8 <= np.count_nonzero(near) < 0.7 * len(near):
+    if not CONFIG.flat_samples <= np.count_nonzero(near) < 0.7 * len(near):
         return None
     open_use = ~near if problem.use is None else problem.use * ~near
     rest = fit(problem.seeing(open_use.astype(np.float64)), found.hypothesis, found.coordinates)
     excess = side * (rest.predicted - problem.measured) / problem.whole_noise
     over = near & (excess > 0)
     excess = excess[over]
-    if np.count_nonzero(excess > 3) < FLAT_SAMPLES:
+    if np.count_nonzero(excess > 3) < CONFIG.flat_samples:
         return None
     level_V = float(np.median(problem.measured[over]))
     start = np.concatenate([rest.coordinates, start_coordinates([effect], [[level_V]])])

@@ -17,8 +17,8 @@ from softcal.core.twin.simulate import EffectSetting, Twin
 def explained_twin(found: Fit, terms: Sequence[EmpiricalTerm] = ()) -> Twin:
     """Return base parameters, noise and causes of a fitted hypothesis as a twin.
 
-    A cause enters by the equation it was fitted by, the catalogue's or another form. Episodes belong to the recording
-    they were found in and are left out: losses of samples and bad contacts are repaired, not simulated.
+    A cause enters by the equation it was fitted by. Episodes belong to the recording they were found in
+    and are left out: losses of samples and bad contacts are repaired, not simulated.
     """
     found = with_constants(found)
     readout = found.problem.case.readout
@@ -28,12 +28,12 @@ def explained_twin(found: Fit, terms: Sequence[EmpiricalTerm] = ()) -> Twin:
         sigma_V = float(np.sqrt(max(_floor(found, "output_V") ** 2 - readout.step_V**2 / 12, 0.0)))
     base = found.base.with_values(sigma_output_V=sigma_V, sigma_force_N=_floor(found, "force_N"))
     settings = []
-    for effect, values in zip(found.hypothesis.effects, found.effect_values, strict=True):
+    for effect, values in zip(found.effects, found.effect_values, strict=True):
         if effect.id not in EFFECTS or EFFECTS[effect.id].is_episodic:
             continue
         given = {p.name: v for p, v in zip(effect.parameters, values, strict=True)} | dict(effect.constants)
         form = form_of(effect)
-        # What belongs to a recording alone, as the phase of a hum in each run, is no parameter of the twin.
+        # What belongs to a recording alone, as the phase of a hum, is no parameter of the twin.
         known = effect if form else EFFECTS[effect.id].side_with([effect.parameters[0].name])
         fitted = {k: v for k, v in given.items() if k in known.value_names and np.isfinite(v)}
         settings.append(EffectSetting(effect.id, fitted, form=form))
@@ -46,11 +46,11 @@ def _floor(found: Fit, channel: str) -> float:
 
 def in_catalogue_form(found: Fit) -> Fit:
     """Return the fit with every cause by the catalogue's equation; itself where it already is."""
-    effects = tuple(EFFECTS[e.id] if form_of(e) else e for e in found.hypothesis.effects)
-    if effects == found.hypothesis.effects:
+    effects = tuple(EFFECTS[e.id] if form_of(e) else e for e in found.effects)
+    if effects == found.effects:
         return found
     rows = []
-    for effect, fitted, values in zip(effects, found.hypothesis.effects, found.effect_values, strict=True):
+    for effect, fitted, values in zip(effects, found.effects, found.effect_values, strict=True):
         given = {p.name: v for p, v in zip(fitted.parameters, values, strict=True)}
         rows.append([given.get(p.name, p.usual) for p in effect.parameters])
     start = np.append(found.coordinates[: len(BASE)], start_coordinates(effects, rows))
@@ -64,37 +64,36 @@ def form_of(effect: Effect) -> str:
 
 
 def with_constants(found: Fit) -> Fit:
-    """Return the fit with the constants of every form set to one value for all runs, as a twin holds them.
+    """Return the fit with the constants of every form set to one value for all runs.
 
-    A fit reads them off each run by itself: the largest force of a run, of which strokes are shares. A twin has one
-    number: the largest of the runs. Base and causes are refitted with it.
+    A fit reads them off each run: its largest force, of which strokes are shares. A twin has one number,
+    the largest of the runs. Base and causes are refitted with it.
     """
-    effects = found.hypothesis.effects
+    effects = found.effects
     if not any(_is_open(effect) for effect in effects):
         return found
     seen = {effect.id: dict.fromkeys((name for name, _ in effect.constants), 0.0) for effect in effects}
-    watched = tuple(_watched(e, seen[e.id]) if _is_open(e) else e for e in effects)
-    found.problem.bare.predict(replace(found.hypothesis, effects=watched), found.coordinates)
-    fixed = tuple(_fixed(e, seen[e.id]) if _is_open(e) else e for e in effects)
-    return fit(found.problem, replace(found.hypothesis, effects=fixed), found.coordinates, steps=40)
+
+    def watched(effect: Effect) -> Effect:
+        largest = seen[effect.id]
+
+        def step(flow: Flow, values: Sequence[float], state: Memory) -> None:
+            effect.step(flow, values, state)
+            largest.update({name: max(most, float(state[name][0])) for name, most in largest.items()})
+
+        return replace(effect, step=step)
+
+    def fixed(effect: Effect) -> Effect:
+        def step(flow: Flow, own: Sequence[float], state: Memory) -> None:
+            effect.step(flow, (*own, *seen[effect.id].values()), state)
+
+        return replace(effect, step=step, constants=tuple(seen[effect.id].items()))
+
+    open_ = tuple(watched(e) if _is_open(e) else e for e in effects)
+    found.problem.bare.predict(replace(found.hypothesis, effects=open_), found.coordinates)
+    closed = tuple(fixed(e) if _is_open(e) else e for e in effects)
+    return fit(found.problem, replace(found.hypothesis, effects=closed), found.coordinates, steps=40)
 
 
 def _is_open(effect: Effect) -> bool:
     return any(not np.isfinite(value) for _, value in effect.constants)
-
-
-def _watched(effect: Effect, seen: dict[str, float]) -> Effect:
-    """Return the effect, writing down the largest value of each of its constants in any run."""
-
-    def step(flow: Flow, values: Sequence[float], state: Memory) -> None:
-        effect.step(flow, values, state)
-        seen.update({name: max(most, float(state[name][0])) for name, most in seen.items()})
-
-    return replace(effect, step=step)
-
-
-def _fixed(effect: Effect, values: dict[str, float]) -> Effect:
-    def step(flow: Flow, own: Sequence[float], state: Memory) -> None:
-        effect.step(flow, (*own, *values.values()), state)
-
-    return replace(effect, step=step, constants=tuple(values.items()))

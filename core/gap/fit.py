@@ -7,25 +7,20 @@ import numpy as np
 
 from softcal.core.gap.coordinates import fit_scale, to_fit
 from softcal.core.gap.linear import dots, energy, gram
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.problem import Around, Hypothesis, Problem
 from softcal.core.recording import Array
+from softcal.core.twin.effects import Effect
 from softcal.core.twin.parameters import BaseParameters
 
 DIFFERENCE = 2e-4
 """Step of a derivative, in usual sizes of a parameter: beyond corners of play and clipping."""
 
+TOLERANCE = 0.02
+"""A step that gains less than this in χ² is the last."""
+
 TRIES = 6
 """Steps tried from one place, each damped more than the one before."""
-
-PRIOR_ODDS = 0.02
-"""Prior odds of each effect being present: one effect in half of the cases, any of the 25."""
-
-DRIVEN_COST = 120.0
-"""What a cause pays besides where a measured force drives the chain: what is left of its noise and of the corners that
-smoothing rounds off feigns gains of up to 90 on recordings without any gap."""
-
-EPISODE_COST = 5
-"""Parameters that an episode counts as: two times, a size, and the places it was not found in."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +48,16 @@ class Fit:
     def base(self) -> BaseParameters:
         """The base parameters of the twin."""
         return BaseParameters(*self.hypothesis.split(self.coordinates)[0])
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Identifiers of the causes, sorted."""
+        return self.hypothesis.ids
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The effects on top of the base."""
+        return self.hypothesis.effects
 
     @cached_property
     def effect_values(self) -> list[list[float]]:
@@ -85,13 +90,13 @@ class Fit:
     @property
     def penalty(self) -> float:
         """p·ln(n) of Schwarz for the flexibility, and −2·ln of the prior odds of the causes."""
-        # Twenty-five causes are tried: without prior odds the luckiest of them would often win by chance.
-        each = -2.0 * float(np.log(PRIOR_ODDS))
-        each += DRIVEN_COST if self.problem.is_driven_by_force else 0.0
+        # Many causes are tried: without prior odds the luckiest would often win by chance.
+        each = -2.0 * float(np.log(METHOD.evidence.prior_odds))
+        each += METHOD.evidence.driven_cost if self.problem.is_driven_by_force else 0.0
         # An episode counts as many parameters, for it was searched for all over the runs.
-        added = sum(p.weight for effect in self.hypothesis.effects for p in effect.parameters)
-        count = int(self.problem.is_free.sum()) + added + EPISODE_COST * self.hypothesis.episode_count
-        return count * float(np.log(self.problem.count)) + each * len(self.hypothesis.ids)
+        added = sum(p.weight for effect in self.effects for p in effect.parameters)
+        count = int(self.problem.is_free.sum()) + added + METHOD.evidence.episode_cost * self.hypothesis.episode_count
+        return count * float(np.log(self.problem.count)) + each * len(self.ids)
 
     @property
     def bic(self) -> float:
@@ -99,12 +104,8 @@ class Fit:
         return self.chi2 + self.penalty
 
 
-def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20, tolerance: float = 0.02) -> Fit:
-    """Minimise χ² from a start within the bounds of all parameters.
-
-    Args:
-        tolerance: stop when a step gains less than this in χ².
-    """
+def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20) -> Fit:
+    """Minimise χ² from a start within the bounds of all parameters."""
     space = _Space(problem, hypothesis)
     x = np.clip(start, space.low, space.high)
     predicted, around = problem.predict_around(hypothesis, x)
@@ -121,7 +122,7 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20,
             candidate = space.step(x, normal, slope, damping)
             moved = candidate - x
             # A step cut short by a bound may promise nothing where a more damped one does.
-            if float(2.0 * moved @ slope - moved @ normal @ moved) > 0.1 * tolerance:
+            if float(2.0 * moved @ slope - moved @ normal @ moved) > 0.1 * TOLERANCE:
                 trial, trial_around = problem.predict_around(hypothesis, candidate)
                 trial_residual = problem.whitened(problem.measured - trial)
                 trial_chi2 = _finite_energy(trial_residual)
@@ -136,14 +137,13 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20,
         x, predicted, around, residual, chi2 = candidate, trial, trial_around, trial_residual, trial_chi2
         damping = max(damping / 10, 1e-9)
         # A huge χ² is summed with rounding: below a ten-millionth of it no gain is real.
-        if gain < tolerance + 1e-7 * chi2:
+        if gain < TOLERANCE + 1e-7 * chi2:
             break
         slopes = space.slopes(x, predicted, around)
     return Fit(problem, hypothesis, x, predicted, chi2, slopes)
 
 
 def _finite_energy(residual: Array) -> float:
-    """Return the sum of squares; infinite where it is not finite: a fit goes elsewhere."""
     cost = energy(residual)
     return cost if np.isfinite(cost) else np.inf
 
@@ -159,7 +159,7 @@ class _Space:
         self.high = np.array([b[1] for b in bounds])
         for k, p in enumerate(hypothesis.parameters):
             if p.scale == "inverse_square":
-                # Coordinate 0 stands for an infinite value, "no such effect": the fit must be able to reach it.
+                # Coordinate 0 stands for an infinite value, "no such effect": a fit must reach it.
                 self.low[k] = 0.0
         self.scale = np.array([fit_scale(p) for p in parameters])
         self.is_free = np.array([not p.is_fixed for p in parameters])
@@ -169,11 +169,11 @@ class _Space:
         """(parameters, samples) derivative of the prediction, one-sided, away from a bound."""
         out = np.zeros((len(x), len(predicted)))
         for k in np.flatnonzero(self.is_free):
-            # One-sided: a central difference costs a second pass of the chain and gains nothing on kinked effects.
+            # One-sided: a central difference costs twice and gains nothing on kinked effects.
             step = DIFFERENCE * self.scale[k]
             if x[k] + step > self.high[k]:
                 step = -step
-            # Beside a place where a simulator fails the other side tells; between two such places a parameter is held.
+            # Where a simulator fails the other side tells; between two failures a parameter is held.
             for side in (step, -step):
                 moved = x.copy()
                 moved[k] += side
@@ -196,7 +196,7 @@ class _Space:
             candidate[k] += np.linalg.solve(damped, slope[k] / size) / size
             outside = (candidate < self.low) | (candidate > self.high)
             candidate = np.clip(candidate, self.low, self.high)
-            # What stands on its bound and wants beyond it is taken out; the others are solved again without it.
+            # What stands on its bound and wants beyond is taken out, and the others are solved again.
             held = free & outside & (candidate == x)
             if not held.any():
                 break

@@ -28,7 +28,6 @@ INVERSE_STEPS = 4
 TOUCHING_share = 0.05
 """A rigid block is taken as touched above this share of the largest force."""
 
-
 Prediction: TypeAlias = dict[str, Array]
 """Clean channels that a run can show, (n,) each, NaN where nobody can know; of a rigid block `stage_mm`, where the
 stage must be when this force is read."""
@@ -40,7 +39,6 @@ def predict(
     """Return what the base twin with the effects of a chain says of one run.
 
     Args:
-        run: its stage position drives the chain; where there is none, its force does.
         index: position of the run in its case, for effects with values of their own per run.
     """
     stage_mm = run.elapsed_s if run.stage_mm is None else run.stage_mm
@@ -58,28 +56,23 @@ def predict(
     if run.kind == "rest":
         flow.stage_mm = np.full(len(run), RETRACTED_mm)
     elif run.stage_mm is None:
-        return _from_force(run, flow, base, chain, values)
+        force_N = reading_N = run.driving_force.force_N
+        for _ in range(INVERSE_STEPS):
+            flow.force_N = force_N
+            chain.weigh(flow, values, chain.fresh_memories())
+            # What the cell would read beyond its reading is taken off the force until both agree.
+            force_N = force_N + reading_N - flow.reading_N
+        flow.force_N = flow.deformation_mm = force_N
+        chain.sense(flow, base, run.readout, values, chain.fresh_memories())
+        return {"output_V": _read_output(flow)}
     chain.run(flow, base, run.readout, values, chain.fresh_memories())
     return {"force_N": flow.reading_N, "output_V": _read_output(flow)}
 
 
 def _read_output(flow: Flow) -> Array:
-    """Return the output; NaN after the end of the run and at the first sample of a step."""
     # Not np.clip, which takes three times as long.
     output_V = np.minimum(np.maximum(flow.output_V, 0.0), flow.vref_V)
     return output_V if flow.is_unforeseeable is None else np.where(flow.is_unforeseeable, np.nan, output_V)
-
-
-def _from_force(run: Run, flow: Flow, base: BaseParameters, chain: Chain, values: Values) -> Prediction:
-    force_N = reading_N = run.driving_force.force_N
-    for _ in range(INVERSE_STEPS):
-        flow.force_N = force_N
-        chain.weigh(flow, values, chain.fresh_memories())
-        # What the cell would read beyond its reading is taken off the force until both agree.
-        force_N = force_N + reading_N - flow.reading_N
-    flow.force_N = flow.deformation_mm = force_N
-    chain.sense(flow, base, run.readout, values, chain.fresh_memories())
-    return {"output_V": _read_output(flow)}
 
 
 def _rigid_block(run: Run, flow: Flow, chain: Chain, values: Values) -> Prediction:
@@ -129,7 +122,7 @@ def mean_code_V(clean_V: Array, noise_V: float, step_V: float) -> Array:
     out = clean_V.copy()
     for k in range(1, HARMONICS + 1):
         height = step_V / (np.pi * k) * np.exp(-2.0 * (np.pi * k * noise_V / step_V) ** 2)
-        # Higher harmonics die out faster than exponentially: the rest is below a ten-thousandth of a step.
+        # Higher harmonics die out faster than exponentially: the rest is still smaller.
         if height < 1e-4 * step_V:
             break
         height = -height if k % 2 else height

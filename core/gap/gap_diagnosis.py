@@ -1,7 +1,6 @@
 """What the diagnosis of the twin and that of another simulator judge, hold and report alike."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, Self, TypeVar
 
@@ -13,39 +12,28 @@ from softcal.core.gap.data_mistake import DataMistake
 from softcal.core.gap.empirical import LearnedResidual, T
 from softcal.core.gap.explained import form_of
 from softcal.core.gap.fit import Fit
-from softcal.core.gap.floor import CONFIG as FLOOR
 from softcal.core.gap.floor import coloured
 from softcal.core.gap.identifiability import Identifiability
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.next_experiment import NextExperiment
-from softcal.core.gap.posterior import exact_log_evidence, log_evidences, probabilities, rivals
+from softcal.core.gap.posterior import (
+    confused_pairs,
+    exact_log_evidence,
+    hidden_fraction,
+    log_evidences,
+    probabilities,
+    rivals,
+)
 from softcal.core.gap.problem import Problem
 from softcal.core.gap.residual import Regime
 from softcal.core.gap.search import EffectSearch
 from softcal.core.gap.shrink import ChannelGap, Quantified, Shrink, gap_of_base, quantify, unsupported
-from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Effect
 from softcal.core.words.reason import Reason, in_words, reason, several
 
+CONFIG = METHOD.verdict
+
 DiagnosisVerdict = Literal["no_gap", "explained", "ambiguous", "unknown", "data"]
-
-UNKNOWN_TRUST = 0.3
-"""How far probabilities are trusted where the catalogue leaves a gap, for a share of 1."""
-
-DOUBTED_CHANCE = 0.05
-"""How likely noise leaves as much, below which what causes leave is no noise. Of a small gap much may go before the
-rest passes for noise at any stricter level; one right cause in twenty of a small gap is given up for it."""
-
-DOWN_TO_NOISE = 0.92
-"""Share of the gap, held out too, from which what causes leave is a difference between two equations of one cause. On
-the line `form` of `benchmarks/gap.py` seven cases (seeds 7100 to 7106) reach it; on `outside` the most is 0.70 (seeds
-7000 to 7011). They were looked at for it and test nothing."""
-
-NEAR_SHARE = 0.01
-"""Share of the gap that one cause more must take to be told as what comes nearest."""
-
-IMITATED_TRUST = 0.4
-"""How far a cause is trusted that another equation of the causes beside it would explain as well: it is not named, and
-not ruled out."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +52,8 @@ class RankedCause:
 
     Args:
         shrink: share of the gap that goes when it is added, of the explained whole.
-        parameters: by the catalogue's equation; empty where the effect is not in the best hypothesis.
-        form: the other equation that fits better and that the twin has, empty where the catalogue's does.
+        parameters: by the catalogue's equation; empty where it is not in the best hypothesis.
+        form: the other equation that fits better, empty where the catalogue's does.
     """
 
     effect: str
@@ -98,28 +86,13 @@ class Partial:
     share: float
 
 
-def let_go(search: EffectSearch) -> set[str]:
-    """Take out of the best hypothesis, and return, causes that lower nothing on unseen samples."""
-    gone: set[str] = set()
-    while len(search.best.hypothesis.ids) > 1:
-        rest = search.one_less(search.best)
-        idle = unsupported(search.best, rest)
-        if not idle:
-            break
-        gone.add(idle[0])
-        search.best = rest[idle[0]]
-    return gone
-
-
 def on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...], set[str]]:
-    """Return the rivals without those that add a cause which lowers nothing on unseen samples, and these."""
+    """Return rivals but those that add a cause that lowers nothing on unseen samples; and these causes."""
     best, in_play, idle = group[0], [group[0]], set()
     for other in group[1:]:
-        added = set(other.hypothesis.ids) - set(best.hypothesis.ids)
-        # Another form of a cause may hold what a second one is: beside it nothing is left for that to lower.
-        is_larger = set(best.hypothesis.ids) < set(other.hypothesis.ids) and not any(
-            map(form_of, best.hypothesis.effects)
-        )
+        added = set(other.ids) - set(best.ids)
+        # Another form of a cause may hold what a second one is: nothing is left for that to lower.
+        is_larger = set(best.ids) < set(other.ids) and not any(map(form_of, best.effects))
         if is_larger and (added & gone or (len(added) == 1 and unsupported(other, dict.fromkeys(added, best)))):
             idle |= added
         else:
@@ -134,24 +107,38 @@ def judged(
     as_told: Callable[[Fit], Fit] = lambda found: found,
     is_uneven: Callable[[Fit], bool] = lambda _: False,
 ) -> tuple[tuple[Fit, ...], Quantified, DiagnosisVerdict, dict[str, float]]:
-    """Return best hypothesis and rivals of a search, the shrink on samples held back, the verdict, chances of effects.
+    """Return a search's best and rival hypotheses, the shrink held out, verdict, chances of effects.
 
     Args:
         as_told: the best hypothesis as it is handed on.
         is_uneven: whether noise that a hypothesis leaves is not the same everywhere.
     """
     say("holding back samples from every cause")
-    gone, logs, best = let_go(search), log_evidences(search.fits), search.best
-    group, idle = on_unseen(rivals(search.fits, best, logs, tuple(search.held_open.values())), gone)
-    doubted = gone | idle | set(search.held_open)
+    # Causes that lower nothing on unseen samples are taken out of the best hypothesis.
+    gone: set[str] = set()
+    while len(search.best.ids) > 1:
+        rest = search.one_less(search.best)
+        idle = unsupported(search.best, rest)
+        if not idle:
+            break
+        gone.add(idle[0])
+        search.best = rest[idle[0]]
+    logs, best = log_evidences(search.fits), search.best
+    group, added = on_unseen(rivals(search.fits, best, logs, tuple(search.held_open.values())), gone)
+    doubted = gone | added | set(search.held_open)
     say("measuring the shrink on samples no fit has seen")
     quantified = quantify(search.base, as_told(best), search.fits.values())
     verdict = _verdict(search, group, quantified, is_uneven)
     # Where nothing explains the gap the truth is most likely none of the effects.
-    trust = 1.0 if quantified.stands or not best.hypothesis.ids else IMITATED_TRUST
-    trust = UNKNOWN_TRUST * search.explained_share(best) if verdict == "unknown" else trust
-    every = chances_of(logs, group, effects)
-    chances = {i: p * trust * (IMITATED_TRUST if i in doubted else 1.0) for i, p in every.items()}
+    trust = 1.0 if quantified.stands or not best.ids else CONFIG.imitated_trust
+    trust = CONFIG.unknown_trust * search.explained_share(best) if verdict == "unknown" else trust
+    # Of a cause held open beside the best hypothesis the mean counts of two readings: every equation may be a little
+    # wrong, or they hold exactly.
+    larger = [f for f in group if set(f.ids) > set(best.ids)]
+    exact = probabilities({f.ids: exact_log_evidence(f) for f in (best, *larger)}, effects)
+    open_ = {i for f in larger for i in f.ids}.difference(best.ids)
+    every = {i: 0.5 * (p + exact[i]) if i in open_ else p for i, p in probabilities(logs, effects).items()}
+    chances = {i: p * trust * (CONFIG.imitated_trust if i in doubted else 1.0) for i, p in every.items()}
     return group, quantified, verdict, chances
 
 
@@ -161,11 +148,7 @@ S = TypeVar("S", bound=EffectSearch)
 def under_its_floor(
     search: S, searched: Callable[[Problem], S], is_floor: Callable[[Fit], bool], say: Callable[[str], None]
 ) -> S:
-    """Search once more where what is left may be noise that fades; keep that only where it is shown to be noise.
-
-    Args:
-        searched: begins a search under the noise of a problem.
-    """
+    """Search once more under noise that fades; keep that only where what is left is shown to be noise."""
     problem = coloured(search.closest)
     if problem is None:
         return search
@@ -178,15 +161,14 @@ def under_its_floor(
 def _verdict(
     search: EffectSearch, group: tuple[Fit, ...], quantified: Quantified, is_uneven: Callable[[Fit], bool]
 ) -> DiagnosisVerdict:
-    """Return the verdict: what is left is noise, hardly anything, or unknown."""
     best, base = search.best, search.base
     if search.stranger is not None:
         return "unknown"
-    if not best.hypothesis.ids or not quantified.stands:
-        is_sound = search.is_clean(base) and search.noise_chance(base) > FLOOR.chance and not is_uneven(base)
+    if not best.ids or not quantified.stands:
+        is_sound = search.is_clean(base) and search.noise_chance(base) > METHOD.floor.chance and not is_uneven(base)
         return "no_gap" if is_sound else "unknown"
-    is_small = min(search.share(best), quantified.shrink.held_out) >= DOWN_TO_NOISE and search.is_explained(best)
-    if is_uneven(best) or not (is_small or search.noise_chance(best) >= DOUBTED_CHANCE):
+    is_small = min(search.share(best), quantified.shrink.held_out) >= CONFIG.down_to_noise and search.is_explained(best)
+    if is_uneven(best) or not (is_small or search.noise_chance(best) >= CONFIG.doubted_chance):
         return "unknown"
     return "ambiguous" if len(group) > 1 else "explained"
 
@@ -194,55 +176,24 @@ def _verdict(
 def nearest(search: EffectSearch) -> Fit:
     """Return the simplest hypothesis that takes nearly the most of the gap away."""
     most = max(search.share(found) for found in search.fits.values())
-    near = [found for found in search.fits.values() if search.share(found) >= most - NEAR_SHARE]
-    return min(near, key=lambda found: (len(found.hypothesis.ids), found.chi2))
-
-
-def chances_of(
-    logs: Mapping[tuple[str, ...], float], group: tuple[Fit, ...], effects: Iterable[str] = tuple(EFFECTS)
-) -> dict[str, float]:
-    """Probability of every effect; of one that is held open beside the best hypothesis the mean of two readings.
-
-    Either every equation may be a little wrong, or they hold exactly.
-    """
-    chances, best = probabilities(logs, effects), group[0]
-    larger = [f for f in group if set(f.hypothesis.ids) > set(best.hypothesis.ids)]
-    exact = probabilities({f.hypothesis.ids: exact_log_evidence(f) for f in (best, *larger)}, effects)
-    added = {i for f in larger for i in f.hypothesis.ids}.difference(best.hypothesis.ids)
-    return {i: 0.5 * (p + exact[i]) if i in added else p for i, p in chances.items()}
-
-
-def shares_of(search: EffectSearch, best: Fit) -> dict[str, float]:
-    """Split the explained χ² among the causes: the mean of adding each first and last."""
-    ids = best.hypothesis.ids
-    if len(ids) < 2:
-        return dict.fromkeys(ids, 1.0)
-    worth = {}
-    for effect_id in ids:
-        alone, rest = search.fits.get((effect_id,)), search.fits.get(tuple(i for i in ids if i != effect_id))
-        first = search.base.chi2 - alone.chi2 if alone else 0.0
-        last = rest.chi2 - best.chi2 if rest else 0.0
-        worth[effect_id] = max(0.5 * (first + last), 0.0)
-    total = sum(worth.values()) or 1.0
-    return {effect_id: value / total for effect_id, value in worth.items()}
+    near = [found for found in search.fits.values() if search.share(found) >= most - CONFIG.near_share]
+    return min(near, key=lambda found: (len(found.ids), found.chi2))
 
 
 def estimates_of(found: Fit, effect_id: str) -> dict[str, ParameterEstimate]:
     """Return value and 90 % interval of an effect's parameters; none where the fit lacks it."""
-    spread = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
-    for effect in found.hypothesis.effects:
-        if effect.id == effect_id:
-            at = found.hypothesis.slices[effect_id]
-            parameters = [found.problem.scale.sized(p) for p in effect.parameters]
-            coordinates, margin = found.coordinates[at], 1.645 * spread[at]
-            out = {}
-            for k, p in enumerate(parameters):
-                ends = [from_fit(p, float(coordinates[k] + side * margin[k])) for side in (-1.0, 1.0)]
-                low, high = (float(np.nan_to_num(v, posinf=p.high, neginf=p.low)) for v in sorted(ends))
-                value = float(np.nan_to_num(from_fit(p, float(coordinates[k])), posinf=p.high, neginf=p.low))
-                out[p.name] = ParameterEstimate(value, low, high, p.unit)
-            return out
-    return {}
+    effect = next((e for e in found.effects if e.id == effect_id), None)
+    if effect is None:
+        return {}
+    at, out = found.hypothesis.slices[effect_id], {}
+    margins = 1.645 * np.sqrt(np.maximum(np.diag(found.covariance), 0.0))[at]
+    for parameter, x, margin in zip(effect.parameters, found.coordinates[at], margins, strict=True):
+        p = found.problem.scale.sized(parameter)
+        ends = sorted(from_fit(p, float(x + side * margin)) for side in (-1.0, 1.0))
+        three = (from_fit(p, float(x)), *ends)
+        value, low, high = (float(np.nan_to_num(v, posinf=p.high, neginf=p.low)) for v in three)
+        out[p.name] = ParameterEstimate(value, low, high, p.unit)
+    return out
 
 
 SCHEMA = "softcal.gap/1"
@@ -251,16 +202,15 @@ NOT_MEASURED = "not measured: the recordings hold a mistake"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class GapDiagnosis(ABC, Generic[T]):
-    """Everything a report or a page needs of one diagnosis. With the verdict `data` only what has no default is there.
+class GapDiagnosis(Generic[T]):
+    """Everything a report or a page needs; with the verdict `data` only what has no default.
 
     Args:
-        chosen: causes that are chosen where each part of the samples in turn is held back, those the shrink is of.
+        chosen: causes that are chosen where each part of the samples in turn is held back.
         explained_share: of the structured gap energy, 1 when nothing but noise is left.
-        mistakes: what is wrong with the recordings; with the verdict `data` they stand in the way of everything else,
-            beside another one they are questions.
-        residual: empirical terms that describe what no named cause explains, where they hold on runs held back.
-        told: what the runs tell of the base and of every effect; None where the recordings hold a mistake.
+        mistakes: in the recordings; with another verdict than `data` they are questions.
+        residual: empirical terms for what no named cause explains, if they hold on runs held back.
+        told: what the runs tell of the base and of every effect; None where there is a mistake.
     """
 
     verdict: DiagnosisVerdict
@@ -295,19 +245,33 @@ class GapDiagnosis(ABC, Generic[T]):
             **own,
         )
 
+    @classmethod
+    def of(cls, base: Fit, found: Fit, group: tuple[Fit, ...], quantified: Quantified, **own: Any) -> Self:
+        """Return the diagnosis of a base and its rivals, with what follows from them alone."""
+        return cls(
+            base=base,
+            gap=quantified.gap,
+            shrink=quantified.shrink,
+            protocol=quantified.protocol,
+            chosen=quantified.chosen,
+            ambiguous_with=confused_pairs(group),
+            hidden_fraction={i: hidden_fraction(found, i) for i in found.ids},
+            **own,
+        )
+
     @property
     def case(self) -> Case:
         """The recordings."""
         return self.base.problem.case
 
     def report(self) -> dict[str, object]:
-        """Return the report of the contract, ready for JSON."""
+        """Return what every report has, ready for JSON."""
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
             "serial": self.case.serial,
             "data": [found.record() for found in self.mistakes],
-            "gap": {self._shown(channel): vars(gap) for channel, gap in self.gap.items()},
+            "gap": {channel: vars(gap) for channel, gap in self.gap.items()},
             "shrink": vars(self.shrink) | {"protocol": self.protocol, "chosen": [list(ids) for ids in self.chosen]},
             "where": [place.record() for place in self.places],
             "causes": [
@@ -320,21 +284,8 @@ class GapDiagnosis(ABC, Generic[T]):
             "next_experiment": self.next_experiment.record(),
             "explained_share": self.explained_share,
             "partial": None if self.partial is None else vars(self.partial) | {"effects": list(self.partial.effects)},
-            "residual": None if self.residual is None else self.residual.record() | self._described(self.residual),
-            **self._own(),
+            "residual": None if self.residual is None else self.residual.record(),
         }
-
-    def _shown(self, channel: str) -> str:
-        """Return the name of a channel in a report."""
-        return channel
-
-    @abstractmethod
-    def _described(self, residual: LearnedResidual[T]) -> dict[str, object]:
-        """Return what a report says of empirical terms beside what all say."""
-
-    @abstractmethod
-    def _own(self) -> dict[str, object]:
-        """Return what the report of this kind of simulator has beside what all have."""
 
 
 def places_of(
@@ -354,7 +305,7 @@ def partial_of(search: EffectSearch) -> Partial | None:
     """Return the causes that come nearest, and their share; None where none takes anything."""
     closest = nearest(search)
     share = search.explained_share(closest)
-    return Partial(closest.hypothesis.ids, share) if closest.hypothesis.ids and share > 0.0 else None
+    return Partial(closest.ids, share) if closest.ids and share > 0.0 else None
 
 
 def ranked_causes(
@@ -368,16 +319,24 @@ def ranked_causes(
     """Return every effect with how it stands, the likeliest first.
 
     Args:
-        fits: where the parameters of an effect are taken from, the first that has it; else from the effect alone.
-        held_out: share of the gap that goes on samples held back, split among the causes of the best hypothesis.
+        fits: where parameters are taken from, the first that has them; else from the effect alone.
+        held_out: share of the gap that goes on samples held back, split among the best causes.
     """
-    shares = shares_of(search, best)
-    forms = {e.id: form_of(e) for e in best.hypothesis.effects}
+    ids = best.ids
+    # The explained χ² is split among several causes: the mean of adding each first and last.
+    worth = dict.fromkeys(ids, 1.0)
+    for effect_id in ids if len(ids) > 1 else ():
+        alone, rest = search.fits.get((effect_id,)), search.fits.get(tuple(i for i in ids if i != effect_id))
+        first = search.base.chi2 - alone.chi2 if alone else 0.0
+        last = rest.chi2 - best.chi2 if rest else 0.0
+        worth[effect_id] = max(0.5 * (first + last), 0.0)
+    total = sum(worth.values()) or 1.0
+    forms = {e.id: form_of(e) for e in best.effects}
 
     def cause(effect: Effect) -> RankedCause:
-        found = next((f for f in fits if effect.id in f.hypothesis.ids), search.fits.get((effect.id,)))
+        found = next((f for f in fits if effect.id in f.ids), search.fits.get((effect.id,)))
         parameters = estimates_of(found, effect.id) if found is not None else {}
-        share = shares.get(effect.id, 0.0) * held_out
+        share = worth.get(effect.id, 0.0) / total * held_out
         return RankedCause(effect.id, effect.stage, chances[effect.id], share, parameters, forms.get(effect.id, ""))
 
     return tuple(sorted(map(cause, effects), key=lambda c: (-c.probability, -c.shrink)))

@@ -1,18 +1,16 @@
-"""What no equation of the catalogue says: departures of another kind, and other equations of its causes.
+"""What no equation of the catalogue says: departures of another kind, other equations of its causes.
 
-Each signal of the chain may have a gain or an offset that follows time or temperature, and the load cell a delay or a
-share of the position. They are no causes a report can name; where one wins, the report says `unknown` and what it is
-like.
+A signal of the chain may have a gain or an offset that follows time or temperature, the load cell a
+delay or a share of the position. They are no causes: where one wins, the report says `unknown`.
 
-A rig does not follow the catalogue's equations, and what the equation of one cause leaves often looks like a second
-cause. So every further cause is held against a free form of those beside it: the same cause at other sizes and shapes,
-all mixed, and with a size that changes with load and time. Where that explains the same nearly as well, these runs do
-not tell a second cause from another equation of the first.
+What the equation of one cause leaves on a rig often looks like a second cause. So every further one
+is held against a free form of those beside it: other sizes and shapes, all mixed, and a size that
+changes with load and time. Where that explains nearly as much, these runs do not tell the two.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
+from operator import attrgetter
 
 import numpy as np
 
@@ -20,7 +18,8 @@ from softcal.core.gap.coordinates import from_fit, to_fit
 from softcal.core.gap.fit import Fit
 from softcal.core.gap.floor import projected
 from softcal.core.gap.linear import dots
-from softcal.core.gap.posterior import RIVAL_LOG_ODDS, Yardstick
+from softcal.core.gap.method import METHOD
+from softcal.core.gap.posterior import Yardstick
 from softcal.core.gap.residual import is_clean
 from softcal.core.gap.screen import Probe, joined, screen
 from softcal.core.recording import Array
@@ -28,29 +27,24 @@ from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import ChainStage, Effect, Flow, Hook, Memory, Parameter, Step
 from softcal.core.twin.mechanics import elastic_force_at
 from softcal.core.twin.signals import low_pass
-from softcal.core.words.reason import Reason
 
-CLEAN_LOG_ODDS = 2.0
-"""Log evidence by which a stranger must beat a catalogue that leaves no structure; one that leaves some must be no
-rival any more ..."""
+CONFIG = METHOD.stranger
 
-LEAST_GAIN = 12.0
-"""... and by how much it must lower χ² besides, unless it stands for two causes more than itself: fewer parameters
-alone do not make a stranger, but three causes that together imitate one departure do."""
-
-TIME, WARMTH, PLACE = "t_s", "warmed_K", "stage_mm"
+TIME, WARMTH, PLACE = attrgetter("t_s"), attrgetter("warmed_K"), attrgetter("stage_mm")
 """What of the flow a departure may follow."""
 
 
-def _gain(signal: str, follows: str, is_offset: bool = False) -> Step:
+def changing(signal: str, follows: Callable[[Flow], Array | float], is_offset: bool = False) -> Step:
+    """Return a step that raises a signal by its size, or such a share, times what it follows."""
+
     def step(flow: Flow, values: Sequence[float], _: Memory) -> None:
-        now, change = getattr(flow, signal), values[0] * getattr(flow, follows)
+        now, change = getattr(flow, signal), values[0] * follows(flow)
         setattr(flow, signal, now + change if is_offset else now * (1.0 + change))
 
     return step
 
 
-_offset = partial(_gain, is_offset=True)
+_offset = partial(changing, is_offset=True)
 
 
 def _divider(flow: Flow, values: Sequence[float], _: Memory) -> None:
@@ -62,98 +56,60 @@ def _cell_lag(flow: Flow, values: Sequence[float], _: Memory) -> None:
     flow.reading_N = low_pass(flow.reading_N, flow.step_s, max(values[0], 1e-4), np.full(2, flow.reading_N[0]))
 
 
-@dataclass(frozen=True)
-class Stranger:
-    """A generic departure."""
-
-    like: Reason
-    effect: Effect
-    is_warming: bool
-
-
 def _stranger(
     code: str, stage: ChainStage, hook: Hook, step: Step, unit: str, usual: float, is_signed: bool = True
-) -> Stranger:
+) -> Effect:
     size = Parameter("size", unit, -30.0 * usual if is_signed else 0.0, 30.0 * usual, usual, neutral=0.0)
-    effect = Effect(code, stage, hook, "", "no effect of the catalogue", (size,), step)
-    return Stranger(Reason(code), effect, unit.endswith("/K"))
+    return Effect(code, stage, hook, "", "no effect of the catalogue", (size,), step)
 
 
 STRANGERS = (
-    _stranger("gap.like.stiffness_in_time", "mechanics", Hook.FORCE, _gain("force_N", TIME), "1/s", 1e-3),
-    _stranger("gap.like.stiffness_when_warm", "mechanics", Hook.FORCE, _gain("force_N", WARMTH), "1/K", 5e-3),
-    _stranger("gap.like.sensitivity_in_time", "transduction", Hook.CHANNEL, _gain("drive", TIME), "1/s", 1e-3),
-    _stranger("gap.like.sensitivity_when_warm", "transduction", Hook.CHANNEL, _gain("drive", WARMTH), "1/K", 5e-3),
+    _stranger("gap.like.stiffness_in_time", "mechanics", Hook.FORCE, changing("force_N", TIME), "1/s", 1e-3),
+    _stranger("gap.like.stiffness_when_warm", "mechanics", Hook.FORCE, changing("force_N", WARMTH), "1/K", 5e-3),
+    _stranger("gap.like.sensitivity_in_time", "transduction", Hook.CHANNEL, changing("drive", TIME), "1/s", 1e-3),
+    _stranger("gap.like.sensitivity_when_warm", "transduction", Hook.CHANNEL, changing("drive", WARMTH), "1/K", 5e-3),
     _stranger("gap.like.offset_in_time", "electronics", Hook.OUTPUT, _offset("output_V", TIME), "V/s", 2e-4),
     _stranger("gap.like.offset_when_warm", "electronics", Hook.OUTPUT, _offset("output_V", WARMTH), "V/K", 1e-3),
-    _stranger("gap.like.cell_span_in_time", "load_cell", Hook.READING, _gain("reading_N", TIME), "1/s", 1e-3),
-    _stranger("gap.like.cell_span_when_warm", "load_cell", Hook.READING, _gain("reading_N", WARMTH), "1/K", 5e-3),
+    _stranger("gap.like.cell_span_in_time", "load_cell", Hook.READING, changing("reading_N", TIME), "1/s", 1e-3),
+    _stranger("gap.like.cell_span_when_warm", "load_cell", Hook.READING, changing("reading_N", WARMTH), "1/K", 5e-3),
     _stranger("gap.like.cell_zero_when_warm", "load_cell", Hook.READING, _offset("reading_N", WARMTH), "N/K", 0.01),
     _stranger("gap.like.cell_by_position", "load_cell", Hook.READING, _offset("reading_N", PLACE), "N/mm", 0.05),
     _stranger("gap.like.cell_late", "load_cell", Hook.READING, _cell_lag, "s", 0.1, is_signed=False),
 )
-"""Generic departures."""
+"""Generic departures; the identifier is the reason that says what one is like."""
 
 WARM_DIVIDER = _stranger("gap.like.divider_when_warm", "electronics", Hook.REFERENCE, _divider, "1/K", 1e-3)
 """Looks like a channel that follows the temperature, sign reversed, while the channel is read."""
 
 
 def stranger(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> Fit | None:
-    """Return the best hypothesis with a stranger in it, None where none beats the catalogue decisively.
-
-    Args:
-        parents: hypotheses a stranger may stand beside, fitted under the noise level of `best`.
-    """
+    """Return the best fit with a stranger beside a parent; None where none beats the catalogue."""
     if best.problem.is_driven_by_force:
         return None
-    found = [grown for parent in parents for grown in _grown(parent)]
+    case, scale = best.problem.case, best.problem.scale
+    is_warming = case.changes("temperature_C")
+    seen = [e for e in STRANGERS if e.stage not in case.unseen_stages]
+    seen = [e for e in seen if is_warming or not e.parameters[0].unit.endswith("/K")]
+    seen += [WARM_DIVIDER] if case.has_warmed_dummy else []
+    probes = [Probe(e, (scale.sized(e.parameters[0]).usual,), e.parameters[0].low == 0.0) for e in seen]
+    found = [joined(parent, lead) for parent in parents for lead in screen(parent, probes)[:1]]
     if not found:
         return None
     yardstick = Yardstick.of((*fits, *found))
     closest = max(found, key=yardstick.log_evidence)
     ahead = yardstick.log_evidence(closest) - yardstick.log_evidence(best)
-    is_decisive = ahead > (CLEAN_LOG_ODDS if is_clean(closest) else RIVAL_LOG_ODDS)
-    is_simpler = len(closest.hypothesis.ids) <= len(best.hypothesis.ids) - 2
-    return closest if is_decisive and (is_simpler or closest.chi2 < best.chi2 - LEAST_GAIN) else None
+    is_decisive = ahead > (CONFIG.clean_odds if is_clean(closest) else METHOD.rival.odds)
+    is_simpler = len(closest.ids) <= len(best.ids) - 2
+    return closest if is_decisive and (is_simpler or closest.chi2 < best.chi2 - CONFIG.least_gain) else None
 
 
-def stranger_of(found: Fit) -> Stranger:
+def stranger_of(found: Fit) -> Effect:
     """Return the stranger of a hypothesis that has one."""
-    return next(one for one in (*STRANGERS, WARM_DIVIDER) if one.effect in found.hypothesis.effects)
-
-
-def _grown(parent: Fit) -> list[Fit]:
-    case, scale = parent.problem.case, parent.problem.scale
-    is_warming = any(run.temperature_C is not None and np.ptp(run.temperature_C) > 0 for run in case.presses)
-    felt = [one for one in STRANGERS if is_warming or not one.is_warming]
-    seen = [one.effect for one in felt if one.effect.stage not in case.unseen_stages]
-    seen += [WARM_DIVIDER.effect] if case.has_warmed_dummy else []
-    probes = [Probe(e, (scale.sized(e.parameters[0]).usual,), e.parameters[0].low == 0.0) for e in seen]
-    return [joined(parent, lead) for lead in screen(parent, probes)[:1]]
-
-
-@dataclass(frozen=True)
-class FreeFormConfig:
-    """How free a form is, and when it explains the same.
-
-    Args:
-        ratios: sizes and shapes mixed, as multiples of the fitted ones.
-        imitated: share of what a cause takes away that a free form of the others must take away as well.
-    """
-
-    ratios: tuple[float, ...] = (0.2, 0.5, 2.0, 5.0)
-    imitated: float = 0.8
-
-
-CONFIG = FreeFormConfig()
+    return next(one for one in (*STRANGERS, WARM_DIVIDER) if one in found.effects)
 
 
 def imitated_causes(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
-    """Return the causes of a hypothesis that a free form of the others imitates, the weakest first.
-
-    Args:
-        smaller: the hypothesis without each cause, fitted, by that cause.
-    """
+    """Return the causes that a free form of the others, `smaller`, imitates, the weakest first."""
     order = sorted(smaller, key=lambda effect_id: smaller[effect_id].chi2)
     return [effect_id for effect_id in order if imitation(smaller[effect_id], best) >= CONFIG.imitated]
 
@@ -161,9 +117,9 @@ def imitated_causes(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
 def imitation(rest: Fit, best: Fit) -> float:
     """Return which share of a larger hypothesis's gain a free form of a smaller one has as well."""
     gain = rest.chi2 - best.chi2
-    if gain <= 0.0 or not rest.hypothesis.ids:
+    if gain <= 0.0 or not rest.ids:
         return 0.0
-    rows = [rest.problem.whitened(row) for effect in rest.hypothesis.effects for row in _directions(rest, effect)]
+    rows = [rest.problem.whitened(row) for effect in rest.effects for row in _directions(rest, effect)]
     seen = projected(rows, rest.jacobian)
     if not len(seen):
         return 0.0
@@ -190,15 +146,7 @@ def _directions(found: Fit, effect: Effect) -> Iterator[Array]:
                 yield problem.predict(found.hypothesis, moved) - found.predicted
     without, left = found.hypothesis.without(effect.id)
     signature = found.predicted - problem.predict(without, found.coordinates[left])
-    of_load, of_time = _courses(found)
-    # A delay that grows with time is a rate, a cause of its own.
-    for course in of_load if effect.signs.clock is not None else of_load + of_time:
-        yield signature * course
-
-
-def _courses(found: Fit) -> tuple[list[Array], list[Array]]:
-    """Return (samples,) load and time, each with its square, relative to the largest."""
-    problem = found.problem
+    # Load and time relative to the largest, each with its square.
     load, time = np.zeros(len(problem.measured)), np.zeros(len(problem.measured))
     for block in problem.blocks:
         run = problem.case.runs[block.run]
@@ -208,4 +156,7 @@ def _courses(found: Fit) -> tuple[list[Array], list[Array]]:
         elif run.force_N is not None:
             load[block.place] = run.force_N
     load, time = load / (np.max(np.abs(load)) or 1.0), time / (np.max(time) or 1.0)
-    return [load, load**2], [time, time**2]
+    of_load, of_time = [load, load**2], [time, time**2]
+    # A delay that grows with time is a rate, a cause of its own.
+    for course in of_load if effect.signs.clock is not None else of_load + of_time:
+        yield signature * course

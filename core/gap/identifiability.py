@@ -1,16 +1,18 @@
-"""What these runs can tell, seen from the fitted base before any cause is tried; and which run would tell the rest.
+"""What these runs can tell, seen from the fitted base, and which run would tell the rest.
 
-Everything is first order: of the change a parameter makes by its usual size, the part that neither the others nor what
-each run may have of its own can imitate, in standard deviations of the noise.
+Everything is first order: of the change a parameter makes by its usual size, the part that neither
+the others nor what each run may have of its own can imitate, in standard deviations of the noise.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 import numpy as np
 
 from softcal.core.gap.coordinates import fit_scale, start_coordinates
 from softcal.core.gap.fit import Fit, fit
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.next_experiment import MenuEntry
 from softcal.core.gap.offsets import own_rows
 from softcal.core.gap.problem import Problem
@@ -18,34 +20,7 @@ from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
 from softcal.core.words.reason import Reason, reason, several
 
-
-@dataclass(frozen=True)
-class TellingConfig:
-    """When runs tell a parameter or a cause.
-
-    Args:
-        sigma: standard deviations by which a change of the usual size must show.
-        nothing: standard deviations below which nothing of it shows.
-        own: share, of what the base leaves of a cause, from which offsets of the runs take its shape. Chosen on the
-            five simulators of `tests/core/test_gap_simulators.py` and four drawn ones, tested on others.
-        alike: cosine of what is visible of two causes from which they are one to these runs.
-        lost: share of the energy of a parameter that must be left by the others, or it is none of these runs' business.
-        traded: share of what a parameter is imitated by from which another one is named beside it.
-        smaller: share of the usual size at which a cause is looked at too.
-        on_bound: share of its largest from which an offset stands on its bound.
-    """
-
-    sigma: float = 5.0
-    nothing: float = 0.5
-    own: float = 0.975
-    alike: float = 0.99
-    lost: float = 1e-7
-    traded: float = 0.1
-    smaller: float = 0.2
-    on_bound: float = 0.99
-
-
-CONFIG = TellingConfig()
+CONFIG = METHOD.telling
 
 
 @dataclass(frozen=True)
@@ -87,7 +62,7 @@ class ParameterTold:
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What the runs tell of every parameter of the base and every cause, and causes that are one to them."""
+    """What the runs tell of every base parameter and cause, and causes that are one to them."""
 
     every: tuple[ParameterTold, ...]
     alike: tuple[tuple[str, str], ...] = ()
@@ -130,19 +105,15 @@ def identifiability(
         there = here.with_run(_Rows.of(base, base.problem.of_run(entry.run), also))
         names = {one.name for one in left if there.shows(one.name)}
         every = [replace(one, by=(*one.by, entry.name)) if one.name in names else one for one in every]
-    ids = [e.id for e in effects]
-    alike = [
-        (one, other)
-        for k, one in enumerate(ids)
-        for other in ids[k + 1 :]
-        if abs(here.cosine(here.cause(one), here.cause(other))) > CONFIG.alike
-    ]
+    pairs = combinations([e.id for e in effects], 2)
+    alike = [pair for pair in pairs if abs(here.cosine(*map(here.cause, pair))) > CONFIG.alike]
     return Identifiability(tuple(every), tuple(alike))
 
 
 def reasons(found: Identifiability) -> list[Reason]:
     """Return why runs do not tell what they do not tell, a reason for each."""
-    return [*map(why, found.untold), *(alike(*pair) for pair in found.alike)]
+    pairs = [[reason("gap.effect", effect=effect) for effect in pair] for pair in found.alike]
+    return [*map(why, found.untold), *(reason("gap.told.alike", one=a, other=b) for a, b in pairs)]
 
 
 def why(one: ParameterTold) -> Reason:
@@ -160,14 +131,9 @@ def why(one: ParameterTold) -> Reason:
     return reason("gap.told.small", name=name, sigma=one.sigma, cure=cure)
 
 
-def alike(one: str, other: str) -> Reason:
-    """Return that two causes are one to these runs."""
-    return reason("gap.told.alike", one=reason("gap.effect", effect=one), other=reason("gap.effect", effect=other))
-
-
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Products of rows over some runs: derivatives of the base, what runs have of their own, and changes by causes.
+    """Products of rows over some runs: of the base, of what runs have of their own, and of causes.
 
     Args:
         base: names of the base parameters with a row.
@@ -227,8 +193,10 @@ class _Rows:
     def of_base(self) -> list[int]:
         return list(range(len(self.base)))
 
-    def of_own(self, kind: int | None = None) -> list[int]:
-        return [len(self.base) + k for k, of in enumerate(self.own) if kind is None or of == kind]
+    @property
+    def held(self) -> list[int]:
+        """Rows of base and offsets."""
+        return list(range(len(self.base) + len(self.own)))
 
     def left(self, row: int, held: Sequence[int]) -> float:
         """Return the energy of a row that others do not imitate."""
@@ -248,26 +216,27 @@ class _Rows:
             return self.sigma_of_base(self.base.index(name)) >= CONFIG.sigma
         if name not in self.causes:
             return False
-        at, held = self.cause(name), [*self.of_base, *self.of_own()]
-        return self.own_share(at) < CONFIG.own and self.left(at, held) >= CONFIG.sigma**2
+        at = self.cause(name)
+        return self.own_share(at) < CONFIG.own and self.left(at, self.held) >= CONFIG.sigma**2
 
     def sigma_of_base(self, k: int) -> float:
         """Return by how many σ a base parameter shows, 0 where others imitate it to rounding."""
-        left = self.left(k, [*(i for i in self.of_base if i != k), *self.of_own()])
+        left = self.left(k, [i for i in self.held if i != k])
         return float(np.sqrt(left)) if left > CONFIG.lost * float(self.gram[k, k]) else 0.0
 
     def own_share(self, cause: int, kind: int | None = None) -> float:
         """Return which share of what the base leaves of a cause, at either size, offsets take."""
+        own = [len(self.base) + k for k, of in enumerate(self.own) if kind in (None, of)]
         shares = [0.0]
         for row in (cause, cause + 1):
             seen = self.left(row, self.of_base)
             if seen > CONFIG.lost * float(self.gram[row, row]):
-                shares.append(1.0 - self.left(row, [*self.of_base, *self.of_own(kind)]) / seen)
+                shares.append(1.0 - self.left(row, [*self.of_base, *own]) / seen)
         return max(shares)
 
     def cosine(self, one: int, other: int) -> float:
         """Return how much alike two rows are beyond what base and offsets imitate."""
-        held = [*self.of_base, *self.of_own()]
+        held = self.held
         left = [self.left(row, held) for row in (one, other)]
         if min(left) < CONFIG.sigma**2:
             return 0.0
@@ -276,7 +245,6 @@ class _Rows:
 
 
 def _changes(bare: Fit, effect: Effect) -> tuple[Array, Array]:
-    """Return the whitened change by an effect of its usual and of a smaller size."""
     sized = [bare.problem.scale.sized(p) for p in effect.parameters]
     usual = [p.usual for p in sized]
     smaller, neutral = usual[0], sized[0].neutral
@@ -312,12 +280,18 @@ def _of_base(here: _Rows, base: Fit) -> list[ParameterTold]:
 
 
 def _of_causes(here: _Rows, base: Fit, effects: Sequence[Effect], offsets: Sequence[str]) -> list[ParameterTold]:
-    out, is_full = [], _on_bound(base)
+    largest = base.problem.largest_offsets
+    # Of each kind of offset, whether it stands on its bound in most runs.
+    sizes = np.array(list(base.problem.offset_sizes(base.hypothesis, base.coordinates).values()))
+    is_full = np.zeros(len(largest), dtype=np.bool_)
+    if sizes.size:
+        is_full = np.mean(np.abs(sizes) >= CONFIG.on_bound * largest, axis=0) > 0.5
+    out = []
     for effect in effects:
         at = here.cause(effect.id)
         whole, seen = float(here.gram[at, at]), here.left(at, here.of_base)
         own = here.own_share(at)
-        sigma = float(np.sqrt(here.left(at, [*here.of_base, *here.of_own()])))
+        sigma = float(np.sqrt(here.left(at, here.held)))
         kind = max(range(len(offsets)), key=lambda k: here.own_share(at, k), default=None)
         # A delay that all runs share, beyond the largest that each may have, is no longer theirs.
         is_own = kind is not None and own >= CONFIG.own and not is_full[kind]
@@ -325,12 +299,3 @@ def _of_causes(here: _Rows, base: Fit, effects: Sequence[Effect], offsets: Seque
         hidden = float(np.clip(1.0 - seen / whole, 0.0, 1.0)) if whole > 0.0 else 1.0
         out.append(ParameterTold(effect.id, False, sigma, hidden, own, offset))
     return out
-
-
-def _on_bound(base: Fit) -> list[bool]:
-    """Return of each kind of offset whether it stands on its bound in most runs."""
-    largest = base.problem.largest_offsets
-    sizes = np.array(list(base.problem.offset_sizes(base.hypothesis, base.coordinates).values()))
-    if not sizes.size:
-        return [False] * len(largest)
-    return [bool(at) for at in np.mean(np.abs(sizes) >= CONFIG.on_bound * largest, axis=0) > 0.5]

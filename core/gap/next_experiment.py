@@ -9,12 +9,10 @@ from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import dots, energy, gram
+from softcal.core.gap.method import METHOD
 from softcal.core.profiles import Profile
 from softcal.core.twin.probes import Extent
 from softcal.core.words.reason import Reason, in_words, reason, several
-
-ENOUGH_SIGMA = 10.0
-"""Rivals this many standard deviations apart are told apart on a real, coloured floor."""
 
 SET_UP_min: Mapping[str, float] = {
     "press": 0.5,
@@ -29,36 +27,24 @@ LEVELS = 6
 
 @dataclass(frozen=True)
 class MenuEntry:
-    """One experiment that may be proposed.
-
-    Args:
-        run: the run as it would be recorded, its measured channels still empty (zeros).
-        minutes: bench time, set-up included.
-        stage_profile: what the station runs, None for a special run.
-    """
+    """One experiment that may be proposed: its run, channels still zeros, and minutes with set-up."""
 
     name: str
     run: Run
     minutes: float
-    stage_profile: Profile | None = None
 
 
 @dataclass(frozen=True)
 class NextExperiment:
-    """The proposed run.
-
-    Args:
-        separation_sigma: distance of the refitted rivals over the run, in standard deviations of the noise.
-    """
+    """The proposed run, and by how many standard deviations refitted rivals stand apart over it."""
 
     profile: str
     why: Reason
     separation_sigma: float = 0.0
     minutes: float = 0.0
-    stage_profile: Profile | None = None
 
     def record(self) -> dict[str, object]:
-        return in_words({name: value for name, value in vars(self).items() if name != "stage_profile"}, "why")
+        return in_words(vars(self), "why")
 
 
 def menu(case: Case, extent: Extent) -> tuple[MenuEntry, ...]:
@@ -80,53 +66,50 @@ def menu(case: Case, extent: Extent) -> tuple[MenuEntry, ...]:
         t_s, stage_mm = profile.sample(rate_Hz)
         force, output = (np.zeros(len(t_s)) if case.has(name) else None for name in ("force_N", "output_V"))
         run = Run(profile.name, t_s, case.readout, stage_mm, force, output, is_planned=True)
-        entries.append(MenuEntry(name, run, SET_UP_min["press"] + profile.duration_s / 60, profile))
+        entries.append(MenuEntry(name, run, SET_UP_min["press"] + profile.duration_s / 60))
     return (*entries, *_special(case, extent.force_N, rate_Hz))
 
 
 def propose(case: Case, rivals: Sequence[Fit], extent: Extent) -> NextExperiment | None:
-    """Return the experiment that tells most rivals from the first, and does so best per minute; None without rivals.
+    """Return the experiment that tells most rivals from the first, best per minute; None without rivals.
 
-    The distance of two rivals is what the second's prediction keeps from the first after the first has been refitted
-    to the old runs and the new one together (T-optimality with refit, to first order).
+    Their distance is what the second's prediction keeps from the first's after that was refitted to the
+    old runs and the new one together (T-optimality with refit, to first order).
     """
     return None if len(rivals) < 2 else most_telling(menu(case, extent), rivals)
 
 
 def most_telling(entries: Sequence[MenuEntry], rivals: Sequence[Fit]) -> NextExperiment:
     """Return the entry that tells most rivals from the first, and does so best per minute."""
-    first, others = rivals[0], rivals[1:]
+    first, others, enough = rivals[0], rivals[1:], METHOD.telling.enough_sigma
     candidates: list[tuple[int, float, float, MenuEntry]] = []
+    # A larger hypothesis can take the shape of a smaller one.
+    pairs = [[(a, b) for a, b in ((first, other), (other, first)) if not set(a.ids) > set(b.ids)] for other in others]
     for experiment in entries:
-        parted = [d for d in (_apart(first, other, experiment.run) for other in others) if d >= ENOUGH_SIGMA]
+        distances = [min(_distance(a, b, experiment.run) for a, b in both) for both in pairs]
+        parted = [distance for distance in distances if distance >= enough]
         least = min(parted, default=0.0)
-        candidates.append((len(parted), min(least, 10 * ENOUGH_SIGMA) / experiment.minutes, least, experiment))
+        candidates.append((len(parted), min(least, 10 * enough) / experiment.minutes, least, experiment))
     count, _, distance, experiment = max(candidates, key=lambda entry: entry[:2])
     causes = causes_of(rivals)
     if count == 0:
-        remedies = dict.fromkeys(e.signs.remedy for f in rivals for e in f.hypothesis.effects if e.signs.remedy)
+        remedies = dict.fromkeys(e.signs.remedy for f in rivals for e in f.effects if e.signs.remedy)
         remedy = several([Reason.of(one) for one in remedies] or [Reason("gap.remedy.usual")])
         return NextExperiment("none", reason("gap.next.inseparable", causes=causes, remedy=remedy))
     why = reason("gap.next.separates", causes=causes, distance=distance, minutes=experiment.minutes)
     if count < len(others):
         why = reason("gap.next.separates_most", **why.values, others=len(others) - count)
-    return NextExperiment(experiment.name, why, distance, experiment.minutes, experiment.stage_profile)
+    return NextExperiment(experiment.name, why, distance, experiment.minutes)
 
 
 def causes_of(rivals: Sequence[Fit]) -> Reason:
     """Return the causes of hypotheses in words, those of one together."""
-    return several([named(f.hypothesis.ids, "gap.together") for f in rivals], "gap.both")
+    return several([named(f.ids, "gap.together") for f in rivals], "gap.both")
 
 
 def named(effects: Sequence[str], code: str) -> Reason:
     """Return identifiers of effects as one reason; `code` says how they are joined."""
     return several([reason("gap.effect", effect=effect) for effect in effects], code)
-
-
-def _apart(one: Fit, other: Fit, run: Run) -> float:
-    """Return how far two rivals stay apart; a larger one can take the shape of a smaller one."""
-    pairs = [(a, b) for a, b in ((one, other), (other, one)) if not set(a.hypothesis.ids) > set(b.hypothesis.ids)]
-    return min(_distance(a, b, run) for a, b in pairs)
 
 
 def _distance(mine: Fit, other: Fit, run: Run) -> float:

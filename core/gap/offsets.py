@@ -1,8 +1,7 @@
-"""What every rig has and no cause has to explain: a cell not tared, a unit that sits anew in every run."""
+"""What every rig has and no cause has to explain: a cell not tared, a unit that sits anew."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -10,21 +9,15 @@ from numpy.typing import NDArray
 
 from softcal.core.gap.case import Case
 from softcal.core.gap.linear import combine, dots, gram
+from softcal.core.gap.method import METHOD
 from softcal.core.recording import Array
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.signals import compiled
 
+CONFIG = METHOD.offset
+
 if TYPE_CHECKING:
     from softcal.core.gap.problem import Hypothesis, Problem
-
-TARE = 0.03
-"""Largest force at rest of a cell that was not tared, as a share of the range of the force."""
-
-RESISTANCE = 0.02
-"""Largest change of the unloaded resistance between runs that is seating or room temperature."""
-
-SEAT = 0.03
-"""Largest change of the surface's height between runs that is seating, over the stroke."""
 
 STRAIGHT_SIGMA = 0.5
 """Share of its noise that an offset may move a sample along the slope: bends err far less."""
@@ -40,7 +33,6 @@ PASSES = 3
 
 SEATED = ("press", "rest")
 """Kinds of run in which the unit lies under the stage."""
-
 
 Directions: TypeAlias = list[Array | None]
 """Per block, (k, n), how a channel changes with each offset; None where a run has none."""
@@ -63,36 +55,29 @@ class Offsets:
     seat_mm: float = 0.0
 
 
-def offsets(problem: "Problem", base: BaseParameters, clean: Array) -> list[Offsets]:
-    """Return the least-squares offsets of every run, within their bounds: what is beyond them stays a gap.
-
-    Of resistance and seat only what the runs differ by is taken: their common part is the base's own R0 and u0.
-
-    Args:
-        problem: its recordings and their noise; samples that a fit may not see count, an offset is no forecast.
-    """
-    runs, sizes = _solved(problem, directions(problem, base, clean), clean, {})
-    return [Offsets(run, *map(float, row)) for run, row in zip(runs, sizes, strict=True)]
-
-
 Sizes: TypeAlias = Mapping[int, Array]
 """By run, (k,), the sizes of its offsets that are in a prediction."""
 
 
 @dataclass(frozen=True, eq=False)
 class Nearby:
-    """The offsets of every run around one prediction: nearby they follow another one along the same directions.
-
-    Args:
-        moved: what is in the prediction; none where all are small.
-    """
+    """The offsets around one prediction, and along what they move nearby; `moved` is in it already."""
 
     directions: Directions
     moved: Sizes = field(default_factory=dict)
 
     def sizes(self, problem: "Problem", clean: Array) -> dict[int, Array]:
         """Return what is still to be added to a prediction, (samples,) with `moved` in it."""
-        runs, sizes = _solved(problem, self.directions, clean, self.moved)
+        pairs = list(zip(problem.blocks, self.directions, strict=True))
+        runs, count = list(dict.fromkeys(b.run for b, rows in pairs if rows is not None)), len(problem.largest_offsets)
+        normal, slope = np.zeros((len(runs), count, count)), np.zeros((len(runs), count))
+        for block, rows in pairs:
+            if rows is not None:
+                k, at = runs.index(block.run), block.place
+                noise = problem.slow_noise[at]
+                _add_normal_equations(normal[k], slope[k], rows, problem.measured[at], clean[at], noise)
+        has = np.array([self.moved.get(run, np.zeros(count)) for run in runs]).reshape(len(runs), count)
+        sizes = _sizes(normal, slope, has, problem.largest_offsets, problem.are_relative)
         return dict(zip(runs, sizes, strict=True))
 
     def added(self, problem: "Problem", clean: Array) -> Array:
@@ -104,16 +89,29 @@ class Nearby:
         return out
 
 
+def offsets(problem: "Problem", base: BaseParameters, clean: Array) -> list[Offsets]:
+    """Return the least-squares offsets of every run within their bounds: the rest stays a gap.
+
+    Of resistance and seat only what the runs differ by is taken: the rest is the base's R0 and u0.
+    """
+    sizes = Nearby(directions(problem, base, clean, {})).sizes(problem, clean)
+    return [Offsets(run, *map(float, row)) for run, row in sizes.items()]
+
+
 def with_offsets(
     problem: "Problem", hypothesis: "Hypothesis", coordinates: Array, clean: Array
 ) -> tuple[Array, Nearby]:
     """Return a (samples,) prediction with the offsets that bend it, and how all move nearby."""
     near = Nearby(problem.directions(hypothesis, coordinates, clean, {}))
     for _ in range(PASSES - 1):
-        sizes = near.sizes(problem, clean)
-        if not _is_bent(problem, near.directions, sizes):
+        sizes, bending = near.sizes(problem, clean), np.flatnonzero(problem.are_bending)
+        # Where no offset moves a channel further than its slope foretells, the slope will do.
+        if not len(bending) or not any(
+            rows is not None and _moves(rows, sizes[block.run], bending, problem.noise[block.place]) > STRAIGHT_SIGMA
+            for block, rows in zip(problem.blocks, near.directions, strict=True)
+        ):
             break
-        # A surface that lies lower moves the corner of first touch: a straight step along the slope would leave it.
+        # A lower surface moves the corner of first touch, which a step along the slope would leave.
         moved = {run: step + near.moved.get(run, 0.0) for run, step in sizes.items()}
         clean = problem.clean(hypothesis, coordinates, moved)
         near = Nearby(problem.directions(hypothesis, coordinates, clean, moved), moved)
@@ -153,15 +151,6 @@ def own_rows(problem: "Problem", directions: Directions) -> tuple[list[Array], t
     return out, tuple(kinds)
 
 
-def _is_bent(problem: "Problem", directions: Directions, sizes: Sizes) -> bool:
-    """Whether an offset moves a channel by so much that its slope does not foretell it."""
-    bending = np.flatnonzero(problem.are_bending)
-    return len(bending) > 0 and any(
-        rows is not None and _moves(rows, sizes[block.run], bending, problem.noise[block.place]) > STRAIGHT_SIGMA
-        for block, rows in zip(problem.blocks, directions, strict=True)
-    )
-
-
 @compiled
 def _moves(rows: Array, sizes: Array, bending: NDArray[np.int64], noise: Array) -> float:
     """Return the most that one of these offsets moves a sample by, in units of the least noise."""
@@ -173,25 +162,11 @@ def _moves(rows: Array, sizes: Array, bending: NDArray[np.int64], noise: Array) 
     return most / least
 
 
-def _solved(problem: "Problem", directions: Directions, clean: Array, moved: Sizes) -> tuple[list[int], Array]:
-    """Return the runs with offsets and, (runs, k), what is to be added to these."""
-    runs = list(dict.fromkeys(b.run for b, rows in zip(problem.blocks, directions, strict=True) if rows is not None))
-    count = len(problem.largest_offsets)
-    normal, slope = np.zeros((len(runs), count, count)), np.zeros((len(runs), count))
-    for block, rows in zip(problem.blocks, directions, strict=True):
-        if rows is not None:
-            k, at = runs.index(block.run), block.place
-            _add_normal_equations(normal[k], slope[k], rows, problem.measured[at], clean[at], problem.slow_noise[at])
-    has = np.array([moved.get(run, np.zeros(count)) for run in runs]).reshape(len(runs), count)
-    return runs, _sizes(normal, slope, has, problem.largest_offsets, problem.are_relative)
-
-
 @compiled
 def _sizes(normal: Array, slope: Array, has: Array, largest: Array, are_relative: NDArray[np.bool_]) -> Array:
-    """Solve (runs, k, k) normal equations within bounds; a direction that a run does not have gets 0.
+    """Solve (runs, k, k) normal equations within bounds; a direction that a run lacks gets 0.
 
-    Of those that are relative the middle run is taken off: one that is far off for another reason must not move the
-    others.
+    Of those that are relative the middle run is taken off: one far off must not move the others.
     """
     count, kinds = slope.shape
     free = np.zeros((count, kinds))
@@ -213,7 +188,13 @@ def _sizes(normal: Array, slope: Array, has: Array, largest: Array, are_relative
 
 def largest_offsets(case: Case) -> Array:
     """Return the bounds of what is taken off: N, share of R0, mm."""
-    return np.array([TARE * _range(case, "force_N"), RESISTANCE, SEAT * _range(case, "stage_mm")])
+    return np.array(
+        [
+            CONFIG.tare * _range(case, "force_N"),
+            CONFIG.resistance,
+            CONFIG.seat * _range(case, "stage_mm"),
+        ]
+    )
 
 
 def _range(case: Case, channel: str) -> float:
@@ -221,9 +202,7 @@ def _range(case: Case, channel: str) -> float:
     return max((float(np.ptp(v)) for v in values if v is not None), default=0.0)
 
 
-def directions(
-    problem: "Problem", base: BaseParameters, clean: Array, sizes: Sizes = MappingProxyType({})
-) -> Directions:
+def directions(problem: "Problem", base: BaseParameters, clean: Array, sizes: Sizes) -> Directions:
     """Return per block, (3, n), how the channel changes with each offset; None without the unit."""
     own = bases_of(base, sizes)
     out: Directions = []

@@ -1,42 +1,29 @@
-"""A run that stands apart from all others by a gain, a zero, or as that of another unit: mistakes, not effects.
+"""A run that stands apart by a gain, a zero, or as that of another unit: mistakes, not effects.
 
-An effect acts in every run. Where one number, or the base parameters, of one run alone explain what the twin leaves in
-all of them, that run was recorded otherwise.
+An effect acts in every run. Where one number, or the base parameters, of one run alone explain what
+the twin leaves in all of them, that run was recorded otherwise.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from softcal.core.gap.case import Case
-from softcal.core.gap.data_mistake import FEWEST_RUNS, DataMistake, numbers, of_gain
+from softcal.core.gap.data_mistake import DataMistake, numbers, of_gain
 from softcal.core.gap.fit import Fit, fit
+from softcal.core.gap.generic_effects import changing
 from softcal.core.gap.linear import dots, energy, gram
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.residual import is_clean
 from softcal.core.gap.screen import Tangent
 from softcal.core.gap.search import EffectSearch
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter
+from softcal.core.twin.effects import Effect, Hook, Parameter
 from softcal.core.words.reason import reason
 
-SHARE = 0.93
-"""Share of what the twin leaves that one run's mistake must explain."""
-
-LEAST = {"gain": 0.02, "zero": 0.02}
-"""Smallest gain, and zero against the span, that is a mistake and not tare or seating of a run."""
-
-SHARE_BESIDE = 0.85
-PARENTS = 3
-AHEAD = 40.0
-"""The same beside a cause, how many single causes are tried, and by how much χ² with its penalty must be ahead of the
-catalogue's best: other equations of a cause leave much less to one run alone."""
-
-PROMISED, LEAST_PROMISED = 0.5, 0.15
-"""Share that a mistake must promise to be fitted: alone, and beside a cause of the same size."""
-
-EACH, DEARER = 3.0, 2e-4
-"""What a number costs, in ln n, and which share of the gap besides where structure is left."""
+CONFIG = METHOD.outlier
 
 
 @dataclass(frozen=True)
@@ -55,7 +42,6 @@ ODDITIES = (
     _Oddity("gain", "output", ((Hook.OUTPUT, "output_V", True),)),
     _Oddity("zero", "output", ((Hook.OUTPUT, "output_V", False),)),
     _Oddity("zero", "stage", ((Hook.MOTION, "pad_mm", False),)),
-    _Oddity("gain", "stage", ((Hook.MOTION, "pad_mm", True),)),
     _Oddity(
         "other_unit",
         "",
@@ -68,45 +54,40 @@ ODDITIES = (
     ),
 )
 
-
 _Fitted = tuple[Fit, int, _Oddity, float]
 """A fit with a mistake, its run, what it is, and the share it explains."""
 
 
 def outlier_run(base: Fit) -> DataMistake | None:
     """Return the mistake of one run that explains what a fit leaves, None where none does."""
-    outliers = [one for one in nearest(base)[:1] if one[3] >= SHARE]
+    outliers = [one for one in nearest(base)[:1] if one[3] >= CONFIG.share]
     return _finding(*outliers[0]) if outliers else None
 
 
 def outlier_run_beside(search: EffectSearch) -> DataMistake | None:
     """Return the mistake of one run that, with one cause or none, explains more than all causes."""
     best, base = search.best, search.base
-    if len(best.hypothesis.ids) < 2 and search.is_clean(best):
+    if len(best.ids) < 2 and search.is_clean(best):
         return None
-    singles = sorted((f for ids, f in search.fits.items() if len(ids) == 1), key=lambda f: f.chi2)[:PARENTS]
+    singles = sorted((f for ids, f in search.fits.items() if len(ids) == 1), key=lambda f: f.chi2)[: CONFIG.parents]
     tried = [(parent, found) for parent in (*singles, best) for found in nearest(parent)[:1]]
     if not search.is_explained(best):
-        # A cause as large as the mistake hides it from the base alone; beside the mistake it may explain the rest.
-        for fitted, run, oddity, share in nearest(base, LEAST_PROMISED)[:2]:
+        # A cause as large as the mistake hides it from the base; beside it, it may explain the rest.
+        for fitted, run, oddity, share in nearest(base, CONFIG.least_promised)[:2]:
             clean = [grown for grown in search.grown_from(fitted) if search.is_clean(grown)]
             tried += [(base, (grown, run, oddity, share)) for grown in clean]
     priced = []
     for parent, (fitted, run, oddity, share) in tried:
-        # The mistake counts as one number more; it belongs to no catalogue and has no prior odds of its own.
+        # The mistake counts as one number more; it is of no catalogue and has no prior odds.
         price = parent.penalty if parent is not base or not singles else singles[0].penalty
         price += float(np.log(base.problem.count)) * len(oddity.hooks)
-        if (share > SHARE_BESIDE or parent is base) and fitted.chi2 + price < best.bic - AHEAD:
+        if (share > CONFIG.share_beside or parent is base) and fitted.chi2 + price < best.bic - CONFIG.ahead:
             priced.append((fitted.chi2 + price, (fitted, run, oddity, share)))
     return _finding(*min(priced, key=lambda one: one[0])[1]) if priced else None
 
 
-def nearest(base: Fit, promised_share: float = PROMISED) -> list[_Fitted]:
-    """Return the fits of mistakes of one run that explain most of what a fit leaves, the simplest of equals first.
-
-    Args:
-        promised_share: of what the fit leaves that a mistake must promise, to first order, to be fitted.
-    """
+def nearest(base: Fit, promised_share: float = CONFIG.promised) -> list[_Fitted]:
+    """Return fitted mistakes of one run that promise this share of what is left, simplest first."""
     if is_clean(base):
         return []
     # Small zeros of single runs are taken off every fit; a mistake is looked for with none of them.
@@ -114,7 +95,7 @@ def nearest(base: Fit, promised_share: float = PROMISED) -> list[_Fitted]:
     runs = [k for k, run in enumerate(base.problem.case.runs) if run.kind == "press"]
     excess = base.chi2 - base.problem.count
     is_within_noise = excess < 4.0 * np.sqrt(2.0 * base.problem.count)
-    if len(runs) < FEWEST_RUNS or is_within_noise or is_clean(base):
+    if len(runs) < METHOD.mistake.fewest_runs or is_within_noise or is_clean(base):
         return []
     promised = sorted(_promised(base, runs), key=lambda p: -p[0])
     found = []
@@ -127,8 +108,8 @@ def nearest(base: Fit, promised_share: float = PROMISED) -> list[_Fitted]:
         found.append((fitted, run, oddity, (base.chi2 - fitted.chi2) / excess))
 
     def price(one: _Fitted) -> float:
-        dearer = 0.0 if is_clean(one[0]) else DEARER * excess
-        return one[0].chi2 + len(one[2].hooks) * (EACH * float(np.log(base.problem.count)) + dearer)
+        dearer = 0.0 if is_clean(one[0]) else CONFIG.dearer * excess
+        return one[0].chi2 + len(one[2].hooks) * (CONFIG.each * float(np.log(base.problem.count)) + dearer)
 
     return sorted(found, key=price)
 
@@ -143,58 +124,46 @@ def _promised(base: Fit, runs: Sequence[int]) -> list[tuple[float, int, _Oddity]
         rows: dict[tuple[str, str], list[Array]] = {}
         for block in (b for b in problem.blocks if b.run == run):
             inside[block.place] = 1.0
-            if (channel := block.channel.split("_")[0]) != "stage":
-                here = np.zeros(len(problem.measured))
-                here[block.place] = 1.0
-                rows["zero", channel] = [problem.whitened(here)]
-                rows["gain", channel] = [problem.whitened(here * base.predicted)]
+            channel, here = block.channel.split("_")[0], np.zeros(len(problem.measured))
+            here[block.place] = 1.0
+            rows["zero", channel] = [problem.whitened(here)]
+            rows["gain", channel] = [problem.whitened(here * base.predicted)]
         rows["other_unit", ""] = [row * inside for row in slopes]
         if problem.is_free[0]:
             rows["zero", "stage"] = [slopes[0] * inside]
         for oddity in ODDITIES:
             signatures = rows.get((oddity.what, oddity.channel))
-            if signatures is not None:
-                promised.append((_gain(tangent, signatures, base.residual), run, oddity))
+            if signatures is None:
+                continue
+            gain, seen = 0.0, np.array([tangent.visible(s) for s in signatures if energy(s) > 0])
+            if len(seen):
+                pull = dots(seen, base.residual)
+                coefficients, *_ = np.linalg.lstsq(gram(seen) + 1e-12 * np.eye(len(seen)), pull, rcond=1e-9)
+                gain = float(coefficients @ pull)
+            promised.append((gain, run, oddity))
     return promised
-
-
-def _gain(tangent: Tangent, signatures: list[Array], residual: Array) -> float:
-    seen = np.array([tangent.visible(s) for s in signatures if energy(s) > 0])
-    if not len(seen):
-        return 0.0
-    pull = dots(seen, residual)
-    coefficients, *_ = np.linalg.lstsq(gram(seen) + 1e-12 * np.eye(len(seen)), pull, rcond=1e-9)
-    return float(coefficients @ pull)
 
 
 def _effects(run: int, oddity: _Oddity, base: Fit) -> list[Effect]:
     columns, effects = {"reading_N": "force_N", "output_V": "output_V", "pad_mm": "stage_mm"}, []
+    # It acts in this run alone.
+    step = partial(changing, follows=lambda flow: float(flow.run == run))
     for hook, signal, is_gain in oddity.hooks:
         span = 1.0 if is_gain else _span(base.problem.case, columns[signal])
         size = Parameter("size", "", -0.9 * span, 3.0 * span, 0.05 * span, neutral=0.0)
-        effects.append(Effect(f"{signal} of run {run}", "", hook, "", "", (size,), _step(run, signal, is_gain)))
+        effects.append(Effect(f"{signal} of run {run}", "", hook, "", "", (size,), step(signal, is_offset=not is_gain)))
     return effects
 
 
 def _span(case: Case, column: str) -> float:
-    """Return the range of a column over the runs that are pressed; 1 where it was not recorded."""
-    parts = [values for run in case.presses if (values := getattr(run, column)) is not None]
+    parts = case.recorded(column)
     return float(np.ptp(np.concatenate(parts))) if parts else 1.0
-
-
-def _step(run: int, signal: str, is_gain: bool) -> Callable[[Flow, Sequence[float], Memory], None]:
-    def step(flow: Flow, values: Sequence[float], _: Memory) -> None:
-        if flow.run == run:
-            now = getattr(flow, signal)
-            setattr(flow, signal, now * (1.0 + values[0]) if is_gain else now + values[0])
-
-    return step
 
 
 def _finding(fitted: Fit, run: int, oddity: _Oddity, share: float) -> DataMistake | None:
     case = fitted.problem.case
     number = (numbers(case)[run],)
-    of_run = {e.id: values[0] for e, values in zip(fitted.hypothesis.effects, fitted.effect_values, strict=True)}
+    of_run = {e.id: values[0] for e, values in zip(fitted.effects, fitted.effect_values, strict=True)}
     sizes = [of_run[effect.id] for effect in _effects(run, oddity, fitted)]
     if oddity.what == "other_unit":
         stiffness, sensitivity, resistance, _ = sizes
@@ -204,14 +173,13 @@ def _finding(fitted: Fit, run: int, oddity: _Oddity, share: float) -> DataMistak
     column = {"force": "force_N", "output": "output_V", "stage": "stage_mm"}[oddity.channel]
     span, size = _span(case, column), sizes[0]
     if oddity.what == "gain":
-        # The stage's number is what the pad's path must be multiplied by, the others' what the reading was.
-        ratio = 1.0 + size if oddity.channel != "stage" else 1.0 / (1.0 + size)
-        if abs(ratio - 1.0) < LEAST["gain"]:
+        ratio = 1.0 + size
+        if abs(ratio - 1.0) < CONFIG.least:
             return None
         evidence = reason("data.run.gain", channel=oddity.channel, ratio=ratio, share=min(share, 1.0))
         return of_gain(oddity.channel, number, 1.0 / ratio, evidence)
     offset, unit = size if oddity.channel != "stage" else -size, column.split("_")[1]
-    if abs(offset) < LEAST["zero"] * span:
+    if abs(offset) < CONFIG.least * span:
         return None
     evidence = reason("data.run.zero", channel=oddity.channel, offset=offset, unit=unit, share=min(share, 1.0))
     repair = reason("data.repair.zero", channel=oddity.channel, offset=offset, unit=unit)

@@ -1,44 +1,30 @@
-"""Which stage of the chain the gap sits in, from the maps and the character of the residual; no effect is needed.
+"""Which stage of the chain the gap sits in, from maps and residual; no effect is needed.
 
-The three maps name a group of stages. Within it the residual of the base tells. A function of the stage position that
-swings to and fro, or a jump in time, is motion. What lasts at rest or swings with the voltage is electronics. What
-follows the slope of the output is acquisition. What is left acts only under load.
+The three maps name a group of stages, the residual one within it. What swings to and fro over the
+stage position, or jumps in time, is motion. What lasts at rest or swings with the voltage is
+electronics. What follows the slope of the output is acquisition. The rest acts only under load.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.core.gap.case import Mask, Run
 from softcal.core.gap.fit import Fit
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.problem import Block
 from softcal.core.gap.residual import Map, suspects
 from softcal.core.recording import Array
 from softcal.core.twin.effects import ChainStage, Placing
 from softcal.core.words.reason import Reason, reason
 
-CHANCE = 1e-6
-"""How seldom white noise may show a tone in one run."""
-
-FAINTEST = 0.3
-"""Root mean square of a tone, in units of the noise, below which it hides nothing."""
-
-FEWEST = 20
-"""Ordinates below which nothing stands out of the others."""
-
-SLOWEST_HZ = 2.0
-"""Below, block sums see it; and what is slow is a shape more often than a tone."""
+CONFIG = METHOD.place
 
 
 @dataclass(frozen=True)
 class Tone:
-    """The strongest tone of a channel.
-
-    Args:
-        rms: in units of the noise.
-        width_Hz: distance of two ordinates of its periodogram.
-    """
+    """The strongest tone of a channel, in units of the noise; `width_Hz` is of its spectrum."""
 
     channel: str
     frequency_Hz: float
@@ -52,9 +38,9 @@ class Tone:
 
 
 def strongest_tone(found: Fit) -> Tone | None:
-    """Return the strongest tone of one frequency in the residuals of a channel; None where there is none.
+    """Return the strongest tone in the residuals of a channel; None where there is none.
 
-    A ripple over the travel has another frequency at every speed: of several runs two must show the same one.
+    A ripple over the travel changes with the speed: of several runs two must show the same tone.
     """
     tones = [t for block in found.problem.blocks if (t := _tone(found, block)) is not None]
     alone = len(found.problem.case.presses) == 1
@@ -65,8 +51,8 @@ def strongest_tone(found: Fit) -> Tone | None:
 def _tone(found: Fit, block: Block) -> Tone | None:
     """Return the strongest tone of one channel of one run.
 
-    The largest of m ordinates of a periodogram of white noise exceeds g times their mean with a chance of about
-    m·exp(−g) (R. A. Fisher, Proc. R. Soc. A 125, 54, 1929).
+    The largest of m ordinates of a periodogram of white noise exceeds g times their mean with a chance
+    of about m·exp(−g) (R. A. Fisher, Proc. R. Soc. A 125, 54, 1929).
     """
     run = found.problem.case.runs[block.run]
     residual = found.residual[block.place]
@@ -74,42 +60,17 @@ def _tone(found: Fit, block: Block) -> Tone | None:
         return None
     step_s = float(np.median(run.step_s))
     frequency_Hz = np.fft.rfftfreq(len(residual), step_s)
-    is_fast = frequency_Hz > SLOWEST_HZ
+    is_fast = frequency_Hz > CONFIG.slowest_Hz
     power = (np.abs(np.fft.rfft(residual - residual.mean())) ** 2 / len(residual))[is_fast]
-    if len(power) < FEWEST:
+    if len(power) < CONFIG.fewest:
         return None
     at = int(np.argmax(power))
-    # The median of exponential ordinates is ln 2 of their mean; a strong tone would raise the mean itself.
+    # The median of exponential ordinates is ln 2 of their mean, which a strong tone would raise.
     level = float(np.median(power)) / math.log(2.0)
     rms = math.sqrt(2.0 * max(power[at] - level, 0.0) / len(residual))
-    if rms < FAINTEST or power[at] < level * math.log(len(power) / CHANCE):
+    if rms < CONFIG.faintest or power[at] < level * math.log(len(power) / CONFIG.chance):
         return None
     return Tone(block.channel, float(frequency_Hz[is_fast][at]), rms, 1.0 / (step_s * len(residual)))
-
-
-UNEVEN_Z = 8.0
-UNEVEN_RATIO = 4.0
-"""Noise counts as uneven when fast samples are noisier than slow ones by so many standard errors and this factor of the
-variance: an uneven clock that adds less than its noise to fast samples belongs to every rig."""
-
-LOADED = 0.15
-"""Share of the range of the output above which a sample counts as under load."""
-
-SPIKE_SIGMA = 6.0
-FEWEST_SPIKES = 8
-CLIPPED_SIGMA = 4.0
-BINS = 40
-SWINGS = 4
-"""Changes of sign from which a static residual is taken as a ripple, not as a bend."""
-
-FAINT_Z = 30.0
-"""Structure of the maps below which uneven noise says more of the place: it stirs them a little."""
-
-BREATHES_Hz, MOST_OF_LINE = 0.5, 0.5
-"""A tone so close to a named line, and so much smaller, is what is left of it as it swells."""
-
-MOST = 0.5
-"""Share of the structured residual that a regularity must account for to count."""
 
 
 @dataclass(frozen=True)
@@ -123,44 +84,55 @@ class LooseNoise:
 def loose_noise(found: Fit) -> LooseNoise | None:
     """Return what is wrong with the noise, None where it is even.
 
-    A clock that jitters makes fast samples noisier than slow ones. A bad contact or a disturbed line throws single
+    A clock that jitters makes fast samples noisier. A bad contact or a disturbed line throws single
     samples far off; a line picks up a tone. None of these leaves a structure that sums up.
     """
-    tone = strongest_tone(found) if found.problem.dither_V is None else None
-    if tone is not None and not _is_beside_line(found, tone):
+    problem = found.problem
+    if problem.dither_V is not None:
+        return None
+    rows = zip(found.effects, found.effect_values, strict=True)
+    fitted = [(effect.signs.placing, values) for effect, values in rows]
+    tone = strongest_tone(found)
+    lines = [values for placing, values in fitted if placing == Placing.LINE]
+    # A named line breathes as that of mains does: what its equation leaves is a tone beside it.
+    is_beside_line = tone is not None and any(
+        tone.channel == "output_V"
+        and abs(tone.frequency_Hz - frequency_Hz) < CONFIG.breathes_Hz
+        and tone.rms * problem.floor("output_V") < CONFIG.most_of_line * amplitude / np.sqrt(2.0)
+        for amplitude, frequency_Hz, *_ in lines
+    )
+    if tone is not None and not is_beside_line:
         stage: ChainStage = "electronics" if tone.channel == "output_V" else "load_cell"
         name = tone.channel.split("_")[0]
         seen = reason("gap.seen.tone", frequency_Hz=tone.frequency_Hz, channel=name, rms=tone.rms)
         return LooseNoise(stage, seen)
-    return _loose_output(found)
+    levels_V = [values[0] for placing, values in fitted if placing in (Placing.CEILING, Placing.FLOOR)]
+    return _loose_output(found, levels_V)
 
 
-def _is_beside_line(found: Fit, tone: Tone) -> bool:
-    """Whether a tone is what the equation of a named line leaves: that of mains breathes."""
-    rows = zip(found.hypothesis.effects, found.effect_values, strict=True)
-    lines = [values for effect, values in rows if effect.signs.placing == Placing.LINE]
-    rms = tone.rms * found.problem.floor(tone.channel)
-    return tone.channel == "output_V" and any(
-        abs(tone.frequency_Hz - frequency_Hz) < BREATHES_Hz and rms < MOST_OF_LINE * amplitude / np.sqrt(2.0)
-        for amplitude, frequency_Hz, *_ in lines
-    )
-
-
-def _loose_output(found: Fit) -> LooseNoise | None:
-    runs = found.problem.case.runs
-    blocks = [b for b in found.problem.blocks_of("output_V", "press") if runs[b.run].stage_mm is not None]
-    if not blocks or found.problem.dither_V is not None:
+def _loose_output(found: Fit, levels_V: Sequence[float]) -> LooseNoise | None:
+    problem, runs = found.problem, found.problem.case.runs
+    blocks = [b for b in problem.blocks_of("output_V", "press") if runs[b.run].stage_mm is not None]
+    if not blocks:
         return None
+    every_V = np.concatenate([found.predicted[b.place] for b in blocks])
+    is_open, near_V = np.ones(len(every_V), dtype=np.bool_), CONFIG.clipped_sigma * problem.floor("output_V")
     # A clipped output has less noise than the rest, and stands still.
-    is_open = ~np.concatenate([_is_clipped(found, b) for b in blocks])
-    error = np.concatenate([_quick(found.residual[b.place]) for b in blocks])[is_open]
+    for level_V in levels_V:
+        is_open &= np.abs(every_V - level_V) >= near_V
+    quick = []
+    for block in blocks:
+        # What a sample has beyond the mean of its neighbours; white noise keeps its variance.
+        residual, own = found.residual[block.place], np.zeros(block.place.stop - block.place.start)
+        own[1:-1] = (residual[1:-1] - 0.5 * (residual[:-2] + residual[2:])) / np.sqrt(1.5)
+        quick.append(own)
+    error, output_V = np.concatenate(quick)[is_open], every_V[is_open]
     speed = np.abs(np.concatenate([_rate(found, b) for b in blocks]))[is_open]
-    output_V = np.concatenate([found.predicted[b.place] for b in blocks])[is_open]
-    is_loaded = output_V > output_V.min() + LOADED * np.ptp(output_V)
+    is_loaded = output_V > output_V.min() + CONFIG.loaded * np.ptp(output_V)
     is_slow = speed < np.quantile(speed, 0.5)
-    spikes = int(np.count_nonzero(np.abs(error[is_slow]) > SPIKE_SIGMA))
+    spikes = int(np.count_nonzero(np.abs(error[is_slow]) > CONFIG.spike_sigma))
     # More than one in twenty are no spikes but a wider noise.
-    if FEWEST_SPIKES <= spikes < 0.05 * len(error):
+    if CONFIG.fewest_spikes <= spikes < 0.05 * len(error):
         return LooseNoise("electronics", reason("gap.seen.spikes", count=spikes))
     if np.count_nonzero(is_loaded) < 100:
         return None
@@ -168,39 +140,22 @@ def _loose_output(found: Fit) -> LooseNoise | None:
     slow_to, fast_from = np.quantile(speed[is_loaded], (0.4, 0.75))
     fast, slow = error[is_loaded & (speed >= fast_from)] ** 2, error[is_loaded & (speed <= slow_to)] ** 2
     z = (fast.mean() - slow.mean()) / np.sqrt(2.0 / len(fast) + 2.0 / len(slow))
-    if z > UNEVEN_Z and fast.mean() > UNEVEN_RATIO * slow.mean():
+    if z > CONFIG.uneven_z and fast.mean() > CONFIG.uneven_ratio * slow.mean():
         return LooseNoise("acquisition", Reason("gap.seen.jitter"))
     return None
-
-
-def _is_clipped(found: Fit, block: Block) -> Mask:
-    """(n,) where the output stands, within its noise, at a level it was fitted to be clipped at."""
-    output_V, near_V = found.predicted[block.place], CLIPPED_SIGMA * found.problem.floor("output_V")
-    out = np.zeros(len(output_V), dtype=np.bool_)
-    for effect, values in zip(found.hypothesis.effects, found.effect_values, strict=True):
-        if effect.signs.placing in (Placing.CEILING, Placing.FLOOR):
-            out |= np.abs(output_V - values[0]) < near_V
-    return out
-
-
-def _quick(error: Array) -> Array:
-    """(n,) what a sample has beyond the mean of its neighbours; white noise keeps its variance."""
-    out = np.zeros(len(error))
-    out[1:-1] = (error[1:-1] - 0.5 * (error[:-2] + error[2:])) / np.sqrt(1.5)
-    return out
 
 
 def likely_stages(base: Fit, maps: tuple[Map, ...]) -> tuple[ChainStage, ...]:
     """Return the stages the gap may sit in, the likeliest first; none where no map shows a gap."""
     pointed = suspects(maps, base.problem.case.readout.sensor_type)
     loose, loudest = loose_noise(base), max((m.structure.z for m in maps), default=0.0)
-    if loose is not None and loudest < FAINT_Z:
+    if loose is not None and loudest < CONFIG.faint_z:
         return (loose.stage, *(stage for stage in pointed if stage != loose.stage))
     first: list[ChainStage] = []
     if "motion" in pointed and "transduction" not in pointed:
         first.append("motion" if _is_motion(base) else "mechanics")
     elif "transduction" in pointed and "motion" not in pointed:
-        first.append(_behind(base))
+        first.append(_behind(base, loose))
     return (*first, *(stage for stage in pointed if stage not in first))
 
 
@@ -209,7 +164,7 @@ def _rate(found: Fit, block: Block) -> Array:
     return np.asarray(np.gradient(found.predicted[block.place], run.t_s))
 
 
-def _behind(base: Fit) -> ChainStage:
+def _behind(base: Fit, loose: LooseNoise | None) -> ChainStage:
     blocks = base.problem.blocks_of("output_V", "press")
     if not blocks:
         return "transduction"
@@ -218,28 +173,27 @@ def _behind(base: Fit) -> ChainStage:
     rate = np.concatenate([_rate(base, b) for b in blocks])
     excess = max(float(error @ error) - len(error), 1.0)
     share, swings = _static(error, output_V, excess)
-    if share > MOST:
-        return "electronics" if swings >= SWINGS else "transduction"
-    loose = loose_noise(base)
+    if share > CONFIG.most:
+        return "electronics" if swings >= CONFIG.swings else "transduction"
     if loose is not None:
         return loose.stage
     # A shift in time errs by the slope of the output, to first order.
-    if float(error @ rate) ** 2 / float(rate @ rate) > MOST * excess:
+    if float(error @ rate) ** 2 / float(rate @ rate) > CONFIG.most * excess:
         return "acquisition"
     # At rest neither pad nor channel acts: what errs there comes from behind them.
     at_rest = output_V < output_V.min() + 0.02 * np.ptp(output_V)
     mean = excess / len(error)
-    if np.count_nonzero(at_rest) > 50 and float(np.mean(error[at_rest] ** 2)) - 1.0 > MOST * mean:
+    if np.count_nonzero(at_rest) > 50 and float(np.mean(error[at_rest] ** 2)) - 1.0 > CONFIG.most * mean:
         return "electronics"
     return "transduction"
 
 
 def _static(error: Array, drive: Array, excess: float) -> tuple[float, int]:
     """Return which share of the excess the drive determines, and how often it changes sign."""
-    edges = np.linspace(drive.min(), drive.max() + 1e-12, BINS + 1)
-    place = np.clip(np.digitize(drive, edges) - 1, 0, BINS - 1)
-    count = np.bincount(place, minlength=BINS)
-    sums = np.bincount(place, weights=error, minlength=BINS)
+    edges = np.linspace(drive.min(), drive.max() + 1e-12, CONFIG.bins + 1)
+    place = np.clip(np.digitize(drive, edges) - 1, 0, CONFIG.bins - 1)
+    count = np.bincount(place, minlength=CONFIG.bins)
+    sums = np.bincount(place, weights=error, minlength=CONFIG.bins)
     seen = count > 8
     means = sums[seen] / count[seen]
     clear = means[np.abs(means) > 4.0 / np.sqrt(count[seen])]
@@ -252,51 +206,31 @@ def _is_motion(base: Fit) -> bool:
     blocks = base.problem.blocks_of("force_N", "press")
     if not blocks:
         return False
-    runs = [base.problem.case.runs[b.run] for b in blocks]
-    errors = [_displacement(base, b, run) for b, run in zip(blocks, runs, strict=True)]
-    every, travel = np.concatenate(errors), np.concatenate([_travel(run) for run in runs])
+    errors, travels, jumps, trends, sets = [], [], 0.0, 0.0, 0.0
+    for block in blocks:
+        travel = np.asarray(base.problem.case.runs[block.run].stage_mm)
+        depth_mm = np.maximum(0.0, travel - base.base.u0_mm)
+        slope = base.base.k1_N_mm + 3.0 * base.base.k3_N_mm3 * depth_mm**2
+        # So scaled a wrong position weighs alike at any depth.
+        scaled = base.residual[block.place] * float(np.median(slope)) / np.maximum(slope, 1e-9 * float(np.max(slope)))
+        error, total = np.where(depth_mm > 0, scaled, 0.0), len(travel)
+        # The energy that one step in time takes away, beyond the mean ...
+        whole, count, left = float(error.sum()), np.arange(1, total), np.cumsum(error)[:-1]
+        steps = left**2 / count + (whole - left) ** 2 / (total - count)
+        jumps += float(np.max(steps) - whole**2 / total)
+        # ... a straight line in time ...
+        t = np.arange(total) - 0.5 * (total - 1)
+        trends += float((error @ t) ** 2 / (t @ t))
+        # ... and a function of the deepest position so far.
+        deepest = np.maximum.accumulate(travel)
+        place = np.digitize(deepest, np.linspace(deepest.min(), deepest.max() + 1e-12, 9))
+        sums = np.bincount(place, weights=error) ** 2 / np.maximum(np.bincount(place), 1)
+        sets += float(np.sum(sums) - whole**2 / total)
+        errors.append(error)
+        travels.append(travel)
+    every = np.concatenate(errors)
     excess = max(float(every @ every) - len(every), 1.0)
-    share, swings = _static(every, travel, excess)
-    if share > MOST and swings >= SWINGS:
+    share, swings = _static(every, np.concatenate(travels), excess)
+    if share > CONFIG.most and swings >= CONFIG.swings:
         return True
-    jumps = sum(_jump(error) for error in errors)
-    sets = sum(_by_deepest(error, _travel(run)) for error, run in zip(errors, runs, strict=True))
-    trends = sum(_trend(error) for error in errors)
-    return jumps > MOST * excess and jumps > 1.2 * max(sets, trends)
-
-
-def _travel(run: Run) -> Array:
-    return np.zeros(len(run)) if run.stage_mm is None else run.stage_mm
-
-
-def _displacement(base: Fit, block: Block, run: Run) -> Array:
-    """(n,) residual of the force in which a wrong position weighs alike at any depth."""
-    depth_mm = np.maximum(0.0, _travel(run) - base.base.u0_mm)
-    slope = base.base.k1_N_mm + 3.0 * base.base.k3_N_mm3 * depth_mm**2
-    scaled = base.residual[block.place] * float(np.median(slope)) / np.maximum(slope, 1e-9 * float(np.max(slope)))
-    return np.asarray(np.where(depth_mm > 0, scaled, 0.0))
-
-
-def _jump(error: Array) -> float:
-    """Return the energy that one step in time takes away."""
-    count = np.arange(1, len(error))
-    left = np.cumsum(error)[:-1]
-    right = float(error.sum()) - left
-    mean = float(error.sum()) ** 2 / len(error)
-    return float(np.max(left**2 / count + right**2 / (len(error) - count)) - mean)
-
-
-def _trend(error: Array) -> float:
-    """Return the energy that a straight line in time takes away, beyond the mean."""
-    t = np.arange(len(error)) - 0.5 * (len(error) - 1)
-    return float((error @ t) ** 2 / (t @ t))
-
-
-def _by_deepest(error: Array, travel: Array) -> float:
-    """Return the energy that a function of the deepest position so far takes, beyond its mean."""
-    deepest = np.maximum.accumulate(travel)
-    edges = np.linspace(deepest.min(), deepest.max() + 1e-12, 9)
-    place = np.digitize(deepest, edges)
-    sums = np.bincount(place, weights=error)
-    count = np.maximum(np.bincount(place), 1)
-    return float(np.sum(sums**2 / count) - error.sum() ** 2 / len(error))
+    return jumps > CONFIG.most * excess and jumps > 1.2 * max(sets, trends)

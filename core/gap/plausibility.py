@@ -1,20 +1,23 @@
-"""Mistakes in the recordings that stand in the way of any diagnosis: units, signs, columns, rates, mixed-up runs.
+"""Mistakes in recordings that stand in the way of any diagnosis: units, signs, columns, rates, runs.
 
-Evidence lies inside the case: the steps of the ADC, Vref, time stamps, two channels that contradict each other, one
-run against the others, what the lot states. A pad of an unusual size is none: it is asked about, and diagnosed. No
-effect of the catalogue is fitted before this has found nothing.
+Evidence lies inside the case: steps of the ADC, Vref, time stamps, channels that contradict each
+other, one run against the others, what the lot states. A pad of an unusual size is asked about, and
+diagnosed. No effect of the catalogue is fitted before this has found nothing.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import combinations, product
 
 import numpy as np
 
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.data_mistake import FEWEST_RUNS, DataMistake, apart, numbers, of_gain, of_sign, of_unit
+from softcal.core.gap.data_mistake import DataMistake, apart, numbers, of_gain, of_sign, of_unit
+from softcal.core.gap.method import METHOD
 from softcal.core.recording import RATE_TOLERANCE, Array
-from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.words.reason import Reason, reason
+
+CONFIG = METHOD.mistake
 
 COLUMNS = {"stage": "stage_mm", "force": "force_N", "output": "output_V"}
 
@@ -34,45 +37,6 @@ UNITS_OF_RUN: Mapping[str, Mapping[str, float]] = {
 }
 """The same for one run, where the others tell how large its values must be."""
 
-STIFFNESS_N_mm = (0.4, 25.0)
-"""Peak force over depth of a soft pad; beyond, a unit may be wrong, if one brings all back to ..."""
-
-USUAL = {"stiffness_N_mm": 2.0, "depth_mm": 3.0, "force_N": 6.0}
-NEAR_USUAL = 5.0
-"""... within this factor of the usual. A lot that states its stiffness is judged by that alone."""
-
-DEPTH_mm = (0.3, 30.0)
-FORCE_N = (0.05, 300.0)
-"""The same where the other channel is missing."""
-
-FEW = 0.02
-"""Share of samples up to which values out of range are a broken transmission, not a wrong unit."""
-
-FAR = 3.0
-"""A sample this many spans beyond what nearly all others show is off by a broken transmission."""
-
-OFF_STEP = 0.1
-"""Distance from a step of the ADC, in steps, up to which a sample stands on it."""
-
-ON_GRID, OFF_GRID = 0.9, 0.5
-"""Share of samples on steps of the ADC from which a column is an output, and below which not."""
-
-SMOOTH = 0.1
-"""A commanded position is this much smoother, against its span, than anything measured."""
-
-OPPOSED = -0.5
-"""Correlation below which two channels move against each other."""
-
-PAIRED, UNPAIRED = 0.75, 0.6
-"""Correlation above which two columns belong to one run, and below which they do not."""
-
-
-APART = 2.0
-"""Ratio of one run to the others that no effect but only a wrong unit or gain explains."""
-
-NEAR_FACTOR = 1.45
-"""A stiffness this near beyond what the lot states, once a unit is turned, is that unit."""
-
 
 def mistakes(case: Case) -> tuple[DataMistake, ...]:
     """Return the mistakes that the channels show by themselves, none where they look sound.
@@ -87,14 +51,14 @@ def mistakes(case: Case) -> tuple[DataMistake, ...]:
 
 
 def doubts(case: Case) -> tuple[DataMistake, ...]:
-    """Return units of a whole case that would make an unusual pad a usual one: questions, no findings."""
+    """Return units that would make an unusual pad of a case a usual one: questions, no findings."""
     size = _size(case)
     if case.stiffness_N_mm is not None or not size.is_odd:
         return ()
     fitting = []
     for channel, unit, factor in EVERY_UNIT:
         repaired = size.with_unit(channel, factor)
-        if not repaired.is_odd and repaired.oddness < np.log(NEAR_USUAL):
+        if not repaired.is_odd and repaired.oddness < np.log(CONFIG.near_usual):
             # Stages are told to go at round speeds, which speaks for a unit of theirs.
             speed = repaired.speed_mm_s if channel == "stage" else None
             is_round = speed is not None and abs(float(f"{speed:.1e}") / speed - 1.0) < 2e-3
@@ -102,7 +66,7 @@ def doubts(case: Case) -> tuple[DataMistake, ...]:
     if not fitting:
         return ()
     _, channel, unit, factor = min(fitting)
-    return (of_unit(channel, (), unit, factor, _unusual(size, channel, *STIFFNESS_N_mm), "data.ask.unit"),)
+    return (of_unit(channel, (), unit, factor, _unusual(size, channel, *CONFIG.stiffness_N_mm), "data.ask.unit"),)
 
 
 def _in_runs(look: Callable[[Run], Iterable[DataMistake]]) -> Callable[[Case], Iterator[DataMistake]]:
@@ -123,11 +87,11 @@ def _in_runs(look: Callable[[Run], Iterable[DataMistake]]) -> Callable[[Case], I
 
 
 def _presses(case: Case) -> list[tuple[int, Run]]:
-    return [(k, run) for k, run in enumerate(case.runs) if run.kind == "press"]
+    """Return the runs that are pressed, with their numbers."""
+    return [(n, run) for n, run in zip(numbers(case), case.runs, strict=True) if run.kind == "press"]
 
 
 def _channels(run: Run) -> dict[str, Array]:
-    """Return the recorded channels of a run by their short name."""
     every = {short: getattr(run, name) for short, name in COLUMNS.items()}
     return {short: values for short, values in every.items() if values is not None}
 
@@ -155,8 +119,15 @@ def _columns(run: Run) -> Iterator[DataMistake]:
     if output not in (None, "output"):
         pair = "+".join(name for name in COLUMNS if name in ("output", output))
     elif output is not None and len(channels) == 3:
-        rough = {name: _roughness(channels[name]) for name in ("stage", "force")}
-        pair = "stage+force" if rough["force"] < rough["stage"] and rough["force"] < SMOOTH * rough["stage"] else ""
+        # Second differences against the span, corners left out.
+        rough = {}
+        for name in ("stage", "force"):
+            low, high = np.quantile(channels[name], (0.02, 0.98))
+            bends = np.sort(np.abs(np.diff(channels[name], 2)))
+            rms = np.sqrt(np.mean(bends[: max(1, int(0.8 * len(bends)))] ** 2))
+            rough[name] = float(rms / max(high - low, 1e-12))
+        is_commanded = rough["force"] < rough["stage"] and rough["force"] < CONFIG.smooth * rough["stage"]
+        pair = "stage+force" if is_commanded else ""
     if pair:
         one, other = pair.split("+")
         evidence = reason("data.swapped_columns.steps" if "output" in pair else "data.swapped_columns.smooth")
@@ -167,8 +138,8 @@ def _columns(run: Run) -> Iterator[DataMistake]:
 def _output_by_steps(run: Run, channels: Mapping[str, Array]) -> str | None:
     """Return the column that stands on the steps of the ADC, None where the steps do not tell."""
     step_V, vref_V = run.readout.step_V, run.readout.vref_V
-    # The last digit of a file moves a value off its step; where steps are finer than that, no column stands on them.
-    tolerance = OFF_STEP * step_V
+    # The last digit of a file moves a value off its step; on finer steps no column stands.
+    tolerance = CONFIG.off_step * step_V
     shares = {}
     for name, values in channels.items():
         is_on = np.abs(values - np.round(values / step_V) * step_V) < tolerance
@@ -177,14 +148,7 @@ def _output_by_steps(run: Run, channels: Mapping[str, Array]) -> str | None:
         is_within = (values > 0) & (values <= vref_V + step_V)
         shares[name] = float(np.mean((is_on & is_within)[is_telling])) if is_telling.mean() > 0.2 else 0.0
     first, *others = sorted(shares, key=lambda name: -shares[name])
-    return first if shares[first] > ON_GRID and all(shares[name] < OFF_GRID for name in others) else None
-
-
-def _roughness(values: Array) -> float:
-    """Return the size of the second differences against the span, corners left out."""
-    low, high = np.quantile(values, (0.02, 0.98))
-    bends = np.sort(np.abs(np.diff(values, 2)))
-    return float(np.sqrt(np.mean(bends[: max(1, int(0.8 * len(bends)))] ** 2)) / max(high - low, 1e-12))
+    return first if shares[first] > CONFIG.on_grid and all(shares[name] < CONFIG.off_grid for name in others) else None
 
 
 @_in_runs
@@ -199,24 +163,24 @@ def _ranges(run: Run) -> Iterator[DataMistake]:
         return
     worst_V, count = float(output_V[np.argmax(np.abs(output_V))]), int(is_beyond.sum())
     evidence = reason("data.out_of_range.output", worst=worst_V, vref=vref_V, count=count)
-    repaired = _output_repaired(output_V, run.readout, evidence) if is_beyond.mean() > FEW else None
-    yield repaired or _of_samples("output", count, evidence)
+    if is_beyond.mean() <= CONFIG.few:
+        yield _of_samples("output", count, evidence)
+        return
+    # The unit or sign that brings the output of the run back.
+    factors = {"mV": 1e-3, "uV": 1e-6}
+    if np.all(output_V == np.round(output_V)):
+        factors = {"codes": run.readout.step_V, **factors}
+    low, high = np.quantile(output_V, (0.02, 0.98))
+    for unit, factor in factors.items():
+        if 0.01 < low * factor / vref_V and 0.02 < high * factor / vref_V < 1.0:
+            yield of_unit("output", (), unit, factor, evidence)
+            return
+    is_turned = high < 0 and -low <= vref_V
+    yield of_sign("output", (), evidence) if is_turned else _of_samples("output", count, evidence)
 
 
 def _of_samples(channel: str, count: int, evidence: Reason) -> DataMistake:
     return DataMistake("out_of_range", channel, (), None, evidence, reason("data.repair.samples", count=count))
-
-
-def _output_repaired(output_V: Array, readout: ReadoutMetadata, evidence: Reason) -> DataMistake | None:
-    """Return the unit or sign that brings the output of a run back, None where none does."""
-    factors = {"mV": 1e-3, "uV": 1e-6}
-    if np.all(output_V == np.round(output_V)):
-        factors = {"codes": readout.step_V, **factors}
-    low, high = np.quantile(output_V, (0.02, 0.98))
-    for unit, factor in factors.items():
-        if 0.01 < low * factor / readout.vref_V and 0.02 < high * factor / readout.vref_V < 1.0:
-            return of_unit("output", (), unit, factor, evidence)
-    return of_sign("output", (), evidence) if high < 0 and -low <= readout.vref_V else None
 
 
 @_in_runs
@@ -224,9 +188,9 @@ def _strays(run: Run) -> Iterator[DataMistake]:
     """Single samples of a position or force far beyond all others."""
     for name, values in _channels(run).items() if run.kind == "press" else ():
         low, high = (float(end) for end in np.quantile(values, (0.01, 0.99)))
-        reach = FAR * (high - low)
+        reach = CONFIG.far * (high - low)
         is_beyond = (values < low - reach) | (values > high + reach)
-        if 0 < is_beyond.mean() <= FEW:
+        if 0 < is_beyond.mean() <= CONFIG.few:
             count, unit = int(is_beyond.sum()), COLUMNS[name].split("_")[1]
             worst = float(values[np.argmax(np.abs(values - 0.5 * (low + high)))])
             ends = {"worst": worst, "low": low, "high": high}
@@ -240,23 +204,21 @@ def _agreement(one: Array, other: Array) -> float:
 
 def _runs_exchanged(case: Case) -> list[DataMistake]:
     """A column that fits its own run badly and that of another run well."""
-    presses, number = _presses(case), numbers(case)
-    for name in ("output", "force", "stage"):
-        for a, (i, one) in enumerate(presses):
-            for j, other in presses[a + 1 :]:
-                mine, theirs = _channels(one), _channels(other)
-                if len(one) != len(other) or name not in mine or len(mine) < 2:
-                    continue
-                rest = [r for r in mine if r != name]
-                if len(rest) == 2 and min(_agreement(*(run[r] for r in rest)) for run in (mine, theirs)) < PAIRED:
-                    continue
-                now = max(abs(_agreement(run[name], run[r])) for run in (mine, theirs) for r in rest)
-                pairs = ((mine, theirs), (theirs, mine))
-                exchanged = min(_agreement(to[r], of[name]) for to, of in pairs for r in rest)
-                if now < UNPAIRED and exchanged > PAIRED:
-                    evidence = reason("data.swapped_runs", channel=name, now=now, exchanged=exchanged)
-                    repair = reason("data.repair.exchange", channel=name, one=number[i], other=number[j])
-                    return [DataMistake("swapped_runs", name, (number[i], number[j]), None, evidence, repair)]
+    for name, ((i, one), (j, other)) in product(("output", "force", "stage"), combinations(_presses(case), 2)):
+        mine, theirs = _channels(one), _channels(other)
+        if len(one) != len(other) or name not in mine or len(mine) < 2:
+            continue
+        rest = [r for r in mine if r != name]
+        alike = [_agreement(*(run[r] for r in rest)) for run in (mine, theirs) if len(rest) == 2]
+        if min(alike, default=1.0) < CONFIG.paired:
+            continue
+        now = max(abs(_agreement(run[name], run[r])) for run in (mine, theirs) for r in rest)
+        pairs = ((mine, theirs), (theirs, mine))
+        exchanged = min(_agreement(to[r], of[name]) for to, of in pairs for r in rest)
+        if now < CONFIG.unpaired and exchanged > CONFIG.paired:
+            evidence = reason("data.swapped_runs", channel=name, now=now, exchanged=exchanged)
+            repair = reason("data.repair.exchange", channel=name, one=i, other=j)
+            return [DataMistake("swapped_runs", name, (i, j), None, evidence, repair)]
     return []
 
 
@@ -271,7 +233,7 @@ def _directions(run: Run) -> Iterator[DataMistake]:
             turned, force = ["force"], -force
     if stage is not None:
         pressed = force if force is not None else output
-        is_against = pressed is not None and _agreement(stage, pressed) < OPPOSED
+        is_against = pressed is not None and _agreement(stage, pressed) < CONFIG.opposed
         if is_against and (force is not None or float(np.median(stage)) < 0):
             turned, stage = [*turned, "stage"], -stage
     for name in turned:
@@ -280,7 +242,7 @@ def _directions(run: Run) -> Iterator[DataMistake]:
     if output is None or pressing is None or run.readout.sensor_type == "strain":
         return
     correlation = _agreement(output, pressing)
-    if correlation < OPPOSED:
+    if correlation < CONFIG.opposed:
         evidence, repair = reason("data.swapped_divider", correlation=correlation), reason("data.repair.divider")
         yield DataMistake("swapped_divider", "output", (), None, evidence, repair)
 
@@ -305,17 +267,16 @@ class _Size:
     @property
     def oddness(self) -> float:
         """Largest distance from the usual, as a logarithm."""
-        known = [(value, usual) for name, usual in USUAL.items() if (value := getattr(self, name)) is not None]
+        known = [(value, usual) for name, usual in CONFIG.usual if (value := getattr(self, name)) is not None]
         return max((abs(np.log(value / usual)) for value, usual in known), default=0.0)
 
     @property
     def is_odd(self) -> bool:
-        stiffness = self.stiffness_N_mm
-        if stiffness is not None:
-            return not STIFFNESS_N_mm[0] <= stiffness <= STIFFNESS_N_mm[1]
-        if self.depth_mm is not None:
-            return not DEPTH_mm[0] <= self.depth_mm <= DEPTH_mm[1]
-        return self.force_N is not None and not FORCE_N[0] <= self.force_N <= FORCE_N[1]
+        for name in ("stiffness_N_mm", "depth_mm", "force_N"):
+            if (value := getattr(self, name)) is not None:
+                low, high = getattr(CONFIG, name)
+                return not low <= value <= high
+        return False
 
 
 def _size(case: Case) -> _Size:
@@ -327,22 +288,20 @@ def _size(case: Case) -> _Size:
             low, high = np.quantile(channels["force"], (0.02, 0.995))
             forces.append(float(high - min(low, 0.5 * high)) if low < 0 else float(high))
         if "stage" in channels and load is not None:
-            contact = _contact_mm(channels["stage"], load)
-            depths.append(float(np.quantile(channels["stage"], 0.995)) - contact)
-            speeds.append(float(np.quantile(np.abs(np.gradient(channels["stage"], run.t_s)), 0.98)))
+            stage_mm = channels["stage"]
+            low, high = np.quantile(load, (0.02, 0.995))
+            part = (load - low) / max(float(high - low), 1e-12)
+            # The load begins where a line through 5 % and 15 % of it meets none.
+            twentieth, three = (stage_mm[np.abs(part - level) < 0.02] for level in (0.05, 0.15))
+            if len(twentieth) and len(three):
+                contact_mm = float(1.5 * np.median(twentieth) - 0.5 * np.median(three))
+            else:
+                touching = stage_mm[part > 0.03]
+                contact_mm = float(np.quantile(touching, 0.02)) if len(touching) else 0.0
+            depths.append(float(np.quantile(stage_mm, 0.995)) - contact_mm)
+            speeds.append(float(np.quantile(np.abs(np.gradient(stage_mm, run.t_s)), 0.98)))
     depth_mm, force_N = (max(float(np.median(v)), 1e-9) if v else None for v in (depths, forces))
     return _Size(depth_mm, force_N, max(speeds, default=None))
-
-
-def _contact_mm(stage_mm: Array, load: Array) -> float:
-    """Return where the load begins: where a line through 5 % and 15 % of it meets none."""
-    low, high = np.quantile(load, (0.02, 0.995))
-    part = (load - low) / max(float(high - low), 1e-12)
-    twentieth, three = (stage_mm[np.abs(part - level) < 0.02] for level in (0.05, 0.15))
-    if len(twentieth) and len(three):
-        return float(1.5 * np.median(twentieth) - 0.5 * np.median(three))
-    touching = stage_mm[part > 0.03]
-    return float(np.quantile(touching, 0.02)) if len(touching) else 0.0
 
 
 def _unusual(size: _Size, channel: str, low: float, high: float) -> Reason:
@@ -363,15 +322,15 @@ def _against_stated(case: Case) -> list[DataMistake]:
     distance, channel, unit, factor = min(
         (abs(np.log(size.with_unit(c, f).stiffness_N_mm or 1e-9) - np.log(middle)), c, u, f) for c, u, f in EVERY_UNIT
     )
-    if distance < abs(np.log(stated[1] / middle)) + np.log(NEAR_FACTOR):
+    if distance < abs(np.log(stated[1] / middle)) + np.log(CONFIG.near_stated):
         return [of_unit(channel, (), unit, factor, evidence)]
     return [of_gain("force", (), middle / stiffness, evidence)]
 
 
 def _runs_apart(case: Case) -> list[DataMistake]:
     """One run that differs from all others by a factor that no effect has."""
-    presses, number = _presses(case), numbers(case)
-    if len(presses) < FEWEST_RUNS:
+    presses = _presses(case)
+    if len(presses) < CONFIG.fewest_runs:
         return []
     for name, reference in (("force", "output"), ("stage", "output"), ("force", "stage"), ("stage", "force")):
         if not (case.has(COLUMNS[name]) and case.has(COLUMNS[reference])):
@@ -382,15 +341,15 @@ def _runs_apart(case: Case) -> list[DataMistake]:
         for at, (k, _) in enumerate(presses):
             ratio = float(np.exp(np.median(np.delete(spans, at)) - spans[at]))
             others = np.ptp(np.delete(spans, at))
-            if abs(np.log(ratio)) > np.log(APART) + others:
-                return [apart(name, number[k], ratio, UNITS_OF_RUN[name], others)]
+            if abs(np.log(ratio)) > np.log(CONFIG.apart) + others:
+                return [apart(name, k, ratio, UNITS_OF_RUN[name], others)]
     return []
 
 
 def _spread_at(reference: Array, values: Array) -> float:
-    """Return the slope of a channel against another one, robustly: over the middle of what both show.
+    """Return the slope of a channel against another one over the middle of what both show.
 
-    Both are sorted first: a channel that is late, or has lost samples, shows the same values at other instants.
+    Both are sorted: one that is late, or has lost samples, shows the same values at other instants.
     """
     reference, values = np.sort(reference), np.sort(values)
     low, high = np.quantile(reference, (0.05, 0.95))

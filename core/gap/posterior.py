@@ -1,4 +1,4 @@
-"""How probable each effect is, by hypotheses not trusted to the last sigma, and what cannot be told apart."""
+"""How probable each effect is, by equations that may be a little wrong; what cannot be told apart."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -6,51 +6,33 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.gap.coordinates import fit_scale
-from softcal.core.gap.fit import DRIVEN_COST, EPISODE_COST, Fit
+from softcal.core.gap.fit import Fit
 from softcal.core.gap.linear import energy
-from softcal.core.gap.residual import DIRTY_Z, structure
+from softcal.core.gap.method import METHOD
+from softcal.core.gap.residual import structure
 from softcal.core.gap.screen import Tangent
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS, FORMS
 
+EVIDENCE, RIVAL = METHOD.evidence, METHOD.rival
+
 Fits = Mapping[tuple[str, ...], Fit]
-
-DISCREPANCY_MODES = 20.0
-"""Degrees of freedom of the smooth difference between a catalogue equation and what a rig does."""
-
-
-FURTHER_EPISODE_COST = 0.2
-"""Parameters that an episode after the first counts as when causes are compared."""
-
-BOUND_COST = 60.0
-"""What a cause pays whose size ends on its bound: it stands for something else."""
-
-EXACTNESS = 5e-5
-"""Share of the gap's energy below which no equation is believed: 0.7 % of its amplitude."""
-
-USUAL_RANGE = 3.0
-"""Sizes that a rig may show, in usual ones: the width of the prior of a size."""
 
 
 def misfit(excess: float) -> float:
     """Return −2·ln of the likelihood of an excess of χ² when every equation may be a little wrong.
 
-    The difference between equation and rig is taken as `DISCREPANCY_MODES` normal coordinates of unknown common size,
-    at the size that fits best. An excess below counts as in white noise, one above it by its logarithm: by which factor
-    a hypothesis lowers what the others leave, not how many σ that is.
+    The difference between equation and rig is `modes` normal coordinates of unknown common size, at the
+    size that fits best. A large excess counts by its logarithm: by which factor a hypothesis lowers
+    what the others leave, not how many σ that is.
     """
-    modes = DISCREPANCY_MODES
+    modes = EVIDENCE.modes
     return excess if excess < modes else modes * (1.0 + float(np.log(excess / modes)))
 
 
 @dataclass(frozen=True)
 class Yardstick:
-    """What hypotheses of one case are measured by.
-
-    Args:
-        chi2: of the hypothesis that comes closest to the recordings.
-        floor: χ² of the structure that even this one leaves, or must be allowed to leave.
-    """
+    """χ² of the hypothesis that comes closest, and of the structure even this one may leave."""
 
     chi2: float
     floor: float
@@ -62,8 +44,8 @@ class Yardstick:
         closest = min(every, key=lambda f: f.chi2)
         left, gap = structure(closest), max(f.chi2 for f in every) - closest.chi2
         seen = left.rms**2 * closest.problem.count if left.is_significant else 0.0
-        driven = DRIVEN_COST if closest.problem.is_driven_by_force else 0.0
-        return cls(closest.chi2, max(seen, EXACTNESS * gap, driven))
+        driven = EVIDENCE.driven_cost if closest.problem.is_driven_by_force else 0.0
+        return cls(closest.chi2, max(seen, EVIDENCE.exactness * gap, driven))
 
     def log_evidence(self, found: Fit) -> float:
         """Return the logarithm of prior times evidence of a hypothesis."""
@@ -76,42 +58,27 @@ def exact_log_evidence(found: Fit) -> float:
 
 
 def penalty(found: Fit) -> float:
-    """Return the penalty with episodes after the first at a fraction: a loose lead is one cause, however often it gaps.
+    """Return the penalty where a loose lead is one cause, however often it gaps.
 
-    Each episode was paid for in full when it was placed. A size that these runs hardly determine pays less than
-    Schwarz's ln n, which takes it that every sample tells of it.
+    Each episode was paid for in full when it was placed. A size that these runs hardly determine pays
+    less than Schwarz's ln n: −2·ln of posterior over prior (Laplace).
     """
+    problem, most = found.problem, float(np.log(found.problem.count))
     more = max(found.hypothesis.episode_count - 1, 0)
-    cheaper = more * (EPISODE_COST - FURTHER_EPISODE_COST) * float(np.log(found.problem.count))
-    if found.problem.is_driven_by_force:
+    cheaper = more * (EVIDENCE.episode_cost - EVIDENCE.further_episode_cost) * most
+    if problem.is_driven_by_force:
         # What its noise feigns is in the floor already.
-        cheaper += DRIVEN_COST * len(found.hypothesis.ids)
-    else:
-        cheaper += _spared(found)
-    return found.penalty - cheaper + BOUND_COST * sizes_on_bound(found)
-
-
-def _spared(found: Fit) -> float:
-    """What sizes pay less than Schwarz's ln n: −2·ln of posterior over prior (Laplace)."""
-    spared, most = 0.0, float(np.log(found.problem.count))
-    for effect in found.hypothesis.effects:
-        at = found.hypothesis.place_of(effect.id)
-        size, variance = found.problem.scale.sized(effect.parameters[0]), float(found.covariance[at, at])
+        cheaper += EVIDENCE.driven_cost * len(found.ids)
+    spared, on_bound = 0.0, 0
+    for effect, values in zip(found.effects, found.effect_values, strict=True):
+        size, at = problem.scale.sized(effect.parameters[0]), found.hypothesis.place_of(effect.id)
+        ends = [end for end in (size.low, size.high) if end not in (0.0, size.neutral)]
+        on_bound += size.scale == "linear" and any(abs(values[0] - end) < 0.01 * abs(end) for end in ends)
+        variance = 0.0 if problem.is_driven_by_force else float(found.covariance[at, at])
         if variance > 0.0 and not effect.is_episodic:
-            width = USUAL_RANGE * fit_scale(size) / np.sqrt(2.0 * np.pi * variance)
+            width = EVIDENCE.usual_range * fit_scale(size) / np.sqrt(2.0 * np.pi * variance)
             spared += size.weight * max(0.0, most - 2.0 * float(np.log(max(width, 1.0))))
-    return spared
-
-
-def sizes_on_bound(found: Fit) -> int:
-    """Return how many causes have ended at the largest size that a rig can show."""
-    rows = zip(found.hypothesis.effects, found.effect_values, strict=True)
-    sizes = [(found.problem.scale.sized(effect.parameters[0]), values[0]) for effect, values in rows]
-    return sum(
-        size.scale == "linear"
-        and any(abs(value - end) < 0.01 * abs(end) for end in (size.low, size.high) if end not in (0.0, size.neutral))
-        for size, value in sizes
-    )
+    return found.penalty - (cheaper + spared) + EVIDENCE.bound_cost * on_bound
 
 
 def log_evidences(fits: Fits) -> dict[tuple[str, ...], float]:
@@ -121,12 +88,9 @@ def log_evidences(fits: Fits) -> dict[tuple[str, ...], float]:
 
 
 def probabilities(logs: Mapping[tuple[str, ...], float], effects: Iterable[str] = tuple(EFFECTS)) -> dict[str, float]:
-    """Return for every effect, of the catalogue where nothing else is said, the probability that it is present.
+    """Return for every effect the probability that it is present, from log evidences.
 
-    Effects that were screened away have no hypothesis of their own and get 0; the numbers need not sum to 1.
-
-    Args:
-        logs: logarithm of prior times evidence by hypothesis.
+    Effects that were screened away have no hypothesis and get 0; the numbers need not sum to 1.
     """
     top = max(logs.values())
     weights = {ids: float(np.exp(value - top)) for ids, value in logs.items()}
@@ -134,98 +98,61 @@ def probabilities(logs: Mapping[tuple[str, ...], float], effects: Iterable[str] 
     return {e: sum(w for ids, w in weights.items() if e in ids) / total for e in effects}
 
 
-RIVAL_LOG_ODDS = 5.0
-"""A hypothesis within this log evidence of the best (ΔBIC < 10) is a rival: weak evidence."""
-
-MOST_RIVALS = 3
-
-MOST_CAUSES = 3
-"""Causes that an honest set may hold, or one more than the best hypothesis has."""
-
-ADDED_LOG_ODDS = 1.0
-"""A cause more is a rival down to this log evidence behind the best hypothesis ..."""
-
-EXACT_LOG_ODDS = 2.0
-"""... and where this log evidence would be ahead of it if every equation held exactly: what it takes away is then that
-cause or what the equation of another one leaves, and these runs cannot tell which."""
-
-NEGLIGIBLE_LOG_ODDS = 15.0
-"""So far behind the best hypothesis a cause more is ruled out, even if every equation held."""
-
-STRUCTURE_LEFT = 0.25
-"""Share of the structure left beside which a cause more mops up what another equation explains."""
-
-
 def rivals(
     fits: Fits, best: Fit, logs: Mapping[tuple[str, ...], float], held_open: tuple[Fit, ...] = ()
 ) -> tuple[Fit, ...]:
-    """Return the best hypothesis and those the evidence cannot rule out.
+    """Return the best hypothesis, those held open, and those the evidence cannot rule out.
 
-    One that merely adds a cause to another counts only where the evidence for that cause is neither negligible nor
-    decisive.
-
-    Args:
-        held_open: larger hypotheses that are in play whatever their evidence.
+    One that adds a cause counts where the evidence for that is neither negligible nor decisive.
     """
-    if not best.hypothesis.ids:
+    if not best.ids:
         return (best,)
-    top = logs[best.hypothesis.ids]
-    near = [fits[ids] for ids in sorted(logs, key=lambda i: -logs[i]) if logs[ids] > top - RIVAL_LOG_ODDS]
+    top = logs[best.ids]
+    near = [fits[ids] for ids in sorted(logs, key=lambda i: -logs[i]) if logs[ids] > top - RIVAL.odds]
     in_play: list[Fit] = [best, *held_open]
     for found in near:
-        ids = set(found.hypothesis.ids)
-        # A larger set of causes holds the evidence of the smaller one: as its rival it says nothing new.
-        if ids and not any(ids >= set(other.hypothesis.ids) for other in in_play):
+        ids = set(found.ids)
+        # A larger set of causes holds the evidence of the smaller one and says nothing new.
+        if ids and not any(ids >= set(other.ids) for other in in_play):
             in_play.append(found)
-    most = max(MOST_CAUSES, len(best.hypothesis.ids) + 1)
-    for found in _open_additions(fits, best, logs):
-        if any(found.hypothesis.ids == other.hypothesis.ids for other in in_play):
+    most = max(RIVAL.most_causes, len(best.ids) + 1)
+    # Hypotheses with one cause more that can be neither named nor left out.
+    best_ids = set(best.ids)
+    larger = [f for ids, f in fits.items() if set(ids) > best_ids and len(ids) == len(best_ids) + 1]
+    ahead = {f.ids: exact_log_evidence(f) - exact_log_evidence(best) for f in larger}
+    least = max(ahead.values(), default=0.0) - RIVAL.odds
+    # Another form of one cause may be two in the catalogue's equations: a joint is frame and toe.
+    is_in_other_form = any(form.effect is e for e in best.effects for form in FORMS.get(e.id, ()))
+    within = RIVAL.odds if is_in_other_form else RIVAL.added
+    most_z = max(METHOD.structure.dirty_z, RIVAL.structure_left * structure(best).z)
+    for found in sorted(larger, key=lambda f: -ahead[f.ids]):
+        gain, behind = ahead[found.ids], top - logs[found.ids]
+        is_near = behind < within or (behind < RIVAL.negligible and gain > RIVAL.exact)
+        if gain < least or not is_near or structure(found).z >= most_z or any(found.ids == f.ids for f in in_play):
             continue
-        if len({*found.hypothesis.ids}.union(*(other.hypothesis.ids for other in in_play))) <= most:
+        if len({*found.ids}.union(*(other.ids for other in in_play))) <= most:
             in_play.append(found)
-    return tuple(in_play[:MOST_RIVALS])
-
-
-def _open_additions(fits: Fits, best: Fit, logs: Mapping[tuple[str, ...], float]) -> list[Fit]:
-    """Return hypotheses with one cause more that can be neither named nor left out."""
-    ids = set(best.hypothesis.ids)
-    larger = [found for other, found in fits.items() if set(other) > ids and len(other) == len(ids) + 1]
-    ahead = [exact_log_evidence(found) - exact_log_evidence(best) for found in larger]
-    behind = [logs[best.hypothesis.ids] - logs[found.hypothesis.ids] for found in larger]
-    least = max(ahead, default=0.0) - RIVAL_LOG_ODDS
-    # Another realisation of one cause may be two causes in the catalogue's equations: a joint is a frame with a toe.
-    is_in_other_form = any(form.effect is e for e in best.hypothesis.effects for form in FORMS.get(e.id, ()))
-    within = RIVAL_LOG_ODDS if is_in_other_form else ADDED_LOG_ODDS
-    most_z = max(DIRTY_Z, STRUCTURE_LEFT * structure(best).z)
-    is_open = [
-        a >= least and (b < within or (b < NEGLIGIBLE_LOG_ODDS and a > EXACT_LOG_ODDS)) and structure(found).z < most_z
-        for found, a, b in zip(larger, ahead, behind, strict=True)
-    ]
-    order = sorted(np.flatnonzero(is_open), key=lambda k: -ahead[k])
-    return [larger[k] for k in order]
+    return tuple(in_play[: RIVAL.most])
 
 
 def confused_pairs(group: tuple[Fit, ...]) -> list[list[str]]:
     """Return the pairs of effects that stand for each other in rival hypotheses.
 
-    A cause that one rival has beside those of another stands for what the equation of the largest of those leaves.
+    A cause beside another rival's stands for what the equation of the largest of those leaves.
     """
-    best = set(group[0].hypothesis.ids)
+    best = set(group[0].ids)
     pairs: list[list[str]] = []
     for other in group[1:]:
-        mine = sorted(best - set(other.hypothesis.ids))
-        theirs = sorted(set(other.hypothesis.ids) - best)
-        shared = sorted(best & set(other.hypothesis.ids), key=lambda i: -energy(_signature(group[0], i)))
+        mine = sorted(best - set(other.ids))
+        theirs = sorted(set(other.ids) - best)
+        shared = sorted(best & set(other.ids), key=lambda i: -energy(_signature(group[0], i)))
         between = [[a, b] for a in mine for b in theirs] or [[shared[0], extra] for extra in (*mine, *theirs)]
         pairs += [pair for pair in between if pair not in pairs]
     return pairs
 
 
 def hidden_fraction(found: Fit, effect_id: str) -> float:
-    """Return which share of an effect's signature, at the fitted size, the refitted base would swallow on these runs.
-
-    The signature is the change of the prediction when the effect is switched off; the rest of the hypothesis stays.
-    """
+    """Return which share of an effect's signature, at its size, the refitted base would swallow."""
     signature = _signature(found, effect_id)
     size = energy(signature)
     if size <= 0.0:

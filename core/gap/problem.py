@@ -9,10 +9,10 @@ import numpy as np
 
 from softcal.core.gap.case import Case, Mask, Run, RunKind
 from softcal.core.gap.colour import Colour, ColourConfig, filter_of, filtered
-from softcal.core.gap.coordinates import from_fit
+from softcal.core.gap.coordinates import RigScale, from_fit
 from softcal.core.gap.forward import dither_V, mean_code_V, predict
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.offsets import IS_RELATIVE, Directions, Sizes, bases_of, directions, largest_offsets, with_offsets
-from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Parameter
 from softcal.core.twin.parameters import BaseParameters
@@ -29,6 +29,9 @@ BASE = (
 QUIETEST = 1e-6
 """Least noise of a force that is believed, N on the common rig."""
 
+SHOWN_ALONE = {"rigid_block": "stage_mm", "dead_weights": "force_N", "dummy_resistor": "output_V"}
+"""The one channel that a special run shows."""
+
 Episodes = tuple[Mapping[str, Array], ...]
 
 Around: TypeAlias = Callable[["Hypothesis", Array], Array]
@@ -41,7 +44,7 @@ class Hypothesis:
 
     Args:
         episodes: per run, the rows of its episodic effects.
-        of_all: parameters of the base, which every hypothesis has; the twin's where nothing else is said.
+        of_all: parameters of the base, which every hypothesis has.
     """
 
     effects: tuple[Effect, ...] = ()
@@ -91,7 +94,7 @@ class Hypothesis:
         return int(self.slices[effect_id].start)
 
     def without(self, effect_id: str) -> tuple["Hypothesis", Mask]:
-        """Return this hypothesis without one effect, and which of its coordinates, (parameters,), are left."""
+        """Return this without one effect, and which coordinates, (parameters,), are left."""
         left = np.ones(len(self.parameters), dtype=np.bool_)
         if effect_id in self.slices:
             left[self.slices[effect_id]] = False
@@ -121,7 +124,7 @@ class Problem:
     """The measured channels of a case as one vector with noise weights.
 
     Args:
-        sigma: per channel, standard deviation of the white noise, (n,) or a number, in the channel's unit.
+        sigma: per channel, standard deviation of the white noise, in the channel's unit.
         use: (samples,) which samples a fit may see; all where None.
         colour: per channel whose noise is not white, the part that fades.
     """
@@ -163,7 +166,13 @@ class Problem:
     @cached_property
     def channels_of_runs(self) -> list[tuple[str, ...]]:
         """Per run, the recorded channels that are predicted."""
-        return [predicted_channels(run) for run in self.case.runs]
+        out: list[tuple[str, ...]] = []
+        for run in self.case.runs:
+            # What drives the twin is not predicted.
+            alone = "output_V" if run.kind == "press" and run.stage_mm is None else SHOWN_ALONE.get(run.kind)
+            of_press = (channel for channel in ("force_N", "output_V") if getattr(run, channel) is not None)
+            out.append((alone,) if alone else tuple(of_press))
+        return out
 
     def recorded(self, run: int, channel: str) -> Array:
         """Return a recorded channel of a run, (n,)."""
@@ -172,7 +181,7 @@ class Problem:
     @cached_property
     def colour_config(self) -> ColourConfig:
         """How noise that fades is read."""
-        return ColourConfig()
+        return METHOD.colour
 
     @property
     def smooth_order(self) -> int:
@@ -250,7 +259,7 @@ class Problem:
         """(5,) which base parameters these channels determine."""
         case = self.case
         stage, force, output = (case.has(c) for c in ("stage_mm", "force_N", "output_V"))
-        # Without a force only κ·k1 and κ·k3 act; k1 stays where it is and κ takes their common factor.
+        # Without a force only κ·k1 and κ·k3 act; k1 stays and κ takes their common factor.
         return np.array([stage, stage and force, stage, output, output])
 
     @cached_property
@@ -309,7 +318,7 @@ class Problem:
         return {run: size + nearby.moved.get(run, 0.0) for run, size in sizes.items()}
 
     def _known(self, out: Array) -> Array:
-        # A sample nobody can foretell costs as much as a right prediction would: nothing is won by not knowing.
+        # A sample nobody can foretell costs what a right prediction would: ignorance wins nothing.
         unknown = np.isnan(out)
         return np.where(unknown, self.measured - self.noise, out) if unknown.any() else out
 
@@ -349,14 +358,3 @@ class Problem:
     def with_noise(self, sigma: Mapping[str, float], colour: Mapping[str, Colour] | None = None) -> "Problem":
         """Return the same problem under other noise, of the same colour where none is given."""
         return replace(self, sigma=sigma, colour=self.colour if colour is None else colour)
-
-
-def predicted_channels(run: Run) -> tuple[str, ...]:
-    """Return the recorded channels of a run that the twin predicts (not those that drive it)."""
-    if run.kind == "rigid_block":
-        return ("stage_mm",)
-    if run.kind == "dead_weights":
-        return ("force_N",)
-    if run.kind == "dummy_resistor" or (run.kind == "press" and run.stage_mm is None):
-        return ("output_V",)
-    return tuple(channel for channel in ("force_N", "output_V") if getattr(run, channel) is not None)

@@ -7,6 +7,7 @@ import numpy as np
 
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.fit import Fit
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.problem import Block
 from softcal.core.gap.start import base_fit
 from softcal.core.profiles import pressed
@@ -15,12 +16,7 @@ from softcal.core.twin.effects import ChainStage
 from softcal.core.twin.parameters import SensorType
 from softcal.core.words.reason import Reason, reason
 
-BLOCK_SAMPLES = (8, 40)
-"""Lengths over which a residual is summed to see structure: 0.16 s and 0.8 s at 50 Hz."""
-
-DIRTY_Z = 6.0
-"""A residual has structure when its block sums are this many standard errors above white noise."""
-
+CONFIG = METHOD.structure
 
 TIED = 1e-6
 """Share of the largest speed by which two samples of one ramp differ in rounding alone."""
@@ -28,19 +24,14 @@ TIED = 1e-6
 
 @dataclass(frozen=True)
 class Structure:
-    """How much of a residual is not noise.
-
-    Args:
-        z: excess of the block sums over white noise, in standard errors; the larger of two block lengths.
-        rms: root mean square of the structured part in units of the noise.
-    """
+    """How much of a residual is not noise: excess in standard errors, rms in units of the noise."""
 
     z: float
     rms: float
 
     @property
     def is_significant(self) -> bool:
-        return self.z > DIRTY_Z
+        return self.z > CONFIG.dirty_z
 
 
 @dataclass(frozen=True)
@@ -53,12 +44,7 @@ class Map:
 
 @dataclass(frozen=True)
 class Regime:
-    """A condition under which the gap stands out.
-
-    Args:
-        share: of the energy of the gap of this channel.
-        lift: share over the share of time spent in it.
-    """
+    """A condition in which a channel's gap stands out: share of its energy, and over that of time."""
 
     channel: str
     name: Reason
@@ -70,14 +56,14 @@ def structure(found: Fit, channel: str | None = None) -> Structure:
     """Measure the structure left in the residual of a fit, of one channel or of all."""
     parts = [found.residual[b.place] for b in found.problem.blocks if channel in (None, b.channel)]
     largest = -np.inf
-    for length in BLOCK_SAMPLES:
-        # Sums over blocks of white noise keep variance 1 at any length; structure adds up in them, noise does not.
+    for length in CONFIG.block_samples:
+        # Block sums of white noise keep variance 1 at any length; structure adds up in them.
         sums = [_block_sums(part, length) for part in parts]
         every = np.concatenate(sums)
         if len(every) > 3:
             largest = max(largest, float((np.mean(every**2) - 1.0) / np.sqrt(2.0 / len(every))))
-    short = np.concatenate([_block_sums(part, BLOCK_SAMPLES[0]) for part in parts])
-    energy = max(0.0, float(np.mean(short**2)) - 1.0) / BLOCK_SAMPLES[0] if len(short) else 0.0
+    short = np.concatenate([_block_sums(part, CONFIG.block_samples[0]) for part in parts])
+    energy = max(0.0, float(np.mean(short**2)) - 1.0) / CONFIG.block_samples[0] if len(short) else 0.0
     return Structure(largest, float(np.sqrt(energy)))
 
 
@@ -93,67 +79,52 @@ def _block_sums(values: Array, length: int) -> Array:
 
 def three_maps(case: Case) -> tuple[Map, ...]:
     """Fit each chain relation of the base alone, without any effect, and measure what it leaves."""
-    presses, maps = case.presses, []
     stage, force, output = (case.has(channel) for channel in ("stage_mm", "force_N", "output_V"))
+    is_pressure, runs = case.readout.sensor_type == "pressure", {}
     if stage and force:
-        maps.append(_map("stage→force", case, [replace(run, output_V=None) for run in presses]))
-    if force and output and case.readout.sensor_type == "pressure":
-        maps.append(_map("force→output", case, [replace(run, stage_mm=None) for run in presses]))
+        runs["stage→force"] = [replace(run, output_V=None) for run in case.presses]
+    if force and output and is_pressure:
+        runs["force→output"] = [replace(run, stage_mm=None) for run in case.presses]
     if stage and output:
-        maps.append(_map("stage→output", case, [replace(run, force_N=None) for run in presses]))
-    return tuple(maps)
-
-
-def _map(name: str, case: Case, runs: list[Run]) -> Map:
-    return Map(name, structure(base_fit(Case(case.serial, tuple(runs)))))
+        runs["stage→output"] = [replace(run, force_N=None) for run in case.presses]
+    return tuple(Map(name, structure(base_fit(Case(case.serial, tuple(of))))) for name, of in runs.items())
 
 
 BEFORE: tuple[ChainStage, ...] = ("mechanics", "motion")
 BEHIND: tuple[ChainStage, ...] = ("transduction", "electronics", "acquisition")
-QUIET = 0.02
-"""A map this much cleaner than the dirtiest counts as closed: no noise is quite white."""
 
 
 def suspects(maps: tuple[Map, ...], sensor_type: SensorType = "pressure") -> tuple[ChainStage, ...]:
     """Return the stages that the pattern of dirty maps points to; none when all are clean.
 
-    A dirty map stage→force with a clean force→output is motion or mechanics, the reverse is the channel or its
-    electronics; when stage→output alone is clean, the load cell is what both others share.
+    A dirty stage→force with a clean force→output is motion or mechanics, the reverse is the channel or
+    its electronics; when stage→output alone is clean, the load cell is what both others share.
     """
-    dirty = {m.name: m.structure for m in maps}
-    if not any(s.is_significant for s in dirty.values()):
+    z = {m.name: m.structure.z for m in maps}
+    dirty = {m.name for m in maps if m.structure.is_significant}
+    if not dirty:
         return ()
     if sensor_type == "strain":
-        # A strain sensor does not feel the force: the pad's force and the cell's reading look alike.
-        is_bad = {name for name, seen in dirty.items() if seen.is_significant}
-        pad_or_behind = BEFORE if "stage→force" in is_bad else BEHIND
-        return pad_or_behind if "stage→output" in is_bad else ("mechanics", "load_cell")
-    if len(dirty) < 3:
+        # A strain sensor does not feel the force: pad and cell look alike.
+        pad_or_behind = BEFORE if "stage→force" in dirty else BEHIND
+        return pad_or_behind if "stage→output" in dirty else ("mechanics", "load_cell")
+    if len(z) < 3:
         # One map alone: what lies on its own side, and the cell that reads its force.
-        side = {"stage→force": BEFORE, "force→output": BEHIND}.get(next(iter(dirty)))
+        side = {"stage→force": BEFORE, "force→output": BEHIND}.get(next(iter(z)))
         return (*BEFORE, *BEHIND) if side is None else (*side, "load_cell")
-    force, channel, direct = (dirty[n] for n in ("stage→force", "force→output", "stage→output"))
-    loud = max(force.z, channel.z, direct.z)
-
-    def is_dirty(seen: Structure) -> bool:
-        return seen.is_significant and seen.z > QUIET * loud
-
-    if not is_dirty(direct):
-        return ("load_cell",)
-    if not is_dirty(channel):
-        return BEFORE
-    if not is_dirty(force):
-        return BEHIND
+    loud = max(z.values())
+    left_out: dict[str, tuple[ChainStage, ...]]
+    left_out = {"stage→output": ("load_cell",), "force→output": BEFORE, "stage→force": BEHIND}
+    for name, stages in left_out.items():
+        if name not in dirty or z[name] <= CONFIG.quiet * loud:
+            return stages
     # All three are dirty: the cleanest of them leaves out the stage that the other two share.
-    quietest = min((force, BEHIND), (channel, BEFORE), (direct, ("load_cell",)), key=lambda pair: pair[0].z)
-    return quietest[1] if quietest[0].z < 5 * QUIET * loud else (*BEFORE, *BEHIND)
+    quietest = min(z, key=lambda name: z[name])
+    return left_out[quietest] if z[quietest] < 5 * CONFIG.quiet * loud else (*BEFORE, *BEHIND)
 
 
 def regimes(found: Fit) -> tuple[Regime, ...]:
-    """Return the regimes in which the residual of a fit stands out, channel by channel, strongest first.
-
-    share_b = Σ_b(e² − 1)/Σ(e² − 1) with e in units of the noise; lift is share over the share of samples.
-    """
+    """Return the regimes in which the residual of a fit stands out, the strongest first."""
     out = []
     for channel in ("force_N", "output_V"):
         blocks = found.problem.blocks_of(channel, "press")
@@ -167,11 +138,7 @@ def regimes(found: Fit) -> tuple[Regime, ...]:
 def shares_of_gap(
     found: Fit, blocks: list[Block], conditions: Mapping[Reason, Array]
 ) -> Iterator[tuple[Reason, float, float]]:
-    """Yield each condition with its share of the structured energy of these blocks and its share of the time.
-
-    Args:
-        conditions: which samples of the blocks, one after the other, lie in each.
-    """
+    """Yield each condition with its share of the structured energy of these blocks, and of the time."""
     excess = np.concatenate([found.residual[b.place] ** 2 - 1.0 for b in blocks])
     total = float(excess.sum())
     # Within four standard errors of the sum of squares there is no gap to divide.

@@ -1,4 +1,4 @@
-"""Which effects a case can show and which are worth a full fit: score tests of every probe against a fit."""
+"""Which effects a case can show and which are worth a full fit: score tests of every probe."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,11 +7,10 @@ from functools import cached_property
 import numpy as np
 
 from softcal.core.gap.case import Case
-from softcal.core.gap.coordinates import start_coordinates
+from softcal.core.gap.coordinates import RigScale, start_coordinates
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import combine, dots, energy, gram
 from softcal.core.gap.problem import Around
-from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Alias, Effect
@@ -20,12 +19,7 @@ from softcal.core.twin.probes import Extent
 
 @dataclass(frozen=True)
 class Probe:
-    """An effect at a small size and one shape, to see which way it would move the prediction.
-
-    Args:
-        values: parameter values, the size first.
-        is_one_sided: the size cannot change its sign.
-    """
+    """An effect at a small size and one shape, to see which way it would move the prediction."""
 
     effect: Effect
     values: tuple[float, ...]
@@ -35,12 +29,11 @@ class Probe:
 def extent_of(base: Fit) -> Extent:
     """Measure a case; depth and force beyond what was recorded come from the fitted base."""
     case = base.problem.case
-    depths = [float(run.stage_mm.max()) for run in case.presses if run.stage_mm is not None]
+    depths = [float(stage_mm.max()) for stage_mm in case.recorded("stage_mm")]
     depth_mm = max(depths) - base.base.u0_mm if depths else 1.0
-    forces = [float(run.force_N.max()) for run in case.presses if run.force_N is not None]
-    force_N = max(forces) if forces else base.base.k1_N_mm * depth_mm + base.base.k3_N_mm3 * depth_mm**3
-    outputs = [run.output_V for run in case.presses if run.output_V is not None]
-    every_V = np.concatenate(outputs) if outputs else np.array([0.0, 1.0])
+    forces = [float(force_N.max()) for force_N in case.recorded("force_N")]
+    force_N = max(forces, default=base.base.k1_N_mm * depth_mm + base.base.k3_N_mm3 * depth_mm**3)
+    every_V = np.concatenate(case.recorded("output_V") or [np.array([0.0, 1.0])])
     return Extent(
         depth_mm=max(depth_mm, 1e-9),
         force_N=max(force_N, 1e-9),
@@ -54,13 +47,8 @@ def extent_of(base: Fit) -> Extent:
 
 def visible_effects(case: Case) -> tuple[Effect, ...]:
     """Return the effects that the recorded channels can show at all."""
-
-    def is_followed(channel: str) -> bool:
-        logs = [getattr(run, channel) for run in case.presses]
-        return any(log is not None and np.ptp(log) > 0 for log in logs)
-
     seen = [effect for effect in EFFECTS.values() if effect.stage not in case.unseen_stages]
-    return tuple(effect for effect in seen if all(map(is_followed, effect.signs.needs)))
+    return tuple(effect for effect in seen if all(map(case.changes, effect.signs.needs)))
 
 
 def probes(case: Case, extent: Extent) -> tuple[Probe, ...]:
@@ -71,8 +59,7 @@ def probes(case: Case, extent: Extent) -> tuple[Probe, ...]:
 
 def is_told(case: Case, alias: Alias) -> bool:
     """Whether a run of the case tells an effect from what looks exactly like it elsewhere."""
-    logs = [getattr(run, alias.changing) for run in case.runs if run.kind == alias.told_by]
-    return any(log is not None and np.ptp(log) >= alias.by for log in logs)
+    return case.changes(alias.changing, alias.told_by, alias.by)
 
 
 GENTLER = (0.1, 0.003)
@@ -87,7 +74,7 @@ class Lead:
     """A probe that would lower χ².
 
     Args:
-        gain: expected drop of χ² when the effect is added and everything is fitted again, to first order.
+        gain: expected drop of χ² when the effect is added and all is refitted, to first order.
         hidden: share of its signature that the fitted parameters imitate.
         shift: (parameters of the fit,) how its coordinates would move along.
     """
@@ -99,11 +86,7 @@ class Lead:
     shift: Array
 
     def start(self, found: Fit, share: float = 1.0) -> Array:
-        """Return the coordinates at which a fit of the larger hypothesis should begin.
-
-        Args:
-            share: of the promised size, and of what the fit's own coordinates would move along.
-        """
+        """Return where a fit of the larger hypothesis begins, at a share of the promised size."""
         _, left = found.hypothesis.without(self.effect.id)
         kept = (found.coordinates + share * self.shift)[left]
         first = self.effect.parameters[0]
@@ -113,9 +96,9 @@ class Lead:
 
 
 def joined(parent: Fit, lead: Lead, steps: int = 20) -> Fit:
-    """Fit an effect jointly with everything of its parent, from other starts too where the first leads nowhere.
+    """Fit an effect jointly with its parent, from other starts too where the first leads nowhere.
 
-    A step along the slopes ends far off where the surface bends. An effect that is nearly off can only gain.
+    A step along the slopes ends far off where the surface bends; an effect nearly off can only gain.
     """
     hypothesis = parent.hypothesis.adding(lead.effect)
     best = fit(parent.problem, hypothesis, lead.start(parent), steps=steps)
@@ -130,13 +113,13 @@ def joined(parent: Fit, lead: Lead, steps: int = 20) -> Fit:
 def screen(found: Fit, candidates: Sequence[Probe]) -> list[Lead]:
     """Return the best lead of every effect that is not in the fit yet, best first.
 
-    The signature of a probe is the change it makes in the weighted prediction; only what the fitted parameters cannot
-    imitate counts (Rao's score test).
+    Of the change that a probe makes only what the fitted parameters cannot imitate counts (Rao's score
+    test).
     """
     space = Tangent(found)
     best: dict[str, Lead] = {}
     for probe in candidates:
-        if probe.effect.id in found.hypothesis.ids:
+        if probe.effect.id in found.ids:
             continue
         lead = space.lead(probe)
         if lead is not None and (probe.effect.id not in best or lead.gain > best[probe.effect.id].gain):
@@ -149,7 +132,7 @@ def hiding(found: Fit, candidates: Sequence[Probe], share: float) -> list[Probe]
     space = Tangent(found)
     last: dict[str, Probe] = {}
     for probe in candidates:
-        if probe.effect.id in found.hypothesis.ids:
+        if probe.effect.id in found.ids:
             continue
         signature = space.signature(probe)
         size = energy(signature)
@@ -204,22 +187,15 @@ class Tangent:
         times = float(dots(seen.reshape(1, -1), self._residual)[0]) / power
         if probe.is_one_sided and times <= 0:
             return None
-        gain = times**2 * power
         # The probe is linear for small effects only: begin within a decade of it.
         stretch = float(np.clip(times, -30.0, 30.0))
         shift = np.zeros(len(self._found.coordinates))
         shift[self._rows] = -stretch * (self._turn.T @ dots(self._basis, signature))
-        return Lead(probe.effect, stretched(probe, stretch, self._found.problem.scale), gain, 1.0 - power / size, shift)
-
-
-def stretched(probe: Probe, times: float, scale: RigScale) -> tuple[float, ...]:
-    """Return the probe's values with its size multiplied, kept within bounds."""
-    first = scale.sized(probe.effect.parameters[0])
-    if first.scale == "inverse_square":
-        size = probe.values[0] / max(times, 1e-3) ** 0.5
-    elif first.neutral == np.inf:
-        # A level does not scale with what it cuts off.
-        size = probe.values[0]
-    else:
-        size = probe.values[0] * times
-    return (float(np.clip(size, first.low, first.high)), *probe.values[1:])
+        first, usual = self._found.problem.scale.sized(probe.effect.parameters[0]), probe.values[0]
+        if first.scale == "inverse_square":
+            value = usual / max(stretch, 1e-3) ** 0.5
+        else:
+            # A level does not scale with what it cuts off.
+            value = usual if first.neutral == np.inf else usual * stretch
+        values = (float(np.clip(value, first.low, first.high)), *probe.values[1:])
+        return Lead(probe.effect, values, times**2 * power, 1.0 - power / size, shift)

@@ -1,7 +1,7 @@
 """Which hypotheses are fitted: forward from the base, a few of the best at every size."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,12 +11,12 @@ from softcal.core.gap.episodes import PLACERS, placed_again
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.floor import noise_chance, noise_of
 from softcal.core.gap.generic_effects import imitated_causes, stranger
+from softcal.core.gap.method import METHOD, SearchConfig
 from softcal.core.gap.posterior import Yardstick, log_evidences
 from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.residual import is_clean
 from softcal.core.gap.screen import Probe, extent_of, hiding, joined, probes, screen, visible_effects
 from softcal.core.gap.start import base_fit, rough_start, with_driving_noise
-from softcal.core.recording import Array
 from softcal.core.twin.catalogue import FORMS
 from softcal.core.twin.effects import Effect, Form, Placing
 from softcal.core.twin.probes import Extent
@@ -24,54 +24,13 @@ from softcal.core.twin.probes import Extent
 Progress = Callable[[str], None]
 
 
-@dataclass(frozen=True)
-class SearchConfig:
-    """How wide the search goes.
-
-    Args:
-        leads: effects fitted fully on top of the base, then of each hypothesis with one, with two effects.
-        beam: hypotheses of one, two effects that are grown further.
-        gain: a lead must promise this drop of χ² to be fitted (a third of it for the first effect).
-        relative_gain: and this share of the χ² that the best lead promises.
-        with_forms: single causes whose other realisations are tried where the catalogue's leave structure.
-        enough: share of the gap that one, two, three causes must explain to be named although structure is left. Other
-            realisations of a cause leave less than a tenth, effects outside the catalogue more than a quarter. Several
-            causes together are more flexible.
-        likely, rival: share of what the best single cause explains from which another one is tried in its other
-            realisations, where structure is left and where the best one leaves none.
-        patch: share of the gap that steps placed freely in time must take away.
-        again: hypotheses fitted from the first base again where the best one leaves structure.
-        beside: an effect beside the best hypothesis must promise this drop of χ² to be fitted, or
-        hiding: be imitated by the fitted parameters to this share, so that a first-order promise says little.
-    """
-
-    leads: tuple[int, ...] = (9, 6, 4)
-    beam: tuple[int, ...] = (3, 3)
-    gain: float = 14.0
-    relative_gain: float = 0.02
-    with_forms: int = 3
-    enough: tuple[float, ...] = (0.87, 0.99, 0.997)
-    likely: float = 0.4
-    rival: float = 0.85
-    patch: float = 0.005
-    again: int = 6
-    beside: float = 6.0
-    hiding: float = 0.99
-
-
 class EffectSearch:
     """All hypotheses fitted to one case, under one noise level."""
 
-    def __init__(self, case: Case, say: Progress = lambda _: None, problem: Problem | None = None) -> None:
-        say("fitting the base twin to all runs")
-        base = base_fit(case)
-        # Under noise that is known already, as one that is not white.
-        base = base if problem is None else fit(problem, Hypothesis(), base.coordinates)
-        extent = extent_of(base)
-        to_place = [e for e in visible_effects(case) if e.signs.placing is not None]
-        self._begin(base, probes(case, extent), to_place, extent, SearchConfig(), say)
+    forms: Mapping[str, Sequence[Form]] = FORMS
+    """Other realisations of a cause, by its identifier."""
 
-    def _begin(
+    def __init__(
         self,
         base: Fit,
         candidates: Sequence[Probe],
@@ -88,6 +47,16 @@ class EffectSearch:
         self.held_open: dict[str, Fit] = {}
         """Causes that another equation of those beside them explains as well, with fits."""
 
+    @classmethod
+    def of(cls, case: Case, say: Progress = lambda _: None, problem: Problem | None = None) -> "EffectSearch":
+        """Return the search over the catalogue for a case, under the noise of a problem if given."""
+        say("fitting the base twin to all runs")
+        base = base_fit(case)
+        base = base if problem is None else fit(problem, Hypothesis(), base.coordinates)
+        extent = extent_of(base)
+        to_place = [e for e in visible_effects(case) if e.signs.placing is not None]
+        return cls(base, probes(case, extent), to_place, extent, METHOD.search, say)
+
     def run(self) -> None:
         """Grow the hypotheses until no effect promises anything more."""
         parents = [self.base]
@@ -101,64 +70,73 @@ class EffectSearch:
                 for found in sorted(self.fits.values(), key=lambda f: f.bic)[:4]:
                     if found.hypothesis.episode_count and not self.is_clean(found):
                         self.keep(placed_again(found))
-            self._settle_noise(self._leader)
-            if size == len(self._config.leads) or not self._is_wanting(self._leader):
+            self._settle_noise()
+            if size == len(self._config.leads):
                 break
-            ranked = sorted((f for f in self.fits.values() if len(f.hypothesis.ids) == size), key=lambda f: f.bic)
+            leader = self._leader
+            is_promised = any(lead.gain > self._config.gain for lead in screen(leader, self._probes)[:1])
+            # What promises nothing to first order must be placed to know.
+            if not is_promised and not any(child.bic < leader.bic for child in self._placed(leader)):
+                break
+            ranked = sorted((f for f in self.fits.values() if len(f.ids) == size), key=lambda f: f.bic)
             # Several are grown on: the right pair often begins with the second-best single cause.
             parents = ranked[: self._config.beam[size - 1]]
         self._start_again()
-        self._share_places()
+        # Smaller hypotheses get the episodes that the closest one has: places are no cause.
+        donor = self.closest
+        placed = {e.id for e in donor.effects if e.is_episodic}
+        for ids, found in list(self.fits.items()) if donor.hypothesis.episode_count else ():
+            if set(ids) < set(donor.ids) and placed <= set(ids):
+                hypothesis = replace(found.hypothesis, episodes=donor.hypothesis.episodes)
+                self.keep(fit(found.problem, hypothesis, found.coordinates))
         self._conclude()
 
     def _start_again(self) -> None:
-        """Fit the likeliest hypotheses from the first base again, then from the best one's.
-
-        A base fitted through a large gap may be far off.
-        """
+        """Fit the likeliest from other bases: one fitted through a large gap may be far off."""
         if self.is_clean(self._leader):
             return
         likely = sorted(self.fits.values(), key=lambda f: f.bic)[: self._config.again]
         likely += self.one_less(self._leader).values()
-        first = self._rough_start()
+        first = rough_start(self.base.problem.case)
         for _ in range(2):
             for found in likely:
                 start = np.append(first, found.coordinates[found.hypothesis.of_base.stop :])
                 self.keep(fit(found.problem, found.hypothesis, start, steps=40))
             first = self._leader.coordinates[self._leader.hypothesis.of_base]
-        self._settle_noise(self._leader)
-
-    def _rough_start(self) -> Array:
-        return rough_start(self.base.problem.case)
-
-    def _share_places(self) -> None:
-        """Give smaller hypotheses the episodes that the closest one has: places are no cause."""
-        donor = self.closest
-        placed = {e.id for e in donor.hypothesis.effects if e.is_episodic}
-        if not donor.hypothesis.episode_count:
-            return
-        for ids, found in list(self.fits.items()):
-            if set(ids) < set(donor.hypothesis.ids) and placed <= set(ids):
-                hypothesis = replace(found.hypothesis, episodes=donor.hypothesis.episodes)
-                self.keep(fit(found.problem, hypothesis, found.coordinates))
+        self._settle_noise()
 
     def _conclude(self) -> None:
         """Choose among the catalogue's equations and other realisations of the likely causes."""
         self._say("fitting other realisations of the likely causes")
         self.best = self._most_likely
-        is_settled = len(self.best.hypothesis.ids) < 2 and self.is_clean(self.best)
-        self._try_forms(self._config.rival if is_settled else self._config.likely)
+        is_settled = len(self.best.ids) < 2 and self.is_clean(self.best)
+        share = self._config.rival if is_settled else self._config.likely
+        singles = sorted((f for ids, f in self.fits.items() if len(ids) == 1), key=lambda f: f.bic)
+        likely = [f for f in singles if self.share(f) > share * self.share(singles[0])] if singles else []
+        for found in likely[: self._config.with_forms]:
+            for form in self.forms.get(found.ids[0], ()):
+                self.keep(self._in_form(found, form))
+        self._settle_noise()
         self.best = self._most_likely
         for _ in range(2):
-            if len(self.best.hypothesis.ids) < 2 or not self._try_forms_within(self.best):
+            before = self.best
+            # One cause in another form, another left out: that may be what the equation leaves.
+            for smaller in self.one_less(before).values():
+                for cause in smaller.ids if len(smaller.ids) > 1 else ():
+                    for form in self.forms.get(cause, ()):
+                        self.keep(self._in_form(smaller, form))
+            if self._most_likely.ids == before.ids:
                 break
             self.best = self._most_likely
         self._look_beside()
-        self.stranger = self._find_stranger()
+        if self.forms:
+            # A departure outside the catalogue stands alone or in the place of a cause.
+            parents = self.one_less(self.best).values() if len(self.best.ids) > 1 else ()
+            self.stranger = stranger(self.best, [self.base, *parents], list(self.fits.values()))
 
     def hold_open(self) -> None:
-        """Take out of the best hypothesis causes that a free form of the others imitates; they stay in play."""
-        while len(self.best.hypothesis.ids) > 1:
+        """Take causes that a free form of the others imitates out of the best; they stay in play."""
+        while len(self.best.ids) > 1:
             smaller = {i: found for i, found in self.one_less(self.best).items() if self.is_explained(found)}
             imitated = imitated_causes(self.best, smaller)
             if not imitated:
@@ -167,24 +145,19 @@ class EffectSearch:
             self.best = smaller[imitated[0]]
         # Beside what is left, not beside one another.
         for effect_id, larger in self.held_open.items():
-            alone = tuple(sorted({*self.best.hypothesis.ids, effect_id}))
+            alone = tuple(sorted({*self.best.ids, effect_id}))
             self.held_open[effect_id] = self.fits.get(alone, larger)
-
-    def _find_stranger(self) -> Fit | None:
-        """Look for a departure outside the catalogue, alone or in the place of a cause."""
-        parents = self.one_less(self.best).values() if len(self.best.hypothesis.ids) > 1 else ()
-        return stranger(self.best, [self.base, *parents], list(self.fits.values()))
 
     def one_less(self, found: Fit) -> dict[str, Fit]:
         """Return the fits without each of the causes of a hypothesis, by that cause."""
-        ids = found.hypothesis.ids
+        ids = found.ids
         return {i: self.fits[rest] for k, i in enumerate(ids) if (rest := ids[:k] + ids[k + 1 :]) in self.fits}
 
     def _look_beside(self) -> None:
         """Fit what may stand beside the best hypothesis: small or hidden effects."""
         for _ in range(3):
             parent = self.best
-            if not parent.hypothesis.ids:
+            if not parent.ids:
                 return
             larger = [
                 joined(parent, lead, steps=40)
@@ -198,18 +171,15 @@ class EffectSearch:
                 # A better base found beside a larger hypothesis serves the smaller one as well.
                 closest = min(larger, key=lambda found: found.chi2)
                 self.keep(fit(parent.problem, parent.hypothesis, closest.coordinates[: len(parent.coordinates)]))
-            self._exchange(parent)
+            # Effects that hide promise little: they are fitted in the place of each cause.
+            for rest in self.one_less(parent).values():
+                for probe in hiding(rest, self._probes, self._config.hiding) if rest.ids else ():
+                    if tuple(sorted({*rest.ids, probe.effect.id})) not in self.fits:
+                        start = np.append(rest.coordinates, start_coordinates([probe.effect], [probe.values]))
+                        self.keep(fit(rest.problem, rest.hypothesis.adding(probe.effect), start, steps=40))
             self.best = self._most_likely
-            if self.best.hypothesis.ids == parent.hypothesis.ids and self.best.chi2 > parent.chi2 - 1.0:
+            if self.best.ids == parent.ids and self.best.chi2 > parent.chi2 - 1.0:
                 return
-
-    def _exchange(self, found: Fit) -> None:
-        """Fit hiding effects in the place of each of several causes: they promise little."""
-        for rest in self.one_less(found).values():
-            for probe in hiding(rest, self._probes, self._config.hiding) if rest.hypothesis.ids else ():
-                if tuple(sorted({*rest.hypothesis.ids, probe.effect.id})) not in self.fits:
-                    start = np.append(rest.coordinates, start_coordinates([probe.effect], [probe.values]))
-                    self.keep(fit(rest.problem, rest.hypothesis.adding(probe.effect), start, steps=40))
 
     @property
     def _most_likely(self) -> Fit:
@@ -239,57 +209,35 @@ class EffectSearch:
         return noise_chance(found)
 
     def is_explained(self, found: Fit) -> bool:
-        """Whether what is left is nothing, or as little as another equation of the causes leaves."""
+        """Whether nothing is left, or as little as another equation of the causes leaves."""
         if self.is_clean(found):
             return True
         enough = self._config.enough
-        return self.share(found) >= enough[min(len(found.hypothesis.ids), len(enough)) - 1]
+        return self.share(found) >= enough[min(len(found.ids), len(enough)) - 1]
 
     @property
     def _leader(self) -> Fit:
         """The hypothesis of best evidence in white noise: the one to grow further."""
         return min(self.fits.values(), key=lambda f: f.bic)
 
-    def _try_forms(self, share: float) -> None:
-        """Fit other realisations of the single causes that explain this share of what the best one does."""
-        singles = sorted((f for ids, f in self.fits.items() if len(ids) == 1), key=lambda f: f.bic)
-        likely = [f for f in singles if self.share(f) > share * self.share(singles[0])] if singles else []
-        for found in likely[: self._config.with_forms]:
-            for form in FORMS.get(found.hypothesis.ids[0], ()):
-                self.keep(self._in_form(found, form))
-        self._settle_noise(self._leader)
-
-    def _try_forms_within(self, best: Fit) -> bool:
-        """Fit other realisations of each cause with one other left out; tell whether one won."""
-        for smaller in self.one_less(best).values():
-            for cause in smaller.hypothesis.ids if len(smaller.hypothesis.ids) > 1 else ():
-                for form in FORMS.get(cause, ()):
-                    self.keep(self._in_form(smaller, form))
-        return self._most_likely.hypothesis.ids != best.hypothesis.ids
-
     def _in_form(self, found: Fit, form: Form) -> Fit:
-        at = [e.id for e in found.hypothesis.effects].index(form.effect.id)
+        at = [e.id for e in found.effects].index(form.effect.id)
         rows = [list(values) for values in found.effect_values]
-        others = [e for e in found.hypothesis.effects if e.id != form.effect.id]
+        others = [e for e in found.effects if e.id != form.effect.id]
         first = form.start(rows[at], found.problem.scale.factor)
         start = start_coordinates([*others, form.effect], [*rows[:at], *rows[at + 1 :], first])
         hypothesis = replace(found.hypothesis, effects=(*others, form.effect))
         base = found.coordinates[hypothesis.of_base]
         return fit(found.problem, hypothesis, np.concatenate([base, start]), steps=30)
 
-    def _is_wanting(self, found: Fit) -> bool:
-        """Whether any further effect promises enough, or must be placed to know."""
-        is_promised = any(lead.gain > self._config.gain for lead in screen(found, self._probes)[:1])
-        return is_promised or any(child.bic < found.bic for child in self._placed(found))
-
     def keep(self, found: Fit) -> None:
         """Keep the best fit of its causes; one where a simulator fails is none."""
         if found.chi2 == np.inf:
             return
-        if (before := self.fits.get(found.hypothesis.ids)) is not None:
+        if (before := self.fits.get(found.ids)) is not None:
             # The same causes may end in several minima; one noise level judges them all.
             found = max(before, found, key=Yardstick.of((*self.fits.values(), found)).log_evidence)
-        self.fits[found.hypothesis.ids] = found
+        self.fits[found.ids] = found
 
     def grown_from(self, parent: Fit) -> list[Fit]:
         """Return fits of another start with each of its likeliest effects; none is kept."""
@@ -299,9 +247,9 @@ class EffectSearch:
     def _grow(self, parent: Fit, count: int) -> list[Fit]:
         leads = screen(parent, self._probes)
         strongest = leads[0].gain if leads else 0.0
-        # A promise is first order: the refitted base gives more than it, so that less is asked for at first.
+        # A promise is first order: the refitted base gives more, so that less is asked at first.
         need = max(self._config.gain / 3, self._config.relative_gain * strongest)
-        tried = {lead.effect.id: tuple(sorted({*parent.hypothesis.ids, lead.effect.id})) for lead in leads}
+        tried = {lead.effect.id: tuple(sorted({*parent.ids, lead.effect.id})) for lead in leads}
         new = [lead for lead in leads[:count] if lead.gain >= need and tried[lead.effect.id] not in self.fits]
         children = [joined(parent, lead) for lead in new] + self._placed(parent)
         for child in children:
@@ -310,14 +258,14 @@ class EffectSearch:
 
     def _placed(self, parent: Fit) -> list[Fit]:
         """Return the parent with each effect that must be placed first and could be."""
-        missing = [e for e in self._to_place if e.id not in parent.hypothesis.ids]
+        missing = [e for e in self._to_place if e.id not in parent.ids]
         found = []
         for side in (side for e in missing for side in (e, *e.sides)):
             if (placing := side.signs.placing) is None:
                 size = side.parameters[0].name
                 raise ValueError(f"{side.id} ({size}) has a side that is placed and must be placed too")
             found.append((placing, PLACERS[placing](parent, side, self.extent)))
-        # Steps placed freely in time take a little off any structure; they must take a visible part of the gap.
+        # Steps placed freely in time take a little off any structure; they must take a visible part.
         least = self._config.patch * max(self.base.chi2 - self.base.problem.count, 0.0)
         return [
             child
@@ -325,13 +273,14 @@ class EffectSearch:
             if child is not None and (placing != Placing.INTERVALS or parent.chi2 - child.chi2 > least)
         ]
 
-    def _settle_noise(self, best: Fit) -> None:
+    def _settle_noise(self) -> None:
         """Score all hypotheses under the noise that the best one leaves: their χ² compare."""
+        best = self._leader
         problem = with_driving_noise(best.problem.with_noise(*noise_of(best)), best)
         self.fits = {ids: found.under(problem) for ids, found in self.fits.items()}
         if problem.colour:
-            # Under noise of another colour the least squares lie elsewhere: the likeliest are fitted on from there.
+            # Under another colour the least squares lie elsewhere: the likeliest are fitted on.
             likely = sorted(self.fits.values(), key=lambda f: f.bic)[: self._config.again]
             for found in {id(f): f for f in (self.fits[()], *likely)}.values():
-                self.fits[found.hypothesis.ids] = fit(problem, found.hypothesis, found.coordinates, steps=6)
+                self.fits[found.ids] = fit(problem, found.hypothesis, found.coordinates, steps=6)
         self.base = self.fits[()]

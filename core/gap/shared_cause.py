@@ -8,53 +8,29 @@ import numpy as np
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
-from softcal.core.gap.fit import PRIOR_ODDS, Fit, fit
-from softcal.core.gap.gap_diagnosis import (
-    IMITATED_TRUST,
-    UNKNOWN_TRUST,
-    DiagnosisVerdict,
-    ParameterEstimate,
-    estimates_of,
-)
-from softcal.core.gap.posterior import (
-    ADDED_LOG_ODDS,
-    MOST_RIVALS,
-    NEGLIGIBLE_LOG_ODDS,
-    RIVAL_LOG_ODDS,
-    Fits,
-    Yardstick,
-    log_evidences,
-    misfit,
-    penalty,
-    probabilities,
-)
+from softcal.core.gap.fit import Fit, fit
+from softcal.core.gap.gap_diagnosis import DiagnosisVerdict, ParameterEstimate, estimates_of
+from softcal.core.gap.method import METHOD
+from softcal.core.gap.posterior import Fits, Yardstick, log_evidences, misfit, penalty, probabilities
 from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.recording import Array
 
 Ids = tuple[str, ...]
 SCHEMA = "softcal.gap_lot/1"
 
-STRAY_ODDS = 1e-3
-"""Prior odds that a unit does not share the lot's causes: its evidence must be a thousandfold."""
-
 FEWEST_UNITS = 2
 
 
 @dataclass(eq=False)
 class Searched:
-    """What one unit's search leaves for the lot; the fits themselves are too large to keep for every unit.
-
-    Args:
-        logs: logarithm of prior times evidence by hypothesis, in the unit's own measure.
-        found: hypothesis and coordinates of every fit.
-        left: χ² of every fit, and what its parameters cost.
-    """
+    """What one unit's search leaves for the lot; the fits themselves are too large to keep."""
 
     problem: Problem
     yardstick: Yardstick
     logs: dict[Ids, float]
     found: dict[Ids, tuple[Hypothesis, Array]]
     left: dict[Ids, tuple[float, float]] = field(default_factory=dict)
+    """χ² of every fit, and what its parameters cost."""
 
     @classmethod
     def of(cls, fits: Fits) -> "Searched":
@@ -73,19 +49,19 @@ class Searched:
 
         A hypothesis that was not fitted gets its bound: what the unit's own best one has.
         """
-        return self.logs.get(ids, self.top) - len(ids) * float(np.log(PRIOR_ODDS))
+        return self.logs.get(ids, self.top) - len(ids) * float(np.log(METHOD.evidence.prior_odds))
 
     @property
     def stray(self) -> float:
         """Log evidence of a unit with causes of its own."""
-        return float(np.log(STRAY_ODDS)) + self.top
+        return float(np.log(METHOD.evidence.stray_odds)) + self.top
 
     def log_term(self, ids: Ids) -> float:
         """Return what the unit adds to the lot's log evidence: it shares causes, or strays."""
-        return float(np.logaddexp(np.log1p(-STRAY_ODDS) + self.shared(ids), self.stray))
+        return float(np.logaddexp(np.log1p(-METHOD.evidence.stray_odds) + self.shared(ids), self.stray))
 
     def add(self, ids: Ids, donor: tuple[Hypothesis, Array]) -> None:
-        """Fit causes that this unit's search did not try, from another unit's sizes and those reversed."""
+        """Fit causes that this unit's search did not try, from another unit's sizes, also reversed."""
         hypothesis = donor[0].without_episodes()
         base = self.found[max(self.logs, key=lambda i: self.logs[i])][1][hypothesis.of_base]
         sizes = donor[1][hypothesis.of_base.stop :]
@@ -104,13 +80,13 @@ class Searched:
 
 @dataclass(frozen=True, eq=False)
 class LotMember:
-    """One unit of a lot.
+    """One unit of a lot; with a mistake in its recordings it follows nothing and has no odds and no fit.
 
     Args:
-        follows: whether it shares the lot's causes; of a unit whose recordings hold a mistake, False.
-        log_odds: of sharing them against causes of its own; None where the recordings hold a mistake.
+        follows: whether it shares the lot's causes.
+        log_odds: of sharing them against causes of its own.
         sizes: of the lot's causes in this unit, with 90 % intervals; empty where it does not follow.
-        fit: of the lot's causes to this unit; None where the recordings hold a mistake.
+        fit: of the lot's causes to this unit.
     """
 
     name: str
@@ -130,7 +106,7 @@ class LotMember:
             "unit": self.name,
             "serial": self.diagnosis.case.serial,
             "verdict": self.diagnosis.verdict,
-            "own": list(self.diagnosis.best.hypothesis.ids),
+            "own": list(self.diagnosis.best.ids),
             "follows": self.follows,
             "log_odds": self.log_odds,
             "sizes": {i: {name: vars(p) for name, p in rows.items()} for i, rows in self.sizes.items()},
@@ -146,8 +122,8 @@ class LotDiagnosis:
         causes: of the best shared hypothesis, empty for none.
         rivals: sets of causes that the lot cannot tell apart, the best first.
         probability: of every cause that any unit's search considered.
-        logs: logarithm of prior times evidence over the units that follow, by hypothesis.
-        ruled_out: hypotheses whose bound is so far behind that they were not fitted to the units that lack them.
+        logs: log of prior times evidence over the units that follow, by hypothesis.
+        ruled_out: hypotheses too far behind at their bound to be fitted to the units that lack them.
     """
 
     verdict: DiagnosisVerdict
@@ -181,7 +157,7 @@ class LotDiagnosis:
             "rivals": [list(ids) for ids in self.rivals],
             "outliers": self.outliers,
             "left_out": self.left_out,
-            "stray_odds": STRAY_ODDS,
+            "stray_odds": METHOD.evidence.stray_odds,
             "ruled_out_by_bound": self.ruled_out,
             "units": [m.record() for m in self.members],
         }
@@ -203,7 +179,7 @@ def diagnose_lot(cases: Mapping[str, Case], progress: Callable[[str], None] | No
         alone[name] = found = diagnose(case, on_fits=lambda fits: every.append(Searched.of(fits)))
         if found.verdict != "data":
             searched[name] = every[-1]
-        named = " + ".join(found.best.hypothesis.ids) or "no cause"
+        named = " + ".join(found.best.ids) or "no cause"
         say(f"unit {number} of {len(cases)}, {name}: {found.verdict}, {named}")
     if not searched:
         return LotDiagnosis("data", (), (), {}, {}, 0, tuple(_member(n, d, None, ()) for n, d in alone.items()))
@@ -215,19 +191,19 @@ def diagnose_lot(cases: Mapping[str, Case], progress: Callable[[str], None] | No
     best, rivals, imitated = _best(logs, [_held_open(alone[name], one) for name, one in searched.items()])
     members = tuple(_member(name, one, searched.get(name), best) for name, one in alone.items())
     verdict = _verdict(best, rivals, members)
-    # Where nothing explains the units, the truth is most likely none of the causes that were compared.
-    doubt = UNKNOWN_TRUST if verdict == "unknown" else 1.0
+    # Where nothing explains the units, the truth is most likely none of the causes compared.
+    doubt = METHOD.verdict.unknown_trust if verdict == "unknown" else 1.0
     chances = probabilities(logs, sorted({i for ids in logs for i in ids}))
-    probability = {i: p * doubt * (IMITATED_TRUST if i in imitated else 1.0) for i, p in chances.items()}
+    probability = {i: p * doubt * (METHOD.verdict.imitated_trust if i in imitated else 1.0) for i, p in chances.items()}
     return LotDiagnosis(verdict, best, rivals, probability, logs, ruled_out, members)
 
 
 def joint_logs(following: Sequence[Searched], hypotheses: Iterable[Ids]) -> dict[Ids, float]:
     """Return the log evidence of every hypothesis over units that share their causes, up to a constant.
 
-    What a hypothesis leaves is summed over the units, and only then judged as of one unit: where an equation is a
-    little wrong it is wrong in all of them, and does not become more so by being repeated. Within the noise every unit
-    counts in full.
+    What a hypothesis leaves is summed over the units, and only then judged as of one unit: an equation
+    that is a little wrong does not become more so by being repeated. Within the noise every unit counts
+    in full.
     """
     floor = sum(one.yardstick.floor for one in following)
     # The first unit's parameters are paid for apart. Paid for in every unit, what one cause is a little cheaper than
@@ -249,7 +225,7 @@ def lot_logs(searched: Sequence[Searched]) -> tuple[dict[Ids, float], int]:
     bounds = {ids: _pooled(searched, ids) for ids in every}
     logs: dict[Ids, float] = {}
     for ids in sorted(every, key=lambda i: (-bounds[i], i)):
-        if logs and bounds[ids] < max(logs.values()) - NEGLIGIBLE_LOG_ODDS:
+        if logs and bounds[ids] < max(logs.values()) - METHOD.rival.negligible:
             continue
         donor = max((one for one in searched if ids in one.logs), key=lambda one: one.shared(ids) - one.top)
         for one in searched:
@@ -260,32 +236,28 @@ def lot_logs(searched: Sequence[Searched]) -> tuple[dict[Ids, float], int]:
 
 
 def _pooled(searched: Sequence[Searched], ids: Ids) -> float:
-    return len(ids) * float(np.log(PRIOR_ODDS)) + sum(one.log_term(ids) for one in searched)
+    return len(ids) * float(np.log(METHOD.evidence.prior_odds)) + sum(one.log_term(ids) for one in searched)
 
 
 def _best(logs: Mapping[Ids, float], held: Sequence[set[str]]) -> tuple[Ids, tuple[Ids, ...], set[str]]:
-    """Return the best shared hypothesis, its rivals, and causes that most units hold open."""
     top = max(logs, key=lambda ids: logs[ids])
-    near = sorted((ids for ids in logs if logs[ids] > logs[top] - RIVAL_LOG_ODDS), key=lambda ids: -logs[ids])
+    near = sorted((ids for ids in logs if logs[ids] > logs[top] - METHOD.rival.odds), key=lambda ids: -logs[ids])
     in_play: list[Ids] = [top]
     for ids in near:
         is_larger = any(set(ids) > set(other) for other in in_play)
-        if ids and ids not in in_play and (not is_larger or logs[ids] > logs[top] - ADDED_LOG_ODDS):
+        if ids and ids not in in_play and (not is_larger or logs[ids] > logs[top] - METHOD.rival.added):
             in_play.append(ids)
     imitated = {i for i in top if 2 * sum(i in causes for causes in held) >= len(held)}
     smaller = tuple(i for i in top if i not in imitated)
     if imitated and smaller in logs:
-        return smaller, (smaller, *in_play)[:MOST_RIVALS], imitated
-    return top, tuple(in_play[:MOST_RIVALS]) if top else (top,), set()
+        return smaller, (smaller, *in_play)[: METHOD.rival.most], imitated
+    return top, tuple(in_play[: METHOD.rival.most]) if top else (top,), set()
 
 
 def _held_open(one: Diagnosis, searched: Searched) -> set[str]:
-    """Return the causes that a free form of the others imitates in a unit: open although the evidence is for them.
-
-    More units repeat what one equation leaves. So they cannot part such a cause from the others.
-    """
-    ids = one.best.hypothesis.ids
-    every = [rival.hypothesis.ids for rival in one.rivals[1:] if set(rival.hypothesis.ids) > set(ids)]
+    """Return the causes that a free form of the others imitates in a unit, though likelier."""
+    ids = one.best.ids
+    every = [rival.ids for rival in one.rivals[1:] if set(rival.ids) > set(ids)]
     larger = [other for other in every if searched.logs[other] > searched.logs[ids]]
     return {i for other in larger for i in other if i not in ids}
 

@@ -8,25 +8,13 @@ import numpy as np
 from softcal.core.gap.case import Mask
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import combine, energy
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.posterior import Yardstick
 from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.residual import is_clean
 from softcal.core.recording import Array
 
-HELD_PARTS = 4
-"""Contiguous parts, or interleaved stretches, of every run that are held back beside whole runs."""
-
-MOST_CHOSEN_FROM = 3
-"""Hypotheses that are fitted anew where a part is held back."""
-
-NEAR = 10.0
-"""Log odds against a hypothesis, by what its fit is foretold to gain, from which it is not fitted anew."""
-
-BEYOND = 1.64
-"""Standard errors by which χ² must fall on samples held back: by chance it does once in twenty."""
-
-BLOCK_s = 0.6
-"""Length of the stretches that are held back inside a run where whole runs cannot be."""
+CONFIG = METHOD.shrink
 
 
 @dataclass(frozen=True)
@@ -65,7 +53,7 @@ class Quantified:
     @property
     def stands(self) -> bool:
         """Whether the causes lower the gap on samples held back, by more than its noise."""
-        return self.held_out_gain > BEYOND * self.gain_error and self.shrink.held_out > 0.0
+        return self.held_out_gain > CONFIG.beyond * self.gain_error and self.shrink.held_out > 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,9 +70,9 @@ class _Fold:
         pull = [(f, f.jacobian @ f.residual) for f in foretold]
         foretold = [replace(f, chi2=f.chi2 - float(slope @ f.covariance @ slope)) for f, slope in pull]
         yardstick = Yardstick.of((*now, *foretold))
-        least = max(map(yardstick.log_evidence, now)) - NEAR
+        least = max(map(yardstick.log_evidence, now)) - CONFIG.near
         near = sorted((f for f in foretold if yardstick.log_evidence(f) > least), key=lambda f: f.bic)
-        fitted = [fit(problem, f.hypothesis, f.coordinates, steps=6) for f in near[:MOST_CHOSEN_FROM]]
+        fitted = [fit(problem, f.hypothesis, f.coordinates, steps=6) for f in near[: CONFIG.most_chosen_from]]
         yardstick = Yardstick.of((*now, *fitted))
         return replace(self, after=max((*now, *fitted), key=yardstick.log_evidence))
 
@@ -92,9 +80,9 @@ class _Fold:
 def quantify(base: Fit, best: Fit, others: Iterable[Fit] = (), is_given: bool = False) -> Quantified:
     """Refit base and hypothesis without a part of the samples, forecast the shrink there, then look.
 
-    Whole runs are held back, one after the other; with one run, or an effect that belongs to one run, stretches of
-    every run are. The forecast is of the best hypothesis. What is measured on a part is what the hypothesis reaches
-    that would have been chosen without it: causes that were chosen by the samples they are judged on look too good.
+    Whole runs are held back in turn; with one run, or an effect of one run, stretches of every run are.
+    The forecast is of the best hypothesis. What is measured on a part is what the hypothesis reaches
+    that would have been chosen without it: causes look too good on the samples they were chosen by.
 
     Args:
         others: hypotheses that may be chosen where a part is held back, fitted to all samples.
@@ -102,20 +90,19 @@ def quantify(base: Fit, best: Fit, others: Iterable[Fit] = (), is_given: bool = 
     """
     folds, protocol = _folds(base.problem, best.hypothesis)
     seen = [_refit(base, best, unseen) for unseen in folds]
-    if not best.hypothesis.ids:
+    if not best.ids:
         gap = {c: _channel_gap(seen, best.problem, c) for c in best.problem.scored_channels}
         return Quantified(gap, Shrink(0.0, 0.0, 0.0, 0.0), protocol)
-    # Without causes it is the base, which every fold has; what belongs to one run foretells no other.
+    # Every fold has the base; what belongs to one run foretells no other.
     rivals = [
         other
         for other in others
-        if other.hypothesis.ids not in ((), best.hypothesis.ids)
-        and not any(effect.belongs_to_run for effect in other.hypothesis.effects)
+        if other.ids not in ((), best.ids) and not any(effect.belongs_to_run for effect in other.effects)
     ]
     chosen = seen if is_given else [fold.chosen(rivals) for fold in seen]
     gap = {c: _channel_gap(chosen, best.problem, c) for c in best.problem.scored_channels}
     shrink = Shrink(*_forecast(seen, best), _shrink_of(gap.values()))
-    ids = tuple(fold.after.hypothesis.ids for fold in chosen)
+    ids = tuple(fold.after.ids for fold in chosen)
     return Quantified(gap, shrink, protocol, ids, *_held_out_gain(chosen, best.problem))
 
 
@@ -123,10 +110,10 @@ def _folds(problem: Problem, hypothesis: Hypothesis) -> tuple[list[Mask], str]:
     presses = np.flatnonzero([run.kind == "press" for run in problem.case.runs])
     # What belongs to one run cannot be foretold by another.
     is_by_run = len(presses) > 1 and not any(effect.belongs_to_run for effect in hypothesis.effects)
-    parts = presses if is_by_run else np.arange(HELD_PARTS)
+    parts = presses if is_by_run else np.arange(CONFIG.parts)
     unseen = np.zeros((len(parts), len(problem.measured)), dtype=np.bool_)
     for block in problem.blocks:
-        stretch = (problem.case.runs[block.run].elapsed_s / BLOCK_s).astype(int) % HELD_PARTS
+        stretch = (problem.case.runs[block.run].elapsed_s / CONFIG.block_s).astype(int) % CONFIG.parts
         unseen[:, block.place] = parts[:, np.newaxis] == (block.run if is_by_run else stretch)
     return list(unseen), f"{'one run after the other' if is_by_run else 'stretches of every run'} held back"
 
@@ -150,11 +137,7 @@ def _pooled(folds: list[_Fold], problem: Problem, channel: str, errors: list[Arr
 
 
 def unsupported(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
-    """Return the causes of a hypothesis that do not lower χ² on samples held back beyond its noise, the weakest first.
-
-    Args:
-        smaller: the hypothesis without each cause, fitted, by that cause.
-    """
+    """Return causes that lower nothing on samples held back, the weakest first; `smaller` lacks each."""
     folds = [_refit(best, best, unseen) for unseen in _folds(best.problem, best.hypothesis)[0]]
     sure = {}
     for effect_id, rest in smaller.items():
@@ -163,7 +146,7 @@ def unsupported(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
         ]
         gain, error = _held_out_gain(pairs, best.problem)
         sure[effect_id] = gain / error if error > 0.0 else 0.0
-    return sorted((i for i, z in sure.items() if z <= BEYOND), key=lambda i: sure[i])
+    return sorted((i for i, z in sure.items() if z <= CONFIG.beyond), key=lambda i: sure[i])
 
 
 def _held_out_gain(folds: list[_Fold], problem: Problem) -> tuple[float, float]:
@@ -195,7 +178,6 @@ def gap_of_base(base: Fit) -> dict[str, ChannelGap]:
 
 
 def _shrink_of(channels: Iterable[ChannelGap]) -> float:
-    """Return the shrink over channels, each in units of its noise."""
     gap = left = 0.0
     for one in channels:
         gap += max(one.rmse_before - one.noise_floor, 0.0) / one.noise_floor
@@ -206,46 +188,35 @@ def _shrink_of(channels: Iterable[ChannelGap]) -> float:
 def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
     """Forecast the shrink from the fitted parts alone.
 
-    Before: the two fitted twins' predictions part by so much. After: the parameters' uncertainty carried to the
-    unseen samples, plus what the hypothesis leaves unexplained on the samples it has seen. Where that has no structure
-    it is an error of the noise level, and widens the interval alone.
+    Before: the two fitted twins part by so much. After: the parameters' uncertainty carried to the
+    unseen samples, and what the hypothesis leaves on those it has seen. Where that has no structure it
+    is an error of the noise level, and widens the interval alone.
     """
-    problem = best.problem
+    problem, spreads = best.problem, []
+    for fold in folds:
+        # (samples,) standard deviation of the prediction by that of the parameters: the diagonal of J C Jᵀ alone, for
+        # the whole matrix would be samples by samples.
+        found = fold.after
+        whole = found.problem.seeing(np.ones(len(found.problem.measured)))
+        slopes = fit(whole, found.hypothesis, found.coordinates, steps=0).slopes
+        carried = np.array([combine(row, slopes) for row in found.covariance])
+        spreads.append(np.asarray(np.sqrt(np.maximum(np.sum(carried * slopes, axis=0), 0.0))))
     is_noise, likely, pessimist = is_clean(best), [], []
     for channel in problem.scored_channels:
         floor = problem.floor(channel)
-        left = _left_over(best, channel)
+        # What the hypothesis leaves above the floor. Where a measured force drives the chain its noise is part of it:
+        # nothing removes it on other samples either.
+        parts = [(problem.measured - best.predicted)[b.place] for b in problem.blocks_of(channel)]
+        error = np.concatenate(parts) / floor
+        # One standard error is taken off: what a right hypothesis leaves scatters about 1.
+        left = floor * float(np.sqrt(max(0.0, float(np.mean(error**2)) - 1.0 - np.sqrt(2.0 / len(error)))))
         parted = _pooled(folds, problem, channel, [f.after.predicted - f.before.predicted for f in folds])
-        spread = _pooled(folds, problem, channel, [_spread(f) for f in folds])
+        spread = _pooled(folds, problem, channel, spreads)
         unexplained = 0.0 if is_noise else left
         before = [float(np.sqrt(floor**2 + parted**2 + part**2)) for part in (unexplained, left)]
         likely.append(ChannelGap(before[0], float(np.sqrt(floor**2 + unexplained**2 + spread**2)), floor))
         after = float(np.sqrt(floor**2 + (1.6 * left) ** 2 + (2.0 * spread) ** 2))
         pessimist.append(ChannelGap(before[1], after, floor))
     predicted = _shrink_of(likely)
-    # One recording does not know its own forecast better than to 0.02.
-    margin = max(0.02, predicted - _shrink_of(pessimist))
+    margin = max(CONFIG.least_margin, predicted - _shrink_of(pessimist))
     return predicted, max(0.0, predicted - margin), min(1.0, predicted + margin)
-
-
-def _left_over(best: Fit, channel: str) -> float:
-    """Return the root mean square, in the channel's unit, that the hypothesis leaves above the noise floor.
-
-    Where a measured force drives the chain its noise is part of it: nothing removes it on other samples either.
-    """
-    problem = best.problem
-    parts = [b.place for b in problem.blocks_of(channel)]
-    error = np.concatenate([(problem.measured - best.predicted)[p] for p in parts]) / problem.floor(channel)
-    # Below, one standard error is taken off: a right hypothesis leaves a mean square that scatters about 1.
-    excess = float(np.mean(error**2)) - 1.0
-    return problem.floor(channel) * float(np.sqrt(max(0.0, excess - np.sqrt(2.0 / len(error)))))
-
-
-def _spread(fold: _Fold) -> Array:
-    """(samples,) standard deviation of the prediction by that of the fitted parameters."""
-    found = fold.after
-    whole = found.problem.seeing(np.ones(len(found.problem.measured)))
-    slopes = fit(whole, found.hypothesis, found.coordinates, steps=0).slopes
-    # The diagonal of J C Jᵀ alone: the whole matrix would be samples by samples.
-    carried = np.array([combine(row, slopes) for row in found.covariance])
-    return np.asarray(np.sqrt(np.maximum(np.sum(carried * slopes, axis=0), 0.0)))

@@ -1,11 +1,11 @@
-"""The diagnosis of a simulator of somebody else: where, which, how far, how sure, what to run next.
+"""The diagnosis of a simulator of somebody else: where, which, how far, how sure, what next.
 
-Hypotheses, evidence, rivals, hidden fractions and held-out shrink are those of the soft sensor's twin; only what
-predicts the channels is another.
+Hypotheses, evidence, rivals, hidden fractions and held-out shrink are those of the twin.
 """
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from softcal.core.errors import InputError
 from softcal.core.gap import next_experiment
 from softcal.core.gap.case import Case
 from softcal.core.gap.data_mistake import DataMistake
-from softcal.core.gap.empirical import LearnedResidual, learned
+from softcal.core.gap.empirical import learned
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.floor import coloured, is_noise
 from softcal.core.gap.gap_diagnosis import (
@@ -31,16 +31,14 @@ from softcal.core.gap.gap_diagnosis import (
 )
 from softcal.core.gap.identifiability import Identifiability, identifiability, reasons
 from softcal.core.gap.next_experiment import MenuEntry, NextExperiment
-from softcal.core.gap.posterior import confused_pairs, hidden_fraction
 from softcal.core.gap.problem import Block, Problem
 from softcal.core.gap.residual import Regime, shares_of_gap, structure
 from softcal.core.gap.search import EffectSearch, Progress
 from softcal.core.gap.shrink import quantify
-from softcal.core.gap.simulator import Simulator, SimulatorRun, planned
+from softcal.core.gap.simulator import Simulator, SimulatorRun, SimulatorTerm, planned, terms_of
 from softcal.core.gap.simulator_plausibility import against_others, cut_off, shown
 from softcal.core.gap.simulator_problem import Failures, SimulatorProblem, followed, is_high, is_quick
 from softcal.core.gap.simulator_search import SimulatorSearch, base_fit
-from softcal.core.gap.simulator_terms import SimulatorTerm, terms_of
 from softcal.core.recording import Array
 from softcal.core.words.reason import Reason, reason
 
@@ -51,39 +49,31 @@ STANDS_OUT = 1.5
 def _places(
     search: EffectSearch, best: Fit, causes: tuple[RankedCause, ...], verdict: DiagnosisVerdict
 ) -> tuple[GapPlace, ...]:
-    """Where the gap lies: parts of the mechanism, then the conditions in which it stands out."""
     if verdict == "no_gap":
         return ()
-    seen = regimes_of(search.base)
-    everywhere = Reason("gap.regime.everywhere")
-    loudest = max(search.base.problem.scored_channels, key=lambda channel: structure(search.base, channel).z)
-    channel, regime = (seen[0].channel, seen[0].name) if seen else (loudest, everywhere)
+    base, seen = search.base, []
+    for channel in base.problem.scored_channels:
+        blocks = base.problem.blocks_of(channel)
+        for name, part, time_share in shares_of_gap(base, blocks, _conditions(base, blocks)):
+            share = float(np.clip(part, 0.0, 1.0))
+            if share > STANDS_OUT * time_share:
+                seen.append(Regime(channel, name, share, share / time_share))
+    seen.sort(key=lambda r: -r.share * np.log(r.lift))
+    loudest = max(base.problem.scored_channels, key=lambda channel: structure(base, channel).z)
+    channel, regime = (seen[0].channel, seen[0].name) if seen else (loudest, Reason("gap.regime.everywhere"))
     if verdict == "unknown":
-        part, ids = search.explained_share(best), best.hypothesis.ids
+        part, ids = search.explained_share(best), best.ids
         nearest = Reason("gap.seen.no_candidate")
         if ids:
             nearest = reason("gap.seen.nearest", causes=next_experiment.named(ids, "gap.both"), share=part)
         places = [GapPlace("unknown", channel, regime, 1.0, nearest)]
     else:
-        named = [c for c in causes if c.effect in best.hypothesis.ids]
+        named = [c for c in causes if c.effect in best.ids]
         places = places_of(named, channel, regime, lambda effect_id: reason("gap.effect", effect=effect_id))
     return (*places, *regime_places(places[0].stage, seen, "gap.seen.energy_of_all"))
 
 
-def regimes_of(found: Fit) -> list[Regime]:
-    """Return the conditions in which the residual of a channel stands out, strongest first."""
-    out = []
-    for channel in found.problem.scored_channels:
-        blocks = found.problem.blocks_of(channel)
-        for name, part, time_share in shares_of_gap(found, blocks, _conditions(found, blocks)):
-            share = float(np.clip(part, 0.0, 1.0))
-            if share > STANDS_OUT * time_share:
-                out.append(Regime(channel, name, share, share / time_share))
-    return sorted(out, key=lambda r: -r.share * np.log(r.lift))
-
-
 def _conditions(found: Fit, blocks: list[Block]) -> dict[Reason, Array]:
-    """Which samples of a channel lie at a level, a slope or a time, and in which run."""
     runs = [found.problem.case.runs[b.run] for b in blocks]
     predicted = [found.predicted[b.place] for b in blocks]
     slope = np.concatenate([np.gradient(p, r.t_s) for p, r in zip(predicted, runs, strict=True)])
@@ -110,19 +100,21 @@ class SimulatorDiagnosis(GapDiagnosis[SimulatorTerm]):
 
     simulator: Simulator
 
-    def _described(self, residual: LearnedResidual[SimulatorTerm]) -> dict[str, object]:
-        return {
-            "added": [one.term.record() for one in residual.terms],
-            "parameters": self.simulator.named(residual.fit.hypothesis, residual.fit.coordinates),
-        }
-
-    def _own(self) -> dict[str, object]:
-        return {
+    def report(self) -> dict[str, object]:
+        """Return the report of the contract, ready for JSON."""
+        report, named = super().report(), self.simulator.named
+        if self.residual is not None:
+            found = self.residual.fit
+            report["residual"] = self.residual.record() | {
+                "added": [one.term.record() for one in self.residual.terms],
+                "parameters": named(found.hypothesis, found.coordinates),
+            }
+        return report | {
             "simulator": self.simulator.name,
             "failed": self.failures.record(),
             "offsets": self.offsets,
-            "parameters": self.simulator.named(self.best.hypothesis, self.best.coordinates),
-            "base": self.simulator.named(self.base.hypothesis, self.base.coordinates),
+            "parameters": named(self.best.hypothesis, self.best.coordinates),
+            "base": named(self.base.hypothesis, self.base.coordinates),
         }
 
     @property
@@ -173,51 +165,39 @@ def diagnose_simulator(
         if not quantified.stands:
             best = search.base
             quantified = quantify(search.base, best)
-    elif verdict == "no_gap" and best.hypothesis.ids:
+    elif verdict == "no_gap" and best.ids:
         best, group = search.base, (search.base,)
         quantified = quantify(search.base, best)
     share = search.explained_share(best)
-    ids, held_out = best.hypothesis.ids, quantified.shrink.held_out
+    ids, held_out = best.ids, quantified.shrink.held_out
     causes = ranked_causes(search, best, simulator.candidates, (best, *group), chances, held_out)
-    return SimulatorDiagnosis(
+    diagnosis = SimulatorDiagnosis.of(
+        search.base,
+        best,
+        group,
+        quantified,
         simulator=simulator,
         verdict=verdict,
-        base=search.base,
         best=best,
         causes=causes,
         places=_places(search, best, causes, verdict),
-        gap=quantified.gap,
-        shrink=quantified.shrink,
-        protocol=quantified.protocol,
-        chosen=quantified.chosen,
-        ambiguous_with=confused_pairs(group),
-        hidden_fraction={i: hidden_fraction(best, i) for i in best.hypothesis.ids},
         next_experiment=_next(simulator, group, verdict),
         explained_share=share,
         told=told,
         mistakes=cut_off(simulator, case),
         partial=Partial(ids, share) if verdict == "unknown" and ids else None,
-        residual=_described(search.base, best, verdict, say),
     )
-
-
-def _described(base: Fit, best: Fit, verdict: DiagnosisVerdict, say: Progress) -> LearnedResidual[SimulatorTerm] | None:
-    """Return the empirical terms that describe what the named causes leave."""
     if verdict == "no_gap":
-        return None
+        return diagnosis
     say("describing what is left")
-
-    def known(found: Fit) -> Iterable[SimulatorTerm]:
-        problem = found.problem
-        return terms_of(problem, found.predicted) if isinstance(problem, SimulatorProblem) else ()
-
-    return learned(base, (base, best) if verdict == "unknown" else (best,), known)
+    parents = (search.base, best) if verdict == "unknown" else (best,)
+    return replace(diagnosis, residual=learned(search.base, parents, partial(terms_of, simulator)))
 
 
 def check_simulator(
     simulator: Simulator, runs: Sequence[SimulatorRun]
 ) -> tuple[tuple[DataMistake, ...], Identifiability | None]:
-    """Return the mistakes in recordings and, where there is none, what they tell of a simulator: nothing is searched.
+    """Return the mistakes in recordings and, without any, what they tell of a simulator; no search.
 
     Raises:
         InputError: as for `diagnose_simulator`.
@@ -238,8 +218,7 @@ def _base_or_mistakes(simulator: Simulator, case: Case, say: Progress) -> tuple[
 
 
 def _searched(simulator: Simulator, base: Fit, told: Identifiability, say: Progress) -> "SimulatorSearch":
-    """Search, and once more where what is left may be noise that fades."""
-    # What every run may have of its own needs no cause: a slightly other equation of it would be named as one.
+    # What every run may have of its own needs no cause: its equation's error would be named as one.
     candidates = tuple(c for c in simulator.candidates if not told[c.id].is_own)
     search = SimulatorSearch(candidates, base, say)
     search.run()
@@ -256,7 +235,7 @@ def _searched(simulator: Simulator, base: Fit, told: Identifiability, say: Progr
         return search
 
     def again(problem: Problem) -> SimulatorSearch:
-        # Another noise moves the minimum a little: it is near that of the base, or of the base of the closest.
+        # Another noise moves the minimum a little: it is near the base's, or that of the closest.
         starts = (base.coordinates, closest.coordinates[base.hypothesis.of_base])
         fits = [fit(problem, base.hypothesis, start, steps=60) for start in starts]
         return SimulatorSearch(candidates, min(fits, key=lambda found: found.chi2), say)

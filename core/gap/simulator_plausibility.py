@@ -1,49 +1,27 @@
-"""Mistakes in recordings of any mechanism: a channel that stands still, a unit of time, one run against the others.
+"""Mistakes in recordings of any mechanism: a dead channel, a unit of time, one run against the others.
 
-What one run shows alone is seen in its columns. What it takes the simulator to see is looked for only where the base
-leaves a large part of a channel: a run is held against what all others say of it, and against the same run repaired.
+What needs the simulator is looked for only where the base leaves a large part of a channel: a run
+is held against what all others say of it, and against the same run repaired.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
 from softcal.core.gap.case import Case
-from softcal.core.gap.data_mistake import FEWEST_RUNS, SAME_FACTOR, DataMistake, apart, numbers, of_sign, unit_of
+from softcal.core.gap.data_mistake import DataMistake, apart, numbers, of_sign, unit_of
 from softcal.core.gap.fit import Fit
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.problem import Hypothesis
 from softcal.core.gap.simulator import Simulator, SimulatorRun
 from softcal.core.gap.simulator_problem import SimulatorProblem, rough_problem, runs_of
-from softcal.core.gap.start import StartConfig, best_start
+from softcal.core.gap.start import best_start
 from softcal.core.recording import Array
 from softcal.core.words.reason import Reason, reason
 
-
-@dataclass(frozen=True)
-class MistakeConfig:
-    """When a recording is held to be mistaken.
-
-    Args:
-        good, bad: share of a channel that a base takes up where it agrees, and below which it does not.
-        gain: ratio of one run to the others from which no effect but a wrong gain explains it.
-        apart: factor from which the steps of time of one run are none of jitter.
-        stuck: share of samples on the largest or smallest value from which a channel may be cut off there.
-        resting: share of samples that repeat the one before up to which a channel does not rest on steps.
-        starts: places from which a base is fitted to repaired recordings.
-    """
-
-    good: float = 0.9
-    bad: float = 0.8
-    gain: float = 2.0
-    apart: float = 5.0
-    stuck: float = 0.01
-    resting: float = 0.05
-    starts: StartConfig = StartConfig(scattered=16, tried=2, first=6, steps=20)
-
-
-CONFIG = MistakeConfig()
+CONFIG = METHOD.mistake
 
 FACTORS: Mapping[str, float] = {
     "inch": 25.4,
@@ -66,10 +44,10 @@ def shown(simulator: Simulator, case: Case) -> tuple[DataMistake, ...]:
     """Return the mistakes that columns show by themselves: another unit of time, a dead channel."""
     runs, number, found = runs_of(case), numbers(case), []
     steps_s = np.array([float(np.median(np.diff(run.t_s))) for run in runs])
-    for k, step_s in enumerate(steps_s) if len(runs) >= FEWEST_RUNS else ():
+    for k, step_s in enumerate(steps_s) if len(runs) >= CONFIG.fewest_runs else ():
         others = np.delete(steps_s, k)
         ratio = float(np.median(others) / step_s)
-        is_apart = max(ratio, 1.0 / ratio) > CONFIG.apart and others.max() < SAME_FACTOR * others.min()
+        is_apart = max(ratio, 1.0 / ratio) > CONFIG.step_apart and others.max() < CONFIG.same_factor * others.min()
         if is_apart and unit_of(ratio, FACTORS):
             found.append(apart("t_s", number[k], ratio, FACTORS))
     for channel in simulator.channels:
@@ -114,7 +92,7 @@ def against_others(base: Fit) -> tuple[DataMistake, ...]:
             repair = reason("data.repair.swap", one=one, other=other)
             return (DataMistake("swapped_columns", "+".join(pair), (), None, evidence, repair),)
     runs, number = runs_of(problem.case), numbers(problem.case)
-    for k, run in enumerate(runs) if len(runs) >= FEWEST_RUNS else ():
+    for k, run in enumerate(runs) if len(runs) >= CONFIG.fewest_runs else ():
         others = _fitted(problem, runs[:k] + runs[k + 1 :])
         if _agreement(others) >= CONFIG.good:
             mistake = next(_repaired(problem.of, others, run, number[k]), None)
@@ -124,7 +102,6 @@ def against_others(base: Fit) -> tuple[DataMistake, ...]:
 
 
 def _agreement(found: Fit) -> float:
-    """Return the least share of a channel of a run that a fit takes up."""
     problem, predicted = found.problem, found.predicted
     return min(_share(problem.measured[b.place], predicted[b.place]) for b in problem.blocks)
 
@@ -137,17 +114,16 @@ def _share(measured: Array, predicted: Array) -> float:
 
 def _fitted(problem: SimulatorProblem, runs: Sequence[SimulatorRun]) -> Fit:
     again = rough_problem(problem.of, Case(problem.case.serial, tuple(runs)))
-    return best_start(again, Hypothesis(of_all=problem.of.base), CONFIG.starts)
+    return best_start(again, Hypothesis(of_all=problem.of.base), scattering=16, tried=2, steps=20)
 
 
 def _repaired(simulator: Simulator, others: Fit, run: SimulatorRun, number: int) -> Iterator[DataMistake]:
-    """Give the repairs of one run after which it agrees with what the others say of it."""
     said = simulator.named(others.hypothesis, others.coordinates)
     gives = simulator(run.columns, said)
     off = [c for c in simulator.channels if _share(run.columns[c], gives[c]) < CONFIG.bad]
     for channel in off if len(off) == 1 else ():
         slope = float(np.polyfit(gives[channel], run.columns[channel], 1)[0]) if np.ptp(gives[channel]) > 0.0 else 0.0
-        is_apart = slope != 0.0 and (slope < 0.0 or abs(np.log(slope)) > np.log(CONFIG.gain))
+        is_apart = slope != 0.0 and (slope < 0.0 or abs(np.log(slope)) > np.log(CONFIG.apart))
         if is_apart and _share(run.columns[channel] / slope, gives[channel]) > CONFIG.good:
             yield _of_factor(channel, number, 1.0 / slope)
     for name in simulator.inputs if off else ():
@@ -158,6 +134,6 @@ def _repaired(simulator: Simulator, others: Fit, run: SimulatorRun, number: int)
 
 
 def _of_factor(name: str, number: int, factor: float) -> DataMistake:
-    if abs(np.log(abs(factor))) < np.log(SAME_FACTOR) and factor < 0.0:
+    if abs(np.log(abs(factor))) < np.log(CONFIG.same_factor) and factor < 0.0:
         return of_sign(name, (number,), reason("data.run.apart", channel=name, ratio=1.0 / factor))
     return apart(name, number, factor, FACTORS)

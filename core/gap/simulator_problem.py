@@ -1,6 +1,6 @@
 """Recordings of a mechanism and what its simulator says of them, as one problem for a fit."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -9,13 +9,13 @@ from scipy.interpolate import CubicSpline
 
 from softcal.core.gap.case import Case, Mask, Run
 from softcal.core.gap.colour import ColourConfig, COMMON_STEP_s
+from softcal.core.gap.coordinates import RigScale
 from softcal.core.gap.fit import Fit
-from softcal.core.gap.library import columns_of
+from softcal.core.gap.floor import columns_of
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.offsets import Directions, Sizes
 from softcal.core.gap.problem import Block, Hypothesis, Problem
-from softcal.core.gap.scale import RigScale
-from softcal.core.gap.simulator import STRAIGHT, Simulator, SimulatorFailed, SimulatorRun
-from softcal.core.gap.simulator_terms import TermStep
+from softcal.core.gap.simulator import STRAIGHT, Simulator, SimulatorFailed, SimulatorRun, TermStep
 from softcal.core.recording import Array
 
 KNOWN = 200
@@ -39,18 +39,12 @@ class Failures:
 class SimulatorProblem(Problem):
     """Recorded channels of a mechanism as one vector, and what its simulator says of them."""
 
-    simulator: Simulator | None = None
+    of: Simulator = field(kw_only=True)
     failures: Failures = field(default_factory=Failures)
     known: dict[tuple[tuple[str, float], ...], Array] = field(default_factory=dict)
     """What the simulator said lately, by its parameters; noise and samples do not matter."""
     of_base: tuple[bool, ...] = ()
     """Of every offset, whether the base has what all runs share of it; not known where empty."""
-
-    @property
-    def of(self) -> Simulator:
-        if self.simulator is None:
-            raise ValueError("a problem of a simulator needs one")
-        return self.simulator
 
     @cached_property
     def channels_of_runs(self) -> list[tuple[str, ...]]:
@@ -64,15 +58,6 @@ class SimulatorProblem(Problem):
         return np.ones(len(self.of.base), dtype=np.bool_)
 
     @cached_property
-    def scale(self) -> RigScale:
-        # A simulator states the bounds of its own parameters.
-        return RigScale()
-
-    @property
-    def is_driven_by_force(self) -> bool:
-        return False
-
-    @cached_property
     def dither_V(self) -> float | None:
         return None
 
@@ -81,12 +66,13 @@ class SimulatorProblem(Problem):
         return list(self.of.channels)
 
     @cached_property
-    def _times_slower(self) -> float:
+    def times_slower(self) -> float:
+        """By what these runs are slower than those of a common rig."""
         return float(np.median(np.concatenate([run.step_s[1:] for run in self.case.runs]))) / COMMON_STEP_s
 
     @cached_property
     def colour_config(self) -> ColourConfig:
-        return ColourConfig().slower(self._times_slower)
+        return METHOD.colour.slower(self.times_slower)
 
     @property
     def smooth_order(self) -> int:
@@ -130,23 +116,24 @@ class SimulatorProblem(Problem):
         return out
 
     def directions(self, hypothesis: Hypothesis, coordinates: Array, clean: Array, sizes: Sizes) -> Directions:
-        raw = self._simulated(hypothesis, coordinates)
-        return [self._along(b, clean[b.place], raw[b.place], sizes.get(b.run)) for b in self.blocks]
-
-    def _along(self, block: Block, clean: Array, raw: Array, sizes: Array | None) -> Array | None:
-        """(k, n) change of a channel with each offset of its run; None where none is allowed."""
-        if block.channel not in self.of.per_run:
-            return None
-        t_s, has = self.case.runs[block.run].elapsed_s, dict.fromkeys(self.of.offsets, 0.0)
-        has |= {} if sizes is None else dict(zip(self.of.offsets, sizes, strict=True))
-        late, slope, apart = raw, np.gradient(clean, t_s), np.zeros(len(t_s))
-        if has.get((block.channel, "delay")) and np.all(np.isfinite(raw)):
-            late, slope, apart = shifted(raw, t_s, has[block.channel, "delay"], has[block.channel, STRAIGHT])
-        of_kind = {"zero": np.ones(len(t_s)), "drift": t_s, "gain": late, "delay": -slope, STRAIGHT: apart}
-        return np.array([of_kind[kind] * (channel == block.channel) for channel, kind in self.of.offsets])
+        raw, out = self._simulated(hypothesis, coordinates), Directions()
+        for block in self.blocks:
+            if block.channel not in self.of.per_run:
+                out.append(None)
+                continue
+            kinds, mine = self.of.offsets, raw[block.place]
+            t_s, has = self.case.runs[block.run].elapsed_s, dict.fromkeys(kinds, 0.0)
+            if block.run in sizes:
+                has = dict(zip(kinds, sizes[block.run], strict=True))
+            late, slope, apart = mine, np.gradient(clean[block.place], t_s), np.zeros(len(t_s))
+            if has.get((block.channel, "delay")) and np.all(np.isfinite(mine)):
+                late, slope, apart = shifted(mine, t_s, has[block.channel, "delay"], has[block.channel, STRAIGHT])
+            of_kind = {"zero": np.ones(len(t_s)), "drift": t_s, "gain": late, "delay": -slope, STRAIGHT: apart}
+            out.append(np.array([of_kind[kind] * (channel == block.channel) for channel, kind in kinds]))
+        return out
 
     def _simulated(self, hypothesis: Hypothesis, coordinates: Array) -> Array:
-        """Return what the simulator says with the empirical terms, (samples,), NaN where it fails in a run."""
+        """Return (samples,) with the empirical terms, NaN where the simulator fails in a run."""
         parameters = self.of.named(hypothesis, coordinates)
         key = tuple(parameters.items())
         if key not in self.known:
@@ -184,22 +171,6 @@ class SimulatorProblem(Problem):
             out[block.place] = channels[block.channel]
         return out
 
-    def followed(self, predicted: Array, channel: str) -> dict[str, dict[str, Array]]:
-        """Return groups of (samples,) columns of inputs and channels that a residual may follow."""
-        signals = {name: [run.columns[name] for run in self._runs] for name in self.of.inputs if name != channel}
-        for name in self.of.channels:
-            signals[name] = [predicted[b.place] for b in self.blocks_of(name)]
-        out: dict[str, dict[str, Array]] = {}
-        for name, parts in signals.items():
-            low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
-            for block in self.blocks_of(channel):
-                signal = (2.0 * parts[block.run] - low - high) / max(high - low, 1e-300)
-                for kind, columns in columns_of(signal, self._runs[block.run], self._times_slower).items():
-                    group = out.setdefault(f"{kind} of {name}", {})
-                    for k, column in enumerate(columns):
-                        group.setdefault(f"{k}", np.zeros(len(predicted)))[block.place] = column
-        return out
-
     @cached_property
     def _runs(self) -> list[SimulatorRun]:
         return runs_of(self.case)
@@ -214,13 +185,14 @@ def rough_problem(simulator: Simulator, case: Case) -> SimulatorProblem:
     """Return recordings with a fiftieth of the spread of a channel as its noise."""
     columns = {c: np.concatenate([run.columns[c] for run in runs_of(case)]) for c in simulator.channels}
     rough = {c: 0.02 * max(float(np.std(values)), 1e-12) for c, values in columns.items()}
-    return SimulatorProblem(case, rough, simulator=simulator)
+    # A simulator states the bounds of its own parameters.
+    return SimulatorProblem(case, rough, of_rig=RigScale(), of=simulator)
 
 
 def shifted(values: Array, t_s: Array, delay_s: float, straight: float) -> Array:
-    """Return (3, n) a channel as it is some time later, its rate of change, and straight lines less a curve.
+    """Return (3, n) a channel some time later, its rate of change, and straight lines less a curve.
 
-    The curve is the cubic spline through the samples, its third derivative continuous next to both ends.
+    The curve is the cubic spline through the samples, its third derivative continuous at both ends.
 
     Args:
         values: (n,) with n of 4 and more, at the times t_s.
@@ -235,10 +207,25 @@ def shifted(values: Array, t_s: Array, delay_s: float, straight: float) -> Array
     return np.array([line - (1.0 - straight) * apart, np.where(t_s - delay_s > t_s[0], rate, 0.0), apart])
 
 
-def followed(found: Fit, channel: str) -> list[Mapping[str, Array]]:
-    """Return groups of (samples,) columns that a residual of a channel may follow."""
-    problem = found.problem
-    return list(problem.followed(found.predicted, channel).values()) if isinstance(problem, SimulatorProblem) else []
+def followed(found: Fit, channel: str) -> list[Sequence[Array]]:
+    """Return groups of (samples,) columns of inputs and channels that a residual may follow."""
+    problem, out = found.problem, list[Sequence[Array]]()
+    if not isinstance(problem, SimulatorProblem):
+        return out
+    runs, blocks = runs_of(problem.case), problem.blocks_of(channel)
+    signals = {name: [run.columns[name] for run in runs] for name in problem.of.inputs if name != channel}
+    for name in problem.of.channels:
+        signals[name] = [found.predicted[b.place] for b in problem.blocks_of(name)]
+    for parts in signals.values():
+        low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
+        scaled = [(2.0 * parts[b.run] - low - high) / max(high - low, 1e-300) for b in blocks]
+        each = [columns_of(x, runs[b.run], problem.times_slower) for x, b in zip(scaled, blocks, strict=True)]
+        for kind in each[0]:
+            rows = np.zeros((len(each[0][kind]), len(found.predicted)))
+            for block, columns in zip(blocks, each, strict=True):
+                rows[:, block.place] = columns[kind]
+            out.append(list(rows))
+    return out
 
 
 def is_high(found: Fit, block: Block) -> Mask:

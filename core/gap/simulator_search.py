@@ -1,8 +1,9 @@
 """The search over the candidates of a simulator, from a base that was fitted from many starts."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
+from types import MappingProxyType
 
 import numpy as np
 
@@ -10,36 +11,27 @@ from softcal.core.errors import InputError
 from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import from_fit
 from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.floor import CONFIG as FLOOR
 from softcal.core.gap.floor import noise_chance
 from softcal.core.gap.linear import energy
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.offsets import rows_of_runs
 from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.screen import Probe, Tangent
-from softcal.core.gap.search import EffectSearch, Progress, SearchConfig
+from softcal.core.gap.search import EffectSearch, Progress
 from softcal.core.gap.simulator import Simulator
 from softcal.core.gap.simulator_problem import SimulatorProblem, followed, rough_problem
 from softcal.core.gap.start import best_start, likeliest, noise_levels, scattered
-from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect
+from softcal.core.twin.effects import Effect, Form
 from softcal.core.twin.probes import Extent
 
-CONFIG = SearchConfig(leads=(8, 5), beam=(3,))
-"""As for the twin, up to two causes at once."""
-
-DRAWS, FIRST_STEPS, WORTH = 12, 6, 0.01
-"""Places over the bounds at which causes are tried, steps from the likeliest of them, and the share of the gap that
-these must gain to go on."""
-
-MOST_PAIRS = 8
-"""Pairs of causes that are tried from several starts: all of four or fewer candidates."""
-
-SHOWN_SIGMA = 5.0
-"""Standard deviations that the base may leave of the largest offset, the same in all runs."""
+DRAWS, FIRST_STEPS = 12, 6
+"""Places over the bounds at which causes are tried, and steps from the likeliest of them."""
 
 
 class SimulatorSearch(EffectSearch):
     """The search over a simulator's candidates: none is placed first, each has one realisation."""
+
+    forms: Mapping[str, Sequence[Form]] = MappingProxyType({})
 
     def __init__(self, candidates: Sequence[Effect], base: Fit, say: Progress) -> None:
         runs = base.problem.case.runs
@@ -47,21 +39,18 @@ class SimulatorSearch(EffectSearch):
         extent = Extent(1.0, 1.0, 0.0, 1.0, duration_s, float(np.median(runs[0].step_s[1:])))
         self._candidates = candidates
         probes = tuple(Probe(c, row, c.is_one_sided) for c in candidates for row in c.probes(extent))
-        self._begin(base, probes, (), extent, CONFIG, say)
+        super().__init__(base, probes, (), extent, METHOD.simulator_search, say)
 
     def noise_chance(self, found: Fit) -> float:
         return noise_chance(found, follows=followed)
 
     def is_clean(self, found: Fit) -> bool:
-        return self.noise_chance(found) > FLOOR.chance
-
-    def _rough_start(self) -> Array:
-        return self.base.coordinates[self.base.hypothesis.of_base]
+        return self.noise_chance(found) > METHOD.floor.chance
 
     def _start_again(self) -> None:
-        """Fit every cause and every pair from several starts where the likeliest hypothesis leaves structure.
+        """Fit every cause and every pair from several starts where structure is left.
 
-        A level that was never reached promises nothing to first order, and two causes may gain only together.
+        A level never reached promises nothing to first order; two causes may gain only together.
         """
         if self.is_clean(self._leader):
             return
@@ -72,7 +61,7 @@ class SimulatorSearch(EffectSearch):
             if self.is_clean(self._leader):
                 break
             self._try(pair)
-        self._settle_noise(self._leader)
+        self._settle_noise()
 
     def _likely_pairs(self) -> list[tuple[Effect, ...]]:
         """Return the pairs that promise most to first order, over many places of each."""
@@ -91,10 +80,9 @@ class SimulatorSearch(EffectSearch):
             a, b, c = promised[one][:, None], promised[other][None, :], alike[np.ix_(one, other)]
             together = (a**2 + b**2 - 2.0 * a * b * c) / np.maximum(1.0 - c**2, 1e-6)
             gains[self._candidates[i], self._candidates[j]] = float(together.max(initial=0.0))
-        return sorted(gains, key=lambda pair: -gains[pair])[:MOST_PAIRS]
+        return sorted(gains, key=lambda pair: -gains[pair])[: METHOD.search.most_pairs]
 
     def _try(self, effects: tuple[Effect, ...]) -> None:
-        """Fit causes from the likeliest of many places, and from what each promises."""
         problem, hypothesis, fits = self.base.problem, self.base.hypothesis.adding(*effects), []
         for effect in effects:
             parent = self.fits.get(tuple(sorted(e.id for e in effects if e is not effect)))
@@ -110,22 +98,12 @@ class SimulatorSearch(EffectSearch):
         likely = likeliest(problem, hypothesis, places)[0]
         best = min((*fits, fit(problem, hypothesis, likely, steps=FIRST_STEPS)), key=lambda found: found.chi2)
         # What is not better after a few steps than the best with one cause less is left there.
-        parts = [f.chi2 for ids, f in self.fits.items() if set(ids) < set(best.hypothesis.ids)]
-        if best.chi2 < min(parts) - WORTH * max(self.base.chi2 - problem.count, 0.0):
+        parts = [f.chi2 for ids, f in self.fits.items() if set(ids) < set(best.ids)]
+        if best.chi2 < min(parts) - METHOD.search.worth * max(self.base.chi2 - problem.count, 0.0):
             self.keep(fit(problem, best.hypothesis, best.coordinates, steps=60))
-
-    def _try_forms(self, share: float) -> None:
-        self._settle_noise(self._leader)
-
-    def _try_forms_within(self, best: Fit) -> bool:
-        return False
-
-    def _find_stranger(self) -> Fit | None:
-        return None
 
 
 def _rows(effect: Effect) -> list[tuple[float, ...]]:
-    """Return values of an effect's parameters all over their bounds."""
     places = scattered(effect.parameters, DRAWS)
     return [tuple(from_fit(p, float(x)) for p, x in zip(effect.parameters, place, strict=True)) for place in places]
 
@@ -156,4 +134,4 @@ def _shared_by_base(found: Fit) -> Problem:
     space = Tangent(bare)
     shared = [bare.problem.whitened(row) for row in np.sum(list(rows.values()), axis=0)]
     left = np.array([energy(space.visible(row)) for row in shared]) * problem.largest_offsets**2
-    return replace(problem, of_base=tuple((left < SHOWN_SIGMA**2) & np.any(shared, axis=1)))
+    return replace(problem, of_base=tuple((left < METHOD.search.base_sigma**2) & np.any(shared, axis=1)))

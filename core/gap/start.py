@@ -1,19 +1,17 @@
 """Where the base fit begins: rough base parameters and noise levels read off the recordings."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import comb
 
 import numpy as np
 from scipy.optimize import nnls
 
-from softcal.core.gap.case import Case
-from softcal.core.gap.coordinates import fit_scale, to_fit
-from softcal.core.gap.drive import HALF_WIDTH
+from softcal.core.gap.case import HALF_WIDTH, Case
+from softcal.core.gap.coordinates import RigScale, fit_scale, to_fit
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import energy
 from softcal.core.gap.problem import BASE, Hypothesis, Problem
-from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Parameter
 
@@ -36,24 +34,8 @@ def base_fit(case: Case) -> Fit:
     return fitted
 
 
-@dataclass(frozen=True)
-class StartConfig:
-    """How a minimum is looked for where nobody knows where to begin.
-
-    Args:
-        scattered: places at which the prediction is made once.
-        tried: of these, those from which a fit takes a few steps; the usual values are tried besides.
-        first, steps: steps from each of these, and most from the best two of them.
-    """
-
-    scattered: int = 32
-    tried: int = 5
-    first: int = 6
-    steps: int = 60
-
-
 def scattered(parameters: Sequence[Parameter], count: int) -> Array:
-    """Return (count, parameters) coordinates within bounds, the usual values first, then near and far from them.
+    """Return (count, parameters) coordinates within bounds: the usual values, then near and far.
 
     A value that may be far off in either direction is drawn by its order of magnitude.
     """
@@ -75,15 +57,18 @@ def scattered(parameters: Sequence[Parameter], count: int) -> Array:
     return out
 
 
-STARTS = StartConfig()
+def best_start(problem: Problem, hypothesis: Hypothesis, scattering: int = 32, tried: int = 5, steps: int = 60) -> Fit:
+    """Return the best minimum found from starts all over the bounds.
 
-
-def best_start(problem: Problem, hypothesis: Hypothesis, config: StartConfig = STARTS) -> Fit:
-    """Return the best minimum found from starts all over the bounds."""
-    usual, *others = scattered(hypothesis.parameters, config.scattered)
-    places = [usual, *likeliest(problem, hypothesis, others)[: config.tried]]
-    rough = sorted((fit(problem, hypothesis, place, steps=config.first) for place in places), key=lambda f: f.chi2)
-    fits = [fit(problem, hypothesis, found.coordinates, steps=config.steps) for found in rough[:2]]
+    Args:
+        scattering: places at which the prediction is made once.
+        tried: of these, those from which a fit takes a few steps, besides the usual values.
+        steps: most steps from the best two of them.
+    """
+    usual, *others = scattered(hypothesis.parameters, scattering)
+    places = [usual, *likeliest(problem, hypothesis, others)[:tried]]
+    rough = sorted((fit(problem, hypothesis, place, steps=6) for place in places), key=lambda f: f.chi2)
+    fits = [fit(problem, hypothesis, found.coordinates, steps=steps) for found in rough[:2]]
     return min(fits, key=lambda found: found.chi2)
 
 
@@ -106,7 +91,7 @@ def noise_levels(found: Fit) -> dict[str, float]:
     squares: dict[str, list[Array]] = {}
     for block in problem.blocks:
         error = (problem.measured - found.predicted)[block.place]
-        # White noise of variance 1 gives differences of variance 2, second differences of variance 6.
+        # White noise of variance 1 gives differences of variance 2, second ones of 6.
         squares.setdefault(block.channel, []).append(np.diff(error, order) ** 2 / comb(2 * order, order))
     levels = dict(problem.sigma)
     for channel, parts in squares.items():
@@ -119,7 +104,7 @@ def noise_levels(found: Fit) -> dict[str, float]:
 
 
 def with_driving_noise(problem: Problem, found: Fit) -> Problem:
-    """Return the problem with the noise that a measured force brings along where it drives the chain.
+    """Return the problem with the noise of a measured force where it drives the chain.
 
     σ² = σV² + (dV/dF·σF)²: errors in variables to first order.
     """
@@ -131,20 +116,16 @@ def with_driving_noise(problem: Problem, found: Fit) -> Problem:
         run = case.runs[block.run]
         if run.kind != "press" or run.stage_mm is not None or run.force_N is None:
             continue
-        slope = _slope(run.force_N, found.predicted[block.place])
+        order = np.argsort(run.force_N, kind="stable")
+        x, y = run.force_N[order], found.predicted[block.place][order]
+        # A slope from neighbours would be noise over noise; a 24th of the samples shows the curve's.
+        edges = np.linspace(0, len(x) - 1, 25).astype(int)
+        keep = np.concatenate([[True], np.diff(x[edges]) > 1e-7 * np.ptp(x)])
+        slopes = np.gradient(y[edges][keep], x[edges][keep]) if keep.sum() > 2 else np.zeros(int(keep.sum()))
+        slope = np.interp(run.force_N, x[edges][keep], slopes)
         # Smoothed noise moves slowly: it counts as often as samples share it.
         extra[block.place] = (2 * HALF_WIDTH + 1) * (slope * run.driving_force.sigma_N) ** 2
     return replace(problem, extra_variance=extra)
-
-
-def _slope(force_N: Array, output_V: Array) -> Array:
-    order = np.argsort(force_N, kind="stable")
-    x, y = force_N[order], output_V[order]
-    # A slope from neighbours would be noise over noise; over a 24th of the samples it is the curve's.
-    edges = np.linspace(0, len(x) - 1, 25).astype(int)
-    keep = np.concatenate([[True], np.diff(x[edges]) > 1e-7 * np.ptp(x)])
-    slopes = np.gradient(y[edges][keep], x[edges][keep]) if keep.sum() > 2 else np.zeros(int(keep.sum()))
-    return np.asarray(np.interp(force_N, x[edges][keep], slopes))
 
 
 def _first_noise(case: Case) -> dict[str, float]:
@@ -155,8 +136,7 @@ def _first_noise(case: Case) -> dict[str, float]:
         "stage_mm": 0.002 * of_rig.factor("mm"),
     }
     for channel in ("force_N", "output_V"):
-        values = [getattr(run, channel) for run in case.presses if getattr(run, channel) is not None]
-        if values:
+        if values := case.recorded(channel):
             spread = float(np.std(np.concatenate(values)))
             levels[channel] = max(0.02 * spread, 1e-5 * levels[channel])
     return levels
@@ -165,8 +145,7 @@ def _first_noise(case: Case) -> dict[str, float]:
 def rough_start(case: Case) -> Array:
     """Return base coordinates read off the recordings, (5,)."""
     stage, force, output = (
-        np.concatenate([getattr(run, c) for run in case.presses]) if case.has(c) else None
-        for c in ("stage_mm", "force_N", "output_V")
+        np.concatenate(case.recorded(c)) if case.has(c) else None for c in ("stage_mm", "force_N", "output_V")
     )
     u0, k1, k3, r0, kappa = (RigScale.of(case).sized(p).usual for p in BASE)
     loaded = force if force is not None else output

@@ -1,4 +1,4 @@
-"""How well calibrations of simulated lots foretell those on the rig, without and with causes."""
+"""What a cause explains of the calibration error: on the rig, and on twins without and with it."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -6,6 +6,11 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from softcal.core.errors import InputError, UnitRefused
+from softcal.core.gap.case import Case, Run
+from softcal.core.gap.explained import explained_twin
+from softcal.core.gap.fit import Fit, fit
+from softcal.core.gap.method import METHOD
+from softcal.core.gap.start import base_fit
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
@@ -20,9 +25,6 @@ from softcal.core.unit.unit_problem import UnitProblem
 
 NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, patience=10, batch=128)
 """Smaller than the paper's and the same for rig and twins, which alone are compared."""
-
-TRAIN_SHARE = 0.6
-"""Share of an audit that a unit's own calibration trains on; all errors are on the rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,13 +53,7 @@ class PressedLot:
 
 @dataclass(frozen=True)
 class LotErrors:
-    """Calibration results of a lot, medians over its units, in N.
-
-    Args:
-        before: the shared network without any map.
-        after: with the unit's map.
-        own: a network trained on the unit's own labels.
-    """
+    """Errors of a lot, medians in N: without a map, with the unit's, with a network of its own."""
 
     before: float
     after: float
@@ -99,11 +95,7 @@ _PLACES = ("rig", "base", "explained")
 def transfer(
     rig: PressedLot, base: Twin, explained: Twin, seed: int = 0, say: Callable[[str], None] = lambda _: None
 ) -> Transfer:
-    """Calibrate the rig's lot and one simulated lot per twin, pressed along the same stage positions.
-
-    Args:
-        seed: of the spread and the noise of the simulated units; both twins get the same.
-    """
+    """Calibrate the rig's lot and a simulated one per twin, of one seed, along the same positions."""
     say("calibrating the rig's lot")
     on_rig = lot_errors(rig)
     say("calibrating a lot of the base twin")
@@ -141,7 +133,7 @@ def lot_errors(lot: PressedLot) -> LotErrors:
     model = make_source_model(lot.source, trained.network, trained.validation_rows)
     rows: list[Sequence[float]] = []
     for unit in lot.units:
-        split = int(TRAIN_SHARE * len(unit.audit))
+        split = int(METHOD.worth.train_share * len(unit.audit))
         test = unit.audit.part(split, len(unit.audit))
         own = fit_network(unit.audit.part(0, split), NETWORK).network
         before = rmse(trained.network.evaluate(test.windows), test.window_reference)
@@ -154,3 +146,103 @@ def lot_errors(lot: PressedLot) -> LotErrors:
             pass
         rows.append((before, after, rmse(own.evaluate(test.windows), test.window_reference)))
     return LotErrors(*(float(np.median(column)) for column in zip(*rows, strict=True)))
+
+
+@dataclass(frozen=True)
+class CalibrationWorth:
+    """Errors of f on a unit's audit, RMS in N.
+
+    Args:
+        nominal: trained on the twin without the causes.
+        explained: trained on the twin with them.
+        rig: trained on the first 1, 2, 3, … recordings of the rig.
+        fitted_on: recordings of the rig that both twins were fitted to.
+    """
+
+    unit: str
+    nominal: float
+    explained: float
+    rig: tuple[float, ...]
+    fitted_on: int = METHOD.worth.fitted_on
+
+    @property
+    def worth(self) -> int | None:
+        """Fewest rig recordings whose f is not worse than the explained twin's; None if too few."""
+        return _fewest(self.rig, self.explained)
+
+    @property
+    def saves(self) -> int:
+        """Rig recordings saved, at least; those that the twin was fitted to are off."""
+        return max((self.worth or len(self.rig)) - self.fitted_on, 0)
+
+    @property
+    def nominal_saves(self) -> int:
+        """The same for the twin without the causes."""
+        return max((_fewest(self.rig, self.nominal) or len(self.rig)) - self.fitted_on, 0)
+
+    def record(self) -> dict[str, object]:
+        return asdict(self) | {"worth": self.worth, "saves": self.saves, "nominal_saves": self.nominal_saves}
+
+
+def _fewest(rig: Sequence[float], error: float) -> int | None:
+    return next((k for k, own in enumerate(rig, start=1) if own <= METHOD.worth.alike * error), None)
+
+
+def calibration_worth(
+    unit: str, case: Case, audit: Case, shared: Fit, say: Callable[[str], None] = lambda _: None
+) -> CalibrationWorth:
+    """Train f on a unit's nominal and explained twin and on rig recordings, and test all on its audit.
+
+    Base parameters and sizes are fitted to the first recording alone. The twins are pressed along the
+    stage positions of all recordings.
+
+    Args:
+        shared: a fit of the lot's causes to this unit: its sizes are only where a fit begins.
+
+    Raises:
+        InputError: a run lacks stage position, force or output.
+    """
+    recorded = [_labelled(unit, run) for run in case.presses]
+    say(f"{unit}: training f on twins and on 1 to {len(recorded)} rig recordings")
+    test = _joined(unit, [_labelled(unit, run) for run in audit.presses])
+    bare = base_fit(Case(case.serial, case.presses[: METHOD.worth.fitted_on]))
+    # Episodes belong to the recordings they were found in.
+    hypothesis = shared.hypothesis.without_episodes()
+    start = np.append(bare.coordinates, shared.coordinates[hypothesis.of_base.stop :])
+    full = fit(bare.problem, hypothesis, start, steps=40)
+
+    def error_of(twin: Twin) -> float:
+        rng, pairs = np.random.default_rng(0), zip(recorded, case.presses, strict=True)
+        simulated = [pressed(twin, one.unlabelled, rng, run.temperature_C) for one, run in pairs]
+        return _error(_joined(unit, simulated), test)
+
+    nominal, explained = error_of(explained_twin(bare)), error_of(explained_twin(full))
+    of_rig = tuple(_error(_joined(unit, recorded[:k]), test) for k in range(1, len(recorded) + 1))
+    return CalibrationWorth(unit, nominal, explained, of_rig)
+
+
+def _labelled(unit: str, run: Run) -> LabelledRecording:
+    for channel in ("stage_mm", "force_N", "output_V"):
+        if getattr(run, channel) is None:
+            raise InputError(
+                f"{unit}, {run.name}: {channel} is missing; f is trained on force and output, twins on both"
+            )
+    output_V, force_N = np.asarray(run.output_V), np.asarray(run.force_N)
+    output = OutputRecording(unit, run.t_s, output_V, run.readout.sample_rate_Hz, stage_mm=run.stage_mm)
+    return LabelledRecording(output, force_N)
+
+
+def _joined(unit: str, parts: Sequence[LabelledRecording]) -> LabelledRecording:
+    """Return recordings one after the other, a second apart: no window spans two."""
+    times, end_s = [], 0.0
+    for part in parts:
+        t_s = part.unlabelled.t_s
+        times.append(t_s - t_s[0] + end_s)
+        end_s = float(times[-1][-1]) + 1.0
+    output = np.concatenate([part.unlabelled.output for part in parts])
+    joined = OutputRecording(unit, np.concatenate(times), output, parts[0].unlabelled.sample_rate_Hz)
+    return LabelledRecording(joined, np.concatenate([part.reference for part in parts]))
+
+
+def _error(source: LabelledRecording, test: LabelledRecording) -> float:
+    return rmse(fit_network(source, NETWORK).network.evaluate(test.windows), test.window_reference)

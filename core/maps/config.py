@@ -217,8 +217,6 @@ class AnchorConfig:
         load_error: of a known load, as a share of the source's range.
         near: samples of the source within this share of its range around a load show its output under it.
         least_near: so many of them at least.
-        most_misfit: loads that lie further from the source's levels than so many standard uncertainties, whatever the
-            gain and offset, contradict one another.
         beyond: a known load may lie beyond the source's range by this share of it.
         same_load: loads nearer than this share of the source's range are one load stated twice.
         straight: beside two known loads a source that is bent by less than this share of its rise leaves its units a
@@ -233,7 +231,6 @@ class AnchorConfig:
     load_error: float = setting(0.003)
     near: float = setting(0.05)
     least_near: int = setting(30)
-    most_misfit: float = setting(10.0)
     beyond: float = setting(0.1)
     same_load: float = setting(0.01)
     straight: float = setting(

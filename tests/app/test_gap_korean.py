@@ -238,5 +238,5 @@ def test_every_sentence_on_a_gap_is_korean(english_in: English) -> None:
 
 
 def test_every_departure_outside_the_catalogue_has_its_sentence() -> None:
-    likes = [one.like for one in (*STRANGERS, WARM_DIVIDER)]
+    likes = [Reason(one.id) for one in (*STRANGERS, WARM_DIVIDER)]
     assert {one.code for one in likes} == {code for code in GAP_SENTENCES if code.startswith("gap.like.")}

@@ -29,7 +29,7 @@ TIE = 0.3
 
 def _chosen_without(case: Case, run: int) -> list[tuple[str, ...]]:
     """The causes that a search finds to which the run was never shown; several only where they tie."""
-    search = EffectSearch(replace(case, runs=tuple(r for k, r in enumerate(case.runs) if k != run)))
+    search = EffectSearch.of(replace(case, runs=tuple(r for k, r in enumerate(case.runs) if k != run)))
     search.run()
     logs = log_evidences(search.fits)
     return [ids for ids, log in logs.items() if log > max(logs.values()) - TIE]

@@ -9,10 +9,10 @@ from common.lot_draw import draw_lot
 from softcal.core import profiles
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.fit import PRIOR_ODDS
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.posterior import Yardstick
-from softcal.core.gap.shared_cause import STRAY_ODDS, Searched, diagnose_lot, joint_logs, lot_logs
-from softcal.core.gap.worth import CalibrationWorth
+from softcal.core.gap.shared_cause import Searched, diagnose_lot, joint_logs, lot_logs
+from softcal.core.gap.transfer import CalibrationWorth
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
 
@@ -88,7 +88,7 @@ def test_what_no_unit_tells_apart_the_lot_does():
 
 
 def test_the_prior_odds_of_a_cause_are_paid_once():
-    prior = np.log(PRIOR_ODDS)
+    prior = np.log(METHOD.evidence.prior_odds)
     units = [of_logs(none=-10.0, lag=-10.0 + prior + 3.0) for _ in range(4)]
     logs, _ = lot_logs(units)
     assert logs[("lag",)] - logs[()] == pytest.approx(4 * 3.0 + prior, abs=0.2)
@@ -98,7 +98,7 @@ def test_one_unit_cannot_outvote_the_lot_by_more_than_the_stated_factor():
     units = [of_logs(none=-100.0, lag=0.0) for _ in range(3)] + [of_logs(none=0.0, lag=-1e4)]
     logs, _ = lot_logs(units)
     assert logs[("lag",)] > logs.get((), -np.inf)
-    assert units[3].log_term(("lag",)) >= np.log(STRAY_ODDS) + units[3].top
+    assert units[3].log_term(("lag",)) >= np.log(METHOD.evidence.stray_odds) + units[3].top
 
 
 def test_what_an_equation_leaves_in_every_unit_is_no_surer_for_being_repeated():

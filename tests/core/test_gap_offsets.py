@@ -10,7 +10,8 @@ from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.fit import to_fit
-from softcal.core.gap.offsets import RESISTANCE, TARE, offsets
+from softcal.core.gap.method import METHOD
+from softcal.core.gap.offsets import offsets
 from softcal.core.gap.place import strongest_tone
 from softcal.core.gap.problem import BASE as PARAMETERS
 from softcal.core.gap.problem import Hypothesis, Problem
@@ -91,12 +92,12 @@ def test_the_directions_are_those_of_the_twin() -> None:
 def test_an_offset_beyond_what_rigs_have_stays_a_gap() -> None:
     problem = Problem(_untared(0.5), SIGMA)
     largest_N = max(np.ptp(problem.measured[b.place]) for b in problem.blocks if b.channel == "force_N")
-    assert _found(problem)[:, 0] == pytest.approx([TARE * largest_N] * 3)
+    assert _found(problem)[:, 0] == pytest.approx([METHOD.offset.tare * largest_N] * 3)
 
 
 def test_what_all_runs_share_is_left_to_the_base() -> None:
     every = _found(Problem(_case(_runs((0.01, 0.01, 0.01), seats_mm=(0.02, 0.02, 0.02))), SIGMA))
-    assert np.abs(every[:, 1]).max() < 1e-3 < 0.01 < RESISTANCE and np.abs(every[:, 2]).max() < 2e-3
+    assert np.abs(every[:, 1]).max() < 1e-3 < 0.01 < METHOD.offset.resistance and np.abs(every[:, 2]).max() < 2e-3
 
 
 @pytest.mark.parametrize("share", [-0.02, 0.02])

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from softcal.core.gap.posterior import DISCREPANCY_MODES, misfit
+from softcal.core.gap.method import METHOD
+from softcal.core.gap.posterior import misfit
 
 
 def test_a_small_excess_counts_as_in_white_noise():
@@ -17,5 +18,5 @@ def test_a_large_excess_counts_by_its_factor():
 def test_it_is_twice_the_negative_log_likelihood_of_modes_of_the_best_size():
     excess = 700.0
     sizes = np.geomspace(1.0, 1e4, 20_000)
-    by_size = DISCREPANCY_MODES * np.log(sizes) + excess / sizes
+    by_size = METHOD.evidence.modes * np.log(sizes) + excess / sizes
     assert misfit(excess) == pytest.approx(by_size.min(), rel=1e-6)

@@ -14,11 +14,10 @@ from scipy.signal import lfilter
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case
 from softcal.core.gap.floor import noise_chance
-from softcal.core.gap.simulator import Columns, Simulator, SimulatorRun, candidate, recorded
+from softcal.core.gap.simulator import Columns, Simulator, SimulatorRun, candidate, recorded, term_of, with_terms
 from softcal.core.gap.simulator_diagnosis import diagnose_simulator
 from softcal.core.gap.simulator_problem import followed, shifted
 from softcal.core.gap.simulator_search import base_fit
-from softcal.core.gap.simulator_terms import term_of, with_terms
 from softcal.core.twin.effects import Parameter
 from tests.layers import layered
 

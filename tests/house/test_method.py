@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from softcal.core.gap.method import GapMethod
 from softcal.core.unit.method import Method
 from softcal.core.use.method import UseMethod
 
@@ -25,6 +26,27 @@ NO_DECISION = {
     "core/maps/synchrony.py": {"NONE"},  # zeros
     "core/use/adapter.py": {"STATE_FORMAT"},  # of the stored state
     "core/use/batches.py": {"MOST_UPDATES"},  # length of a queue for the caller
+    "core/gap/case.py": {"SHORTEST", "HALF_WIDTH"},  # what is refused, and a smoother
+    "core/gap/colour.py": {"COMMON_STEP_s"},  # of the rig of the catalogue's bounds
+    "core/gap/coordinates.py": {"COMMON", "POWERS"},  # size of that rig, and of its units
+    "core/gap/episodes.py": {"SKEW_STEPS", "ACROSS", "MAINS_Hz", "PLACEMENTS"},  # of a solver, and of power lines
+    "core/gap/fit.py": {"TOLERANCE", "TRIES", "DIFFERENCE"},  # of a solver
+    "core/gap/forward.py": {"TOUCHING_share", "INVERSE_STEPS", "SHARPEST", "RETRACTED_mm", "HARMONICS", "SMOOTH"},
+    "core/gap/generic_effects.py": {"WARM_DIVIDER", "STRANGERS"},  # equations
+    "core/gap/next_experiment.py": {"LEVELS", "REST_s", "SET_UP_min"},  # runs that may be proposed
+    "core/gap/offsets.py": {"PASSES", "STRAIGHT_SIGMA"},  # of a solver
+    "core/gap/plausibility.py": {"UNITS_OF_RUN", "TIME_UNITS", "UNITS"},  # units
+    "core/gap/problem.py": {"QUIETEST", "BASE"},  # a guard, and the base's bounds
+    "core/gap/residual.py": {"TIED"},  # rounding
+    "core/gap/screen.py": {"KEPT", "GENTLER"},  # where a fit begins
+    "core/gap/shared_cause.py": {"FEWEST_UNITS"},  # what is refused
+    "core/gap/simulator.py": {"BLUNT", "MEMORIES"},  # parts of stored terms
+    "core/gap/simulator_diagnosis.py": {"STANDS_OUT"},  # what is listed
+    "core/gap/simulator_plausibility.py": {"FACTORS"},  # units
+    "core/gap/simulator_problem.py": {"KNOWN"},  # a cache
+    "core/gap/simulator_search.py": {"DRAWS", "FIRST_STEPS"},  # where a fit begins
+    "core/gap/start.py": {"TRIMMED"},  # of an estimator
+    "core/gap/transfer.py": {"NETWORK"},  # the same network for rig and twins
 }
 """Numbers outside the method that cannot change a map, an interval, a forecast or a verdict."""
 
@@ -141,7 +163,7 @@ def test_no_number_of_a_release_by_sample_stands_outside_the_method(module: str)
     assert set(constants(CORE / "quality" / f"{module}.py")) == set()
 
 
-@pytest.mark.parametrize("room", ROOMS)
+@pytest.mark.parametrize("room", (*ROOMS, "gap"))
 def test_no_module_keeps_a_number_that_decides(room: str) -> None:
     for path in sorted((CORE / room).glob("*.py")):
         place = path.relative_to(CORE.parent).as_posix()
@@ -194,8 +216,8 @@ def test_numbers_of_the_file_formats_cannot_be_changed() -> None:
             Method(**{name: getattr(Method(), name) + 1})
 
 
-@pytest.mark.parametrize("method", [Method(), UseMethod()], ids=["calibration", "use"])
-def test_every_number_says_where_it_comes_from(method: Method | UseMethod) -> None:
+@pytest.mark.parametrize("method", [Method(), UseMethod(), GapMethod()], ids=["calibration", "use", "gap"])
+def test_every_number_says_where_it_comes_from(method: Method | UseMethod | GapMethod) -> None:
     assert [name for name, _, origin in method.numbers() if not origin.strip()] == []
 
 
