@@ -49,9 +49,7 @@ class Trace:
                     setattr(self, name, values[::2])
 
 
-def adaptation_figure(
-    title: str, trace: Trace, maps: Course, output_unit: str = "V", reference_unit: str = "N"
-) -> "Figure":
+def adaptation_figure(title: str, trace: Trace, maps: Course, output_unit: str, reference_unit: str) -> "Figure":
     """Return the figure of a unit's stream; `maps` are its steps in the registry, oldest first."""
     from plotly.subplots import make_subplots
 

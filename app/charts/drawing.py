@@ -69,9 +69,28 @@ def drawing(figure: go.Figure) -> str:
             elif trace.type == "bar":
                 parts += _bars(trace, x, y)
             else:
-                parts.append(_line(trace, x, y))
-    parts += _notes(layout, margin)
-    parts += _legend(figure)
+                points = [(a, b) for a, b in zip(x.at(trace.x), y.at(trace.y), strict=True) if np.isfinite(a + b)]
+                style = f"stroke='{trace.line.color}' stroke-width='{trace.line.width or 1}'"
+                shown = " ".join(f"{a:.1f},{b:.1f}" for a, b in points)
+                parts.append(f"<polyline fill='none' {style} points='{shown}'/>")
+
+    # The titles of the parts of a figure, and what its colours mean.
+    for note in layout.annotations:
+        across = margin["l"] + note.x * (WIDTH - margin["l"] - margin["r"])
+        up = layout.height - margin["b"] - note.y * (layout.height - margin["t"] - margin["b"])
+        parts.append(_text(across, up - 8, note.text))
+    if scale := layout.coloraxis.colorbar.title.text:
+        parts.append(_text(WIDTH - margin["r"], layout.height - 10, scale, "end"))
+
+    # The names of lines, on one line at the bottom, from the right.
+    named = [t for t in figure.data if t.type.startswith("scatter") and t.showlegend is not False and t.name]
+    at, up = WIDTH - 20.0, layout.height - 12
+    for trace in reversed(named):
+        at -= LETTER * len(trace.name)
+        parts.append(_text(at, layout.height - 8, trace.name, "start"))
+        place = f"x1='{at - 26}' x2='{at - 6}' y1='{up}' y2='{up}'"
+        parts.append(f"<line {place} stroke='{trace.line.color}' stroke-width='2'/>")
+        at -= 44
     return (
         f"<svg class='drawing' viewBox='0 0 {WIDTH} {layout.height}' role='img' font-size='13' fill='{LIGHT.text}'>"
         f"{''.join(parts)}</svg>"
@@ -117,13 +136,6 @@ def _frame(x: _Axis, y: _Axis, x_layout: Any, y_layout: Any) -> Iterator[str]:
         yield _text(x.start - 6, y.end - 6, y_layout.title.text, "end")
 
 
-def _line(trace: Any, x: _Axis, y: _Axis) -> str:
-    across, up = x.at(trace.x), y.at(trace.y)
-    points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(across, up, strict=True) if np.isfinite(a + b))
-    style = f"stroke='{trace.line.color}' stroke-width='{trace.line.width or 1}'"
-    return f"<polyline fill='none' {style} points='{points}'/>"
-
-
 def _bars(trace: Any, x: _Axis, y: _Axis) -> Iterator[str]:
     colours = trace.marker.color
     high = 0.7 * abs(y.end - y.start) / max(len(y.names), 1)
@@ -148,28 +160,6 @@ def _cells(trace: Any, x: _Axis, y: _Axis, scale: Any) -> Iterator[str]:
                 place = f"x='{centre - wide / 2:.1f}' y='{middle - high / 2:.1f}'"
                 yield f"<rect {place} width='{wide:.1f}' height='{high:.1f}' fill='{colour}' stroke='#fff'/>"
                 yield _text(float(centre), float(middle) + 4, f"{value:.1f}")
-
-
-def _notes(layout: Any, margin: dict[str, float]) -> Iterator[str]:
-    """Give the titles of the parts of a figure, and what its colours mean."""
-    for note in layout.annotations:
-        across = margin["l"] + note.x * (WIDTH - margin["l"] - margin["r"])
-        up = layout.height - margin["b"] - note.y * (layout.height - margin["t"] - margin["b"])
-        yield _text(across, up - 8, note.text)
-    if layout.coloraxis.colorbar.title.text:
-        yield _text(WIDTH - margin["r"], layout.height - 10, layout.coloraxis.colorbar.title.text, "end")
-
-
-def _legend(figure: go.Figure) -> Iterator[str]:
-    """Give the names of lines on one line at the bottom, from the right."""
-    named = [t for t in figure.data if t.type.startswith("scatter") and t.showlegend is not False and t.name]
-    at = WIDTH - 20.0
-    for trace in reversed(named):
-        at -= LETTER * len(trace.name)
-        yield _text(at, figure.layout.height - 8, trace.name, "start")
-        up = figure.layout.height - 12
-        yield f"<line x1='{at - 26}' x2='{at - 6}' y1='{up}' y2='{up}' stroke='{trace.line.color}' stroke-width='2'/>"
-        at -= 44
 
 
 def _text(x: float, y: float, text: str, anchor: str = "middle") -> str:

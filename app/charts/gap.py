@@ -40,12 +40,6 @@ def channels_of(runs: "Sequence[RunView]") -> list[str]:
     return [*(name for name in CHANNELS if name in every), *(name for name in every if name not in CHANNELS)]
 
 
-def span_of(runs: "Sequence[RunView]", column: str) -> float:
-    """Return the range of a channel over all runs, in its unit."""
-    parts = [run.channels[column].measured for run in runs if column in run.channels]
-    return max(float(np.max(part)) for part in parts) - min(float(np.min(part)) for part in parts)
-
-
 DIRECTIONS = tuple(Reason(f"gap.regime.{name}") for name in ("loading", "hold", "unloading"))
 BANDS = 6
 PREDICTIONS = ("base", "causes", "floor")
@@ -218,15 +212,15 @@ def trace_figure(runs: Sequence[RunView], channel: str, say: Words, colours: Pal
     return _over_time(runs, channel, lines, say)
 
 
-def compared_figure(runs: Sequence[RunView], channel: str, say: Words, colours: Palette = LIGHT) -> go.Figure | None:
+def compared_figure(runs: Sequence[RunView], channel: str, say: Words) -> go.Figure | None:
     """Draw what was measured and predicted over time, one row per run, before and after."""
 
     def lines(view: ChannelView) -> Iterator[_Line]:
         # The same instants for all three: those at which the base is farthest off.
         at = _thinned(view.measured - view.base, COMPARED_POINTS)
-        yield "measured", view.measured, colours.raw, at
-        yield "base", view.base, colours.source, at
-        yield "causes", view.explained, colours.mapped, at
+        yield "measured", view.measured, LIGHT.raw, at
+        yield "base", view.base, LIGHT.source, at
+        yield "causes", view.explained, LIGHT.mapped, at
 
     return _over_time(runs, channel, lines, say)
 

@@ -39,7 +39,7 @@ h1.ambiguous { border-color: #b06f00; } h1.unknown { border-color: #b3261e; }
 def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str, say: Words) -> str:
     """Return the page of a diagnosis of a unit as HTML; `report` has schema `softcal.gap/1`."""
     say = gap.words_for(report, say)
-    parts, asked = [_headline(report, serial, say)], gap.mistake_rows(report, say)
+    parts, asked = [_header(report, serial, say)], gap.mistake_rows(report, say)
     if report["verdict"] == "data":
         mistakes = _rows(asked, say("gap.data"), say)
         parts += [section(say("gap.data"), mistakes), section(say("gap.runs.plain"), *_traces(runs, say))]
@@ -51,6 +51,11 @@ def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str, sa
         ambiguous = _note(_told(say, "gap.ambiguous", group=groups) + ".") if groups else ""
         untold = "".join(f"<li>{escape(gap.begun(line))}</li>" for line in gap.untold_lines(report, say))
         gain = figures.gain_figure(report, say)
+        why, proposed = escape(gap.why_next(report["next_experiment"] or {}, say)), gap.next_experiment(report)
+        experiment = f"<p>{_told(say, 'gap.next.none')} {gap.begun(why)}</p>"
+        if proposed is not None:
+            name = escape(gap.pressed_name(str(proposed["profile"]), say))
+            experiment = f"<div class='next'><b>{name}</b><p>{why}</p></div>"
         maps = drawings(*(figures.map_figure(runs, channel, say) for channel in figures.channels_of(runs)))
         parts += [
             *([section(say("gap.data.asked"), _rows(asked, "", say))] if asked else []),
@@ -60,7 +65,7 @@ def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str, sa
             *([section(say("gap.told"), f"<ul>{untold}</ul>")] if untold else []),
             section(say("gap.sure"), _hidden_words(report, say), drawings(figures.hidden_figure(report, say))),
             *([section(say("gap.left"), *_left(report["residual"], report, say))] if report.get("residual") else []),
-            section(say("gap.next"), _next(report, say)),
+            section(say("gap.next"), experiment),
             section(say("gap.runs"), *_traces(runs, say)),
         ]
     return document(say("gap.page.title", serial=serial), parts, STYLE, say("gap.page.lang"), has_plots=False)
@@ -78,7 +83,8 @@ def _gain_rows(report: Mapping[str, Any], runs: Sequence[RunView], say: Words) -
         channel, (times, unit) = report["gap"].get(figures.reported(column)), figures.unit_of(column)
         if not channel or channel["rmse_before"] is None:
             continue
-        span = max(figures.span_of(runs, column), 1e-300)
+        parts = [run.channels[column].measured for run in runs if column in run.channels]
+        span = max(max(part.max() for part in parts) - min(part.min() for part in parts), 1e-300)
         row = {"channel": gap.channel_name(figures.reported(column), say)}
         for name, key in (("base", "rmse_before"), ("causes", "rmse_after"), ("floor", "noise_floor")):
             row[name] = f"{times * channel[key]:.3g} {unit} ({100 * channel[key] / span:.2g} %)"
@@ -102,15 +108,14 @@ def _left(residual: Mapping[str, Any], report: Mapping[str, Any], say: Words) ->
 def _rows(rows: Sequence[Mapping[str, str]], otherwise: str, say: Words) -> str:
     if not rows:
         return f"<p>{escape(otherwise)}</p>"
-    header = [say(f"gap.column.{name}") for name in rows[0]]
-    return table(header, [[_cell(*cell) for cell in row.items()] for row in rows])
-
-
-def _cell(name: str, text: str) -> str:
-    if name != "share":
-        return escape(text)
-    width = text.strip("<> ").replace(" ", "")
-    return f"<div class='bar'><i style='width:{width}'></i><span>{escape(text)}</span></div>"
+    cells = []
+    for row in rows:
+        shown = {name: escape(text) for name, text in row.items()}
+        if share := row.get("share"):
+            width = share.strip("<> ").replace(" ", "")
+            shown["share"] = f"<div class='bar'><i style='width:{width}'></i><span>{escape(share)}</span></div>"
+        cells.append(list(shown.values()))
+    return table([say(f"gap.column.{name}") for name in rows[0]], cells)
 
 
 def _told(say: Words, key: str, **values: str) -> str:
@@ -132,36 +137,40 @@ def _traces(runs: Sequence[RunView], say: Words) -> Iterable[str]:
             yield f"<h3>{gap.begun(title)}</h3>{drawings(figure)}"
 
 
-def _headline(report: Mapping[str, Any], serial: str, say: Words) -> str:
+def _header(report: Mapping[str, Any], serial: str, say: Words) -> str:
+    """Return the verdict, the causes, and what to know before reading on."""
     causes = ", ".join(f"**{cause}**" for cause in gap.named_causes(report, say))
     lines = [
         f"<p class='unit'>{_told(say, 'gap.page.unit', serial=serial)}</p>",
         f"<h1 class='{escape(report['verdict'])}'>{_told(say, 'gap.verdict.' + report['verdict'])}</h1>",
         f"<p class='lead'>{_told(say, 'gap.page.causes', causes=causes)}</p>" if causes else "",
-        _partly(report, say),
-        _offsets(report, say),
-        _noise(report, say),
-        _missing(report, say),
     ]
+    if partial := report.get("partial"):
+        effects, share = _effects(partial["effects"], say), _percent(partial["share"])
+        lines.append(_note(_told(say, "gap.partial", causes=effects, share=share)))
+    # What was taken off every run before it was compared, at most; nothing shows as 0.
+    offsets = (_own_offsets if report.get("simulator") else _rig_offsets)(report.get("offsets", ()), say)
+    if offsets:
+        lines.append(_note(_told(say, "gap.own", offsets="; ".join(offsets))))
+    # Noise that is not white; the floor holds it.
+    sentences = []
+    for channel, noise in report.get("noise", {}).items():
+        times, unit = figures.unit_of(channel)
+        size, fading = f"{times * noise['fading']:.3g}", f"{noise['fading_s']:.2g}"
+        name = gap.channel_name(channel, say)
+        sentences.append(say("gap.noise.one", channel=name, size=size, unit=unit, fading=fading))
+    if sentences:
+        lines.append(_note(_told(say, "gap.noise", channels="; ".join(sentences))))
+    if missing := report.get("missing_channels"):
+        words = [_told(say, "gap.page.missing", channels=", ".join(missing))]
+        if stages := ", ".join(gap.stage_name(stage, say) for stage in report.get("unseen_stages", ())):
+            words.append(_told(say, "gap.page.unseen", stages=stages))
+        lines.append(_note(" ".join(words)))
     return f"<header>{''.join(lines)}</header>"
 
 
 def _note(words: str) -> str:
     return f"<p class='note'>{words}</p>"
-
-
-def _partly(report: Mapping[str, Any], say: Words) -> str:
-    partial = report.get("partial")
-    if not partial:
-        return ""
-    causes = _effects(partial["effects"], say)
-    return _note(_told(say, "gap.partial", causes=causes, share=_percent(partial["share"])))
-
-
-def _offsets(report: Mapping[str, Any], say: Words) -> str:
-    """Say what was taken off every run before it was compared, at most; nothing shows as 0."""
-    sentences = (_own_offsets if report.get("simulator") else _rig_offsets)(report.get("offsets", ()), say)
-    return _note(_told(say, "gap.own", offsets="; ".join(sentences))) if sentences else ""
 
 
 def _rig_offsets(offsets: Sequence[Mapping[str, float]], say: Words) -> list[str]:
@@ -181,30 +190,6 @@ def _own_offsets(offsets: Sequence[Mapping[str, Any]], say: Words) -> list[str]:
             most[key] = max(most.get(key, 0.0), abs(offset[kind]))
     named = ((gap.channel_name(channel, say), kind, size) for (channel, kind), size in sorted(most.items()))
     return [f"{channel}: {say(f'gap.own.{kind}')} {size:.3g}" for channel, kind, size in named]
-
-
-def _noise(report: Mapping[str, Any], say: Words) -> str:
-    """Say which channels have noise that is not white, and that the floor holds it."""
-    sentences = [
-        say(
-            "gap.noise.one",
-            channel=gap.channel_name(channel, say),
-            size=f"{figures.unit_of(channel)[0] * noise['fading']:.3g}",
-            unit=figures.unit_of(channel)[1],
-            fading=f"{noise['fading_s']:.2g}",
-        )
-        for channel, noise in report.get("noise", {}).items()
-    ]
-    return _note(_told(say, "gap.noise", channels="; ".join(sentences))) if sentences else ""
-
-
-def _missing(report: Mapping[str, Any], say: Words) -> str:
-    if not report.get("missing_channels"):
-        return ""
-    words = [_told(say, "gap.page.missing", channels=", ".join(report["missing_channels"]))]
-    if stages := ", ".join(gap.stage_name(stage, say) for stage in report.get("unseen_stages", ())):
-        words.append(_told(say, "gap.page.unseen", stages=stages))
-    return _note(" ".join(words))
 
 
 def _percent(share: float | None) -> str:
@@ -266,10 +251,3 @@ def _hidden_words(report: Mapping[str, Any], say: Words) -> str:
         return f"<p>{_told(say, 'gap.hidden.bars')}</p>"
     names = ", ".join(f"{gap.effect_name(effect, say)} ({_percent(hidden[effect])})" for effect in worst)
     return _note(_told(say, "gap.hidden.most", effects=names))
-
-
-def _next(report: Mapping[str, Any], say: Words) -> str:
-    why, proposed = escape(gap.why_next(report["next_experiment"] or {}, say)), gap.next_experiment(report)
-    if proposed is None:
-        return f"<p>{_told(say, 'gap.next.none')} {gap.begun(why)}</p>"
-    return f"<div class='next'><b>{escape(gap.pressed_name(str(proposed['profile']), say))}</b><p>{why}</p></div>"

@@ -14,7 +14,7 @@ from softcal.app.texts.reasons import Words, plainly
 from softcal.app.views.common import far_end
 from softcal.app.views.lot import LotView, ProcessView
 from softcal.app.views.lot_runs import DESK, YieldAt
-from softcal.core.quality.control_chart import FORBIDDING, ControlChart
+from softcal.core.quality.control_chart import FORBIDDING
 
 BINS = 48
 SHOWN_VALUES = 300
@@ -42,7 +42,9 @@ def predicted_errors(view: LotView, colours: Palette, words: Words) -> go.Figure
     # Without a step of their own the ticks would follow the bars, at odd numbers.
     figure.update_xaxes(range=[0.0, top + edges[1]], dtick=style.nice_step(top), tick0=0)
     if view.limit_rmse is not None:
-        style.limit_line(figure, view.limit_rmse, colours, words("chart.limit"))
+        note: dict[str, Any] = {"text": words("chart.limit"), "font": {"color": colours.limit, "size": 12}}
+        note |= {"yref": "paper", "y": 1.0, "yanchor": "bottom", "xanchor": "left"}
+        figure.add_vline(view.limit_rmse, line={"color": colours.limit, "width": 2}, annotation=note)
     title, beyond = f"{words('column.predicted')} [{view.lot.reference_unit}]", int(np.sum(every > top))
     if beyond:
         # Over the bars it would meet the line of the limit where the figure is narrow.
@@ -89,7 +91,13 @@ def control_chart_figure(process: ProcessView, unit: str, colours: Palette, word
         hover = f"%{{text}}: %{{y:.{digits}g}} {unit}<extra></extra>"
         shown = {"text": names, "mode": "lines+markers", "line": line, "marker": marker, "hovertemplate": hover}
         figure.add_scatter(x=at, y=values[first:], **shown, row=row, col=1)
-    _flagged(figure, chart, first, names, colours, words)
+    rules: dict[int, list[int]] = {}
+    for signal in chart.signals:
+        if signal.index >= first and signal.rule in FORBIDDING:
+            rules.setdefault(signal.index, []).append(signal.rule)
+    text = [f"{names[k - first]}: {', '.join(words(f'rule.{n}') for n in broken)}" for k, broken in rules.items()]
+    look: dict[str, Any] = {"symbol": "diamond", "text": text, "hovertemplate": "%{text}<extra></extra>"}
+    style.dots(figure, [k + 1 for k in rules], [chart.values[k] for k in rules], colours.limit, None, 10, 1, **look)
     style.level_line(figure, chart.centre, colours.text, f"{chart.centre:.3g}")
     for limit in (chart.lower, chart.upper):
         style.level_line(figure, limit, colours.limit, f"{limit:.3g}", dash="dash")
@@ -98,18 +106,6 @@ def control_chart_figure(process: ProcessView, unit: str, colours: Palette, word
     style.axis_titles(figure, 2, f"{words('chart.range')} [{unit}]", words("chart.order"))
     figure.update_yaxes(rangemode="tozero", row=2, col=1)
     return style.coloured(figure, colours, 420).update_layout(showlegend=False, margin_t=20)
-
-
-def _flagged(
-    figure: go.Figure, chart: ControlChart, first: int, names: list[str], colours: Palette, words: Words
-) -> None:
-    rules: dict[int, list[int]] = {}
-    for signal in chart.signals:
-        if signal.index >= first and signal.rule in FORBIDDING:
-            rules.setdefault(signal.index, []).append(signal.rule)
-    text = [f"{names[k - first]}: {', '.join(words(f'rule.{n}') for n in broken)}" for k, broken in rules.items()]
-    look: dict[str, Any] = {"symbol": "diamond", "text": text, "hovertemplate": "%{text}<extra></extra>"}
-    style.dots(figure, [k + 1 for k in rules], [chart.values[k] for k in rules], colours.limit, None, 10, 1, **look)
 
 
 def reasons_pareto(view: LotView, colours: Palette, words: Words) -> go.Figure:

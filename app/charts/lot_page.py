@@ -8,7 +8,7 @@ from softcal.app.charts.page import document, figures, section, table
 from softcal.app.charts.palette import palette
 from softcal.app.texts.reasons import Words
 from softcal.app.views.lot import LotView
-from softcal.app.views.lot_report import ReportPart, report_facts, report_parts
+from softcal.app.views.lot_report import report_facts, report_parts
 from softcal.db.entries import UnitEntry
 
 STYLE = """p { margin: 4px 0; color: #55606c; }
@@ -22,20 +22,14 @@ def lot_page(view: LotView, units: Sequence[UnitEntry], words: Words, made: str)
     facts = report_facts(view, words)
     listed = "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in facts.items())
     head = f"<header><h1>{escape(view.lot.id)}</h1><dl>{listed}</dl><p>{escape(made)}</p></header>"
-    parts = report_parts(view, units, words("lot.table"), words)
-    sections = [section(part.title, _drawn(part, view, words)) for part in parts]
-    return document(f"softcal: {view.lot.id}", [head, *sections], STYLE)
-
-
-def _drawn(part: ReportPart, view: LotView, words: Words) -> str:
-    colours = palette(None)
-    match part.picture:
-        case "errors":
-            return figures(predicted_errors(view, colours, words))
-        case "process":
-            return figures(control_chart_figure(view.process, view.lot.reference_unit, colours, words))
-        case "reasons":
-            return figures(reasons_pareto(view, colours, words))
-        case "scores":
-            return figures(audit_scores(view, colours, words))
-    return table(part.header, ([escape(cell) for cell in row] for row in part.rows))
+    colours, sections = palette(None), [head]
+    drawers = {"errors": predicted_errors, "reasons": reasons_pareto, "scores": audit_scores}
+    for part in report_parts(view, units, words("lot.table"), words):
+        if part.picture == "process":
+            shown = figures(control_chart_figure(view.process, view.lot.reference_unit, colours, words))
+        elif part.picture:
+            shown = figures(drawers[part.picture](view, colours, words))
+        else:
+            shown = table(part.header, ([escape(cell) for cell in row] for row in part.rows))
+        sections.append(section(part.title, shown))
+    return document(f"softcal: {view.lot.id}", sections, STYLE)

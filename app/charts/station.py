@@ -7,9 +7,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import axis_titles, coloured, dots, level_line, styled
+from softcal.app.charts.style import axis_titles, both_ways, coloured, dots, level_line, styled
 from softcal.app.texts.reasons import Words
-from softcal.app.views.common import thinned
 from softcal.core.lot import Lot
 from softcal.core.profiles import Profile
 from softcal.core.quality.control_chart import ControlChart
@@ -53,12 +52,6 @@ def golden_figure(runs: Sequence[GoldenRun], chart: ControlChart | None, colours
 
 def source_curve(source: LabelledRecording, lot: Lot, colours: Palette, words: Words) -> go.Figure:
     """Draw the output of a source over its reference, loading and unloading apart."""
-    reference, output = source.reference, source.unlabelled.output
-    rising = np.gradient(reference) >= 0
-    figure = go.Figure()
-    for name, rows, colour in (("loading", rising, colours.mapped), ("unloading", ~rising, colours.raw)):
-        x, y = reference[rows], output[rows]
-        at = thinned(x, 2500)
-        dots(figure, x[at], y[at], colour, words(f"chart.{name}"), 3, opacity=0.6)
+    figure = both_ways(source.reference, source.unlabelled.output, colours, words, 2500, 3)
     titles = f"{words('chart.reference')} [{lot.reference_unit}]", f"{words('chart.output')} [{lot.output_unit}]"
     return styled(figure, colours, *titles)

@@ -7,6 +7,8 @@ import numpy as np
 import plotly.graph_objects as go
 
 from softcal.app.charts.palette import FONTS, Palette
+from softcal.app.texts.reasons import Words
+from softcal.app.views.common import thinned
 from softcal.core.recording import Array
 
 HEIGHT = 320
@@ -57,6 +59,17 @@ def dots(
     figure.add_scatter(x=x, y=y, mode="markers", marker=marker, name=name, row=row, col=col if row else None, **more)
 
 
+def both_ways(load: Array, output: Array, colours: Palette, words: Words, most: int, size: int) -> go.Figure:
+    """Draw an output over a load, loading and unloading apart: at most so many dots of each."""
+    rising = np.gradient(load) >= 0 if len(load) > 1 else np.ones(len(load), dtype=bool)
+    figure = go.Figure()
+    for name, rows, colour in (("loading", rising, colours.mapped), ("unloading", ~rising, colours.raw)):
+        x, y = load[rows], output[rows]
+        at = thinned(x, most)
+        dots(figure, x[at], y[at], colour, words(f"chart.{name}"), size, opacity=0.6)
+    return figure
+
+
 def axis_titles(figure: go.Figure, row: int, y_title: str, x_title: str | None = None) -> None:
     """Give one of several figures that stand below one another its titles."""
     figure.update_yaxes(title=y_title, automargin=True, row=row, col=1)
@@ -78,13 +91,6 @@ def whole_numbers(figure: go.Figure, most: float) -> None:
 def steps(heights: Array) -> Array:
     """Return heights of bins for a line of shape `hv` over their edges, to the last edge."""
     return np.append(heights, heights[-1])
-
-
-def limit_line(figure: go.Figure, at: float, colours: Palette, text: str) -> None:
-    """Draw a vertical line that decides, with its name."""
-    font = {"color": colours.limit, "size": 12}
-    note = {"text": text, "font": font, "yref": "paper", "y": 1.0, "yanchor": "bottom", "xanchor": "left"}
-    figure.add_vline(at, line={"color": colours.limit, "width": 2}, annotation=note)
 
 
 def level_line(figure: go.Figure, at: float, colour: str, text: str, row: int = 1, dash: str = "solid") -> None:

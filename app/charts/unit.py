@@ -5,7 +5,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import axis_titles, coloured, dots, steps, styled
+from softcal.app.charts.style import axis_titles, both_ways, coloured, steps, styled
 from softcal.app.texts.reasons import Words
 from softcal.app.views.common import thinned
 from softcal.app.views.unit import UnitView
@@ -59,14 +59,8 @@ def hysteresis(view: UnitView, colours: Palette, words: Words) -> go.Figure:
     """Draw the output over the estimate, loading and unloading apart."""
     value, output = view.estimate.estimate, view.recording.output
     known = np.isfinite(value)
-    value, output = value[known], output[known]
-    rising = np.gradient(value) >= 0 if len(value) > 1 else np.ones(len(value), dtype=bool)
-    figure = go.Figure()
-    for name, rows, colour in (("loading", rising, colours.mapped), ("unloading", ~rising, colours.raw)):
-        x, y = value[rows], output[rows]
-        at = thinned(x, 2000)
-        dots(figure, x[at], y[at], colour, words(f"chart.{name}"), opacity=0.6)
     unit = f"{words('chart.estimate')} [{view.lot.reference_unit}]"
+    figure = both_ways(value[known], output[known], colours, words, 2000, 4)
     return styled(figure, colours, unit, f"{words('chart.output')} [{view.lot.output_unit}]")
 
 

@@ -45,10 +45,55 @@ def why_figure(view: UnitView, colours: Palette, words: Words) -> go.Figure:
     named = [words(f"why.{name}") for name in ("parts", "loads", "interval", "time")]
     titles = ["<br>".join(textwrap.wrap(title, TITLE)) for title in named]
     figure = make_subplots(rows=2, cols=2, subplot_titles=titles, horizontal_spacing=0.1, vertical_spacing=0.14)
-    _parts(figure, view, colours, words)
-    _loads(figure, view, colours, words)
-    _interval(figure, view, colours, words)
-    _time(figure, view, colours, words)
+    explanation, unit = view.explanation, view.lot.reference_unit
+    load = f"{view.lot.reference_quantity} [{unit}]"
+
+    parts = list(explanation.contributions.items())[::-1]
+    names, values = [phrase("part", name, words) for name, _ in parts], [value for _, value in parts]
+    figure.add_bar(x=values, y=names, orientation="h", marker_color=colours.source, showlegend=False, **PARTS)
+    end = max(0.0, *values, *(explanation.forecast or ()), explanation.limit or 0.0)
+    if explanation.forecast is not None:
+        low, middle, high = explanation.forecast
+        spread = {"type": "data", "symmetric": False, "array": [high - middle], "arrayminus": [middle - low]}
+        name = words("column.predicted")
+        dots(figure, [middle], [name], colours.mapped, name, 12, symbol="diamond", error_x=spread, **PARTS)
+    if explanation.limit is not None:
+        figure.add_vline(explanation.limit, line={"color": colours.limit, "width": 2}, **PARTS)
+        _key(figure, PARTS, words("chart.limit"), colours.limit, "solid")
+    _titled(figure, PARTS, f"{words('chart.error')} [{unit}]", "")
+    # Room behind the last of them, so that the line of the limit stands inside.
+    figure.update_xaxes(range=[0.0, 1.05 * end or 1.0], **PARTS)
+
+    for name, density, colour, dash in (
+        (words("chart.source"), explanation.source_density, colours.source, "solid"),
+        (words("chart.mapped"), explanation.mapped_density, colours.mapped, "solid"),
+        (words("chart.raw"), explanation.unmapped_density, colours.raw, "dot"),
+    ):
+        line = {"color": colour, "width": 2, "shape": "hv", "dash": dash}
+        figure.add_scatter(x=explanation.density_edges, y=steps(density), name=name, line=line, **LOADS)
+    _titled(figure, LOADS, load, words("chart.density"))
+
+    for k, direction in enumerate(explanation.directions):
+        dash = ("solid", "dash", "dot")[k % 3]
+        for half_width, colour, width in (
+            (explanation.source_half_width[k], colours.source, 1.5),
+            (explanation.half_width[k], colours.mapped, 2.5),
+        ):
+            line = {"color": colour, "dash": dash, "width": width}
+            figure.add_scatter(x=explanation.levels, y=half_width, line=line, showlegend=False, **INTERVAL)
+        _key(figure, INTERVAL, words(f"chart.{direction}"), colours.text, dash)
+    _titled(figure, INTERVAL, load, f"± [{unit}]")
+    figure.update_yaxes(rangemode="tozero", **INTERVAL)
+
+    t_s, estimate, at = explanation.t_s, explanation.estimate, thinned(explanation.t_s)
+    line = {"color": colours.mapped, "width": 1.2}
+    figure.add_scatter(x=t_s[at], y=estimate[at], line=line, name=words("chart.estimate"), **TIME)
+    strange = np.flatnonzero(explanation.distance > explanation.familiar_distance)
+    if len(strange):
+        rows = strange[thinned(strange)]
+        dots(figure, t_s[rows], estimate[rows], colours.limit, words("why.unfamiliar"), 5, **TIME)
+    _titled(figure, TIME, words("chart.time"), load)
+
     coloured(figure, colours, HEIGHT)
     decision = view.calibration.decision
     badge = f"<b style='color:{colours.verdict[decision.verdict]}'>{words(f'verdict.{decision.verdict}')}</b>"
@@ -63,75 +108,10 @@ def why_figure(view: UnitView, colours: Palette, words: Words) -> go.Figure:
     )
 
 
-def _parts(figure: go.Figure, view: UnitView, colours: Palette, words: Words) -> None:
-    explanation, parts = view.explanation, list(view.explanation.contributions.items())[::-1]
-    names, values = [phrase("part", name, words) for name, _ in parts], [value for _, value in parts]
-    figure.add_bar(x=values, y=names, orientation="h", marker_color=colours.source, showlegend=False, **PARTS)
-    end = max(0.0, *values, *(explanation.forecast or ()), explanation.limit or 0.0)
-    if explanation.forecast is not None:
-        low, middle, high = explanation.forecast
-        spread = {"type": "data", "symmetric": False, "array": [high - middle], "arrayminus": [middle - low]}
-        name = words("column.predicted")
-        dots(figure, [middle], [name], colours.mapped, name, 12, symbol="diamond", error_x=spread, **PARTS)
-    if explanation.limit is not None:
-        figure.add_vline(explanation.limit, line={"color": colours.limit, "width": 2}, **PARTS)
-        _key(figure, PARTS, words("chart.limit"), colours.limit, "solid")
-    _titled(figure, PARTS, f"{words('chart.error')} [{view.lot.reference_unit}]", "")
-    # Room behind the last of them, so that the line of the limit stands inside.
-    figure.update_xaxes(range=[0.0, 1.05 * end or 1.0], **PARTS)
-
-
-def _loads(figure: go.Figure, view: UnitView, colours: Palette, words: Words) -> None:
-    explanation = view.explanation
-    for name, density, colour, dash in (
-        (words("chart.source"), explanation.source_density, colours.source, "solid"),
-        (words("chart.mapped"), explanation.mapped_density, colours.mapped, "solid"),
-        (words("chart.raw"), explanation.unmapped_density, colours.raw, "dot"),
-    ):
-        line = {"color": colour, "width": 2, "shape": "hv", "dash": dash}
-        figure.add_scatter(x=explanation.density_edges, y=steps(density), name=name, line=line, **LOADS)
-    _titled(figure, LOADS, _load(view), words("chart.density"))
-
-
-def _interval(figure: go.Figure, view: UnitView, colours: Palette, words: Words) -> None:
-    explanation = view.explanation
-    for k, direction in enumerate(explanation.directions):
-        dash = ("solid", "dash", "dot")[k % 3]
-        for half_width, colour, width in (
-            (explanation.source_half_width[k], colours.source, 1.5),
-            (explanation.half_width[k], colours.mapped, 2.5),
-        ):
-            line = {"color": colour, "dash": dash, "width": width}
-            figure.add_scatter(x=explanation.levels, y=half_width, line=line, showlegend=False, **INTERVAL)
-        _key(figure, INTERVAL, words(f"chart.{direction}"), colours.text, dash)
-    _titled(figure, INTERVAL, _load(view), f"± [{view.lot.reference_unit}]")
-    figure.update_yaxes(rangemode="tozero", **INTERVAL)
-
-
-def _time(figure: go.Figure, view: UnitView, colours: Palette, words: Words) -> None:
-    explanation = view.explanation
-    at = thinned(explanation.t_s)
-    line = {"color": colours.mapped, "width": 1.2}
-    figure.add_scatter(
-        x=explanation.t_s[at], y=explanation.estimate[at], line=line, name=words("chart.estimate"), **TIME
-    )
-    strange = np.flatnonzero(explanation.distance > explanation.familiar_distance)
-    if len(strange):
-        rows = strange[thinned(strange)]
-        dots(
-            figure, explanation.t_s[rows], explanation.estimate[rows], colours.limit, words("why.unfamiliar"), 5, **TIME
-        )
-    _titled(figure, TIME, words("chart.time"), _load(view))
-
-
 def _key(figure: go.Figure, place: Mapping[str, int], name: str, colour: str, dash: str) -> None:
     """Put a name into the legend: a line of no points."""
     line = {"color": colour, "dash": dash}
     figure.add_scatter(x=[None], y=[None], mode="lines", line=line, name=name, **place)
-
-
-def _load(view: UnitView) -> str:
-    return f"{view.lot.reference_quantity} [{view.lot.reference_unit}]"
 
 
 def _titled(figure: go.Figure, place: Mapping[str, int], x_title: str, y_title: str) -> None:
@@ -139,9 +119,7 @@ def _titled(figure: go.Figure, place: Mapping[str, int], x_title: str, y_title: 
     figure.update_yaxes(title_text=y_title, title_standoff=6, automargin=True, **place)
 
 
-def explain_unit(
-    registry: Registry, serial: str, out: Path, revision: int | None = None, lot_id: str | None = None
-) -> UnitView:
+def explain_unit(registry: Registry, serial: str, out: Path, revision: int | None, lot_id: str | None) -> UnitView:
     """Write the page of one unit, whole in itself; InputError unless `out` ends in .html."""
     if out.suffix.lower() != ".html":
         raise InputError(f"{out}: the figure is written as a page; name a file that ends in .html")
@@ -150,7 +128,7 @@ def explain_unit(
     return view
 
 
-def explain_units(registry: Registry, serials: list[str], folder: Path, lot_id: str | None = None) -> None:
+def explain_units(registry: Registry, serials: list[str], folder: Path, lot_id: str | None) -> None:
     """Write one page a unit into a folder, and the drawing script they share."""
     write_text(folder / SCRIPT, get_plotlyjs())
     for serial in serials:
@@ -166,6 +144,7 @@ def why_page(view: UnitView, script: bool | str) -> str:
 def why_json(view: UnitView) -> dict[str, object]:
     """Return the numbers behind the verdict as JSON values: schema `softcal.explain/1`."""
     explanation, decision, method = view.explanation, view.calibration.decision, view.calibration.method
+    low, middle, high = explanation.forecast or (None, None, None)
     return {
         "schema": "softcal.explain/1",
         "serial": view.calibration.serial,
@@ -176,10 +155,8 @@ def why_json(view: UnitView) -> dict[str, object]:
         "reasons": [str(why) for why in decision.reasons],
         "knowledge": str(view.calibration.knowledge),
         "method": None if method is None else {"id": method.id, "numbers": dict(method.to_json())},
-        "predicted_rmse": None if explanation.forecast is None else explanation.forecast[1],
-        "predicted_interval": None
-        if explanation.forecast is None
-        else [explanation.forecast[0], explanation.forecast[2]],
+        "predicted_rmse": middle,
+        "predicted_interval": None if middle is None else [low, high],
         "limit_rmse": explanation.limit,
         "contributions": dict(explanation.contributions),
         "evidence": dict(view.calibration.evidence),

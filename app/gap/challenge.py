@@ -54,9 +54,22 @@ def make_challenge(
     Raises:
         InputError: the folder is not empty, the seal would lie in it or exists, a count below 1, an unknown line.
     """
-    _check_places(folder, seal_file, count)
+    if count < 1:
+        raise InputError(f"--cases {count}: at least one case was expected")
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder}: is not an empty folder; nothing was written; name a new one")
+    if seal_file.resolve().is_relative_to(folder.resolve()):
+        raise InputError(f"{seal_file}: the seal must not lie in the folder that is handed over; name another place")
+    if seal_file.exists():
+        raise InputError(f"{seal_file}: exists; a seal is never overwritten; name another file")
     seed = secrets.randbits(SEED_BITS) if seed is None else seed
-    cases = draw_challenge(seed, count) if line is None else _one_line(seed, count, line)
+    if line is None:
+        cases = draw_challenge(seed, count)
+    elif line in LINES:
+        rng, width = np.random.default_rng([seed, 20_011]), max(3, len(str(count)))
+        cases = [draw_case(drawn_seed(rng), f"case-{k:0{width}d}", line) for k in range(1, count + 1)]
+    else:
+        raise InputError(f"--line {line}: not known; known are {', '.join(LINES)}")
     contents = {}
     for case in cases:
         contents[case.name] = write_case(folder / case.name, case)
@@ -66,25 +79,6 @@ def make_challenge(
     published = {"schema": SCHEMA, "cases": contents, "commitment": seal.commitment, "hash": "sha256"}
     write_text(folder / FOLDER_FILE, json.dumps(published, indent=2) + "\n")
     return MadeChallenge(seal.commitment, tuple(contents))
-
-
-def _check_places(folder: Path, seal_file: Path, count: int) -> None:
-    if count < 1:
-        raise InputError(f"--cases {count}: at least one case was expected")
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{folder}: is not an empty folder; nothing was written; name a new one")
-    if seal_file.resolve().is_relative_to(folder.resolve()):
-        raise InputError(f"{seal_file}: the seal must not lie in the folder that is handed over; name another place")
-    if seal_file.exists():
-        raise InputError(f"{seal_file}: exists; a seal is never overwritten; name another file")
-
-
-def _one_line(seed: int, count: int, line: str) -> list[SealedCase]:
-    if line not in LINES:
-        raise InputError(f"--line {line}: not known; known are {', '.join(LINES)}")
-    rng = np.random.default_rng([seed, 20_011])
-    width = max(3, len(str(count)))
-    return [draw_case(drawn_seed(rng), f"case-{k:0{width}d}", line) for k in range(1, count + 1)]
 
 
 def write_case(folder: Path, case: SealedCase) -> str:

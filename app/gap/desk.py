@@ -4,7 +4,6 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -69,31 +68,12 @@ def ask_case(case: Path, experiment: str) -> Path:
     return ask_rig(case.parent, _seal(case.parent), case.name, experiment)
 
 
-@dataclass(frozen=True)
-class Truth:
-    """What was hidden in a sealed rig.
-
-    Args:
-        effects: at work in it; none for a rig without a gap.
-        mistake: what went wrong when its runs were written down; empty for nothing.
-        channel, runs: where, and in which runs from 1; empty runs are all.
-    """
-
-    effects: tuple[str, ...]
-    mistake: str = ""
-    channel: str = ""
-    runs: tuple[int, ...] = ()
-
-
-def truth(case: Path) -> Truth:
-    """Open the seal of a case and return what was hidden in its rig."""
+def truth(case: Path) -> tuple[tuple[str, ...], Mistake | None]:
+    """Open the seal of a case and return the effects hidden in its rig, and what went wrong when it was recorded."""
     labels = open_challenge(case.parent, _seal(case.parent))
     sealed = next(label for label in labels if label.case.name == case.name).case
     effects = tuple(cause.effect for cause in sealed.causes)
-    if not sealed.mistake:
-        return Truth(effects)
-    mistake = Mistake.of(sealed.mistake)
-    return Truth(effects, mistake.what, mistake.channel, mistake.runs)
+    return effects, Mistake.of(sealed.mistake) if sealed.mistake else None
 
 
 def _seal(folder: Path) -> Path:

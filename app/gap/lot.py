@@ -1,6 +1,6 @@
 """A rig's lot on disk: its units diagnosed together, and calibrated beside lots of its twins."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,19 +36,6 @@ def diagnose_lot_folder(folder: Path, say: Callable[[str], None] = lambda _: Non
     Raises:
         InputError: fewer than two cases, cases of different protocols, one case twice, or a case that cannot be read.
     """
-    cases = _cases(folder)
-    # Audits are read first: a bad one is told before the long part.
-    audits = {name: open_case(folder / name / AUDIT) for name in cases if (folder / name / AUDIT).is_dir()}
-    found = diagnose_lot(cases, say)
-    worth = [
-        calibration_worth(m.name, m.diagnosis.case, audits[m.name], m.fit, say=say)
-        for m in found.members
-        if found.verdict in ("explained", "ambiguous") and m.follows and m.fit is not None and m.name in audits
-    ]
-    return LotReport(found, tuple(worth))
-
-
-def _cases(folder: Path) -> Mapping[str, Case]:
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such folder; a lot holds one case folder per unit")
     places = sorted(p for p in folder.iterdir() if p.is_dir() and (p / "runs").is_dir())
@@ -70,7 +57,15 @@ def _cases(folder: Path) -> Mapping[str, Case]:
                     f"{folder / name}: {what} {other}, but {mine} in {first}; "
                     "the units of a lot are pressed by one protocol; put the others into a folder of their own"
                 )
-    return cases
+    # Audits are read first: a bad one is told before the long part.
+    audits = {name: open_case(folder / name / AUDIT) for name in cases if (folder / name / AUDIT).is_dir()}
+    found = diagnose_lot(cases, say)
+    worth = [
+        calibration_worth(m.name, m.diagnosis.case, audits[m.name], m.fit, say=say)
+        for m in found.members
+        if found.verdict in ("explained", "ambiguous") and m.follows and m.fit is not None and m.name in audits
+    ]
+    return LotReport(found, tuple(worth))
 
 
 _WHAT = ("runs are", "channels are", "electronics are")

@@ -9,6 +9,7 @@ Needs the package mujoco with its extra: pip install 'mujoco[sysid]'.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -57,7 +58,13 @@ def from_sysid(
         InputError: the extra is missing, a candidate is no parameter of one number, a transform changes what was
             measured, or there is no candidate or no sequence.
     """
-    sysid = _sysid()
+    try:
+        from mujoco import sysid
+    except ImportError as error:
+        raise InputError(f"mujoco is missing ({error}); install it with pip install 'mujoco[sysid]'") from error
+    # Without its extra the package imports, and has nothing in it.
+    if not hasattr(sysid, "residual"):
+        raise InputError("mujoco.sysid lacks its extra packages; install them with pip install 'mujoco[sysid]'")
     free = [p for p in params.copy().parameters.values() if not p.frozen]
     _check(free, neutral, signal_transform)
     trajectories = [(s.spec, each) for s in models_sequences for each in s.measured_rollout]
@@ -66,13 +73,18 @@ def from_sysid(
     start = np.concatenate([p.nominal.flatten() for p in free])
     model = _Rollout(sysid, params.copy(), trajectories, signal_transform, neutral)
     _, measured = model.both(0, start)
+    candidates = []
+    for p in (p for p in free if p.name in neutral):
+        low, high = (float(v.flatten()[0]) - neutral[p.name] for v in (p.min_value, p.max_value))
+        usual = USUAL * (high if high >= -low else low)
+        candidates.append(candidate(p.name, "model", Parameter("change", "", low, high, usual, neutral=0.0)))
     simulator = Simulator(
         name=name,
         run=model,
         inputs=(RUN,),
         channels=tuple(_channels(measured)),
         base=tuple(each for p in free if p.name not in neutral for each in _parameters(p)),
-        candidates=tuple(_candidate(p, neutral[p.name]) for p in free if p.name in neutral),
+        candidates=tuple(candidates),
         per_run=per_run or {},
     )
     names = [n for s in models_sequences for n in s.sequence_name]
@@ -83,17 +95,6 @@ def from_sysid(
         columns = {"t_s": t_s, RUN: np.full(len(t_s), float(k)), **_channels(measured)}
         runs.append(recorded(simulator, sequence, columns))
     return SysidProblem(simulator, tuple(runs))
-
-
-def _sysid() -> Any:
-    try:
-        from mujoco import sysid
-    except ImportError as error:
-        raise InputError(f"mujoco is missing ({error}); install it with pip install 'mujoco[sysid]'") from error
-    # Without its extra the package imports, and has nothing in it.
-    if not hasattr(sysid, "residual"):
-        raise InputError("mujoco.sysid lacks its extra packages; install them with pip install 'mujoco[sysid]'")
-    return sysid
 
 
 def _check(free: Sequence[Any], neutral: Mapping[str, float], transform: Any) -> None:
@@ -126,7 +127,7 @@ class _Rollout:
         _, predicted, measured = self.sysid.residual(
             vector,
             self.params,
-            [_OneSequence(spec, [trajectory])],
+            [SimpleNamespace(spec=spec, measured_rollout=[trajectory])],
             modify_residual=None if self.transform is None else self.transform.apply,
             n_threads=1,
             return_pred_all=True,
@@ -143,12 +144,6 @@ class _Rollout:
             else:
                 vector += [p[name] for name in _names(parameter)]
         return _channels(self.both(int(inputs[RUN][0]), np.array(vector))[0])
-
-
-@dataclass(frozen=True)
-class _OneSequence:
-    spec: Any
-    measured_rollout: list[Any]
 
 
 def _channels(series: Any) -> dict[str, Array]:
@@ -172,9 +167,3 @@ def _parameters(parameter: Any) -> list[Parameter]:
         size = float(nominal) or USUAL * float(most - least)
         parameters.append(Parameter(name, "", float(least), float(most), size, scale=scale))
     return parameters
-
-
-def _candidate(parameter: Any, neutral: float) -> Any:
-    low, high = (float(v.flatten()[0]) - neutral for v in (parameter.min_value, parameter.max_value))
-    far = high if high >= -low else low
-    return candidate(parameter.name, "model", Parameter("change", "", low, high, USUAL * far, neutral=0.0))

@@ -29,7 +29,18 @@ def load_simulator(reference: str) -> Simulator:
     module_name, _, name = reference.partition(":")
     if not module_name or not name:
         raise InputError(f"--simulator {reference}: module:name was expected, such as my_rig:SIMULATOR")
-    simulator = getattr(_imported(module_name, reference), name, None)
+    here = str(Path.cwd())
+    sys.path.insert(0, here)
+    try:
+        module = importlib.import_module(module_name)
+    except (Exception, SystemExit) as error:
+        raise InputError(
+            f"--simulator {reference}: {module_name} cannot be imported ({type(error).__name__}: {error}); "
+            f"it is looked for in {here} and among installed packages"
+        ) from error
+    finally:
+        sys.path.remove(here)
+    simulator = getattr(module, name, None)
     try:
         made = simulator() if callable(simulator) and not isinstance(simulator, Simulator) else simulator
     except Exception as error:
@@ -42,20 +53,6 @@ def load_simulator(reference: str) -> Simulator:
             "function without arguments that returns one, was expected"
         )
     return made
-
-
-def _imported(module_name: str, reference: str) -> object:
-    here = str(Path.cwd())
-    sys.path.insert(0, here)
-    try:
-        return importlib.import_module(module_name)
-    except (Exception, SystemExit) as error:
-        raise InputError(
-            f"--simulator {reference}: {module_name} cannot be imported ({type(error).__name__}: {error}); "
-            f"it is looked for in {here} and among installed packages"
-        ) from error
-    finally:
-        sys.path.remove(here)
 
 
 def diagnose_with(

@@ -1,6 +1,7 @@
 """The last rows of the audit trail, written down elsewhere: who cuts it is found out here."""
 
 import json
+from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -55,7 +56,10 @@ def read_anchor(path: Path) -> Anchor:
     """
     try:
         if path.read_bytes()[:16] == b"SQLite format 3\0":
-            return Anchor(_heads_of_backup(path), f"in the backup {path}")
+            from softcal.db.truth import history
+
+            with closing(open_database(f"sqlite:///{path}", create=False)) as database, database.reading():
+                return Anchor(history.heads(database), f"in the backup {path}")
         return Anchor(_heads(json.loads(path.read_text(encoding="utf-8"))), f"in {path}")
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
@@ -65,14 +69,3 @@ def read_anchor(path: Path) -> Anchor:
 
 def _heads(value: dict[str, dict[str, tuple[int, str]]]) -> Heads:
     return {str(origin): (int(seq), str(sha256)) for origin, (seq, sha256) in value["heads"].items()}
-
-
-def _heads_of_backup(path: Path) -> Heads:
-    from softcal.db.truth import history
-
-    database = open_database(f"sqlite:///{path}", create=False)
-    try:
-        with database.reading():
-            return history.heads(database)
-    finally:
-        database.close()

@@ -5,6 +5,8 @@ import platform
 import shutil
 import sys
 import zipfile
+from contextlib import suppress
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -23,14 +25,18 @@ Facts = dict[str, object]
 def examine(url_option: str | None) -> tuple[Facts, list[str]]:
     """Return what is known of this installation, and what is wrong with it in words."""
     problems: list[str] = []
+    packages: dict[str, str | None] = dict.fromkeys(PACKAGES)
+    for name in PACKAGES:
+        with suppress(PackageNotFoundError):
+            packages[name] = version(name)
     facts: Facts = {
         "python": sys.version.split()[0],
         "system": platform.platform(),
         "cores": os.cpu_count(),
-        "packages": {name: _version(name) for name in PACKAGES},
+        "packages": packages,
         "environment": {k: masked(v) for k, v in sorted(os.environ.items()) if k.startswith("SOFTCAL_")},
     }
-    for name, look in (("folders", _folders), ("registry", lambda found: _registry(url_option, found))):
+    for name, look in (("folders", _folders), ("registry", partial(_registry, url_option))):
         try:
             facts[name] = look(problems)
         except (SoftcalError, OSError) as error:
@@ -70,10 +76,3 @@ def _registry(url_option: str | None, problems: list[str]) -> Facts:
         facts |= {"work_items": registry.work_queue.counts(), "stations": stations, "faults": faults}
     problems += [f"registry: {fault}" for fault in faults[:5]]
     return facts
-
-
-def _version(name: str) -> str | None:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return None

@@ -24,9 +24,7 @@ def golden_of(registry: Registry, lot_id: str, serials: Collection[str]) -> Mapp
     return found
 
 
-def keep_golden_of(
-    registry: Registry, lot_id: str, of: Mapping[str, tuple[str, str]], *, actor: str | None = None
-) -> None:
+def keep_golden_of(registry: Registry, lot_id: str, of: Mapping[str, tuple[str, str]], *, actor: str | None) -> None:
     """Keep which golden run recordings belong to, a row a unit; what is known gets no row.
 
     Args:

@@ -1,6 +1,5 @@
 """A lot of the registry as a lot folder, in files that people and `batch` take."""
 
-from collections.abc import Mapping
 from pathlib import Path
 
 from softcal.app.files.anchors import write_anchors
@@ -36,7 +35,9 @@ def write_lot_folder(registry: Registry, lot_id: str, folder: Path) -> dict[str,
             write_recording(part / FOLDER_OF[kind] / f"{serial}.csv", registry.recordings.get(sha256))
             written[FOLDER_OF[kind]].append(serial)
         pressed = {sha256: serial for (kind, serial), sha256 in newest.items() if kind == "unit"}
-        if golden := _one_golden(registry, lot_id, pressed):
+        of = golden_of(registry, lot_id, set(pressed.values()))
+        golden, *others = {of[sha256][1] if sha256 in of else None for sha256 in pressed} or {None}
+        if golden is not None and not others:
             write_recording(part / GOLDEN / f"{lot.source}.csv", registry.recordings.get(golden))
             written[GOLDEN] = [lot.source]
         known = known_loads(registry, lot_id, set(pressed.values()))
@@ -44,10 +45,3 @@ def write_lot_folder(registry: Registry, lot_id: str, folder: Path) -> dict[str,
         if loads:
             write_anchors(part / ANCHOR_FILES[0], loads)
     return written
-
-
-def _one_golden(registry: Registry, lot_id: str, pressed: Mapping[str, str]) -> str | None:
-    """Return the golden run that all recordings, hash → serial, belong to; None without one."""
-    of = golden_of(registry, lot_id, set(pressed.values()))
-    runs = {of[sha256][1] if sha256 in of else None for sha256 in pressed}
-    return runs.pop() if len(runs) == 1 else None

@@ -44,7 +44,7 @@ def file_chart(path: Path, column: str) -> ControlChart:
     return control_chart(np.array(values))
 
 
-def lot_capability(registry: Registry, lot_id: str, maximum: float | None = None) -> tuple[ControlChart, Capability]:
+def lot_capability(registry: Registry, lot_id: str, maximum: float | None) -> tuple[ControlChart, Capability]:
     """Return chart and capability of predicted errors against a maximum, else the limit.
 
     Raises:

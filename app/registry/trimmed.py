@@ -75,7 +75,7 @@ def untrimmed(registry: Registry, stored: StoredCalibration) -> StoredCalibratio
     return registry.calibrations.get(stored.serial, int(revision), lot_id=stored.lot_id)
 
 
-def keep_trim(registry: Registry, stored: StoredCalibration, loads: Anchors, actor: str | None = None) -> Trimmed:
+def keep_trim(registry: Registry, stored: StoredCalibration, loads: Anchors) -> Trimmed:
     """Trim a calibration in use by known loads, and put the result into use.
 
     Raises:
@@ -83,17 +83,34 @@ def keep_trim(registry: Registry, stored: StoredCalibration, loads: Anchors, act
     """
     audit = newest_audits(registry, stored.lot_id, stored.serial).get(stored.serial)
     known = KnownTrim(loads, stored.record.recording_sha256, "" if audit is None else audit.sha256)
-    return _trimmed(registry, stored, known, f"trimmed by {len(loads.output)} loads", actor)
+    return _trimmed(registry, stored, known, f"trimmed by {len(loads.output)} loads", None)
 
 
 @contextmanager
-def trim_kept(registry: Registry, lot_id: str, serial: str, actor: str | None = None) -> Iterator[None]:
-    """Keep the trim of a unit while another calibration comes into use: both, or neither."""
+def trim_kept(registry: Registry, lot_id: str, serial: str, actor: str | None) -> Iterator[None]:
+    """Keep the trim of a unit while another calibration comes into use: both, or neither.
+
+    The trim goes behind the new map, or the unit says why it is left out. The loads of another recording are left out:
+    they say how the unit was when that one was made. So are loads that the new map cannot take.
+    """
     known = _known_trim(registry, lot_id, serial)
     with registry.transaction():
         yield
-        if known is not None:
-            _carry(registry, registry.calibrations.get(serial, lot_id=lot_id), known, actor)
+        if known is None:
+            return
+        stored = registry.calibrations.get(serial, lot_id=lot_id)
+        if LOADS in stored.record.settings:
+            return
+        count = len(known.loads.output)
+        if known.recording != stored.record.recording_sha256:
+            _leave_out(registry, stored, known, reason(TRIM_OLDER, loads=count), True, actor)
+            return
+        try:
+            _trimmed(registry, stored, known, "the trim of this recording, behind its new map", actor)
+        except NeedlessTrim:
+            _leave_out(registry, stored, known, reason(READ, loads=count), False, actor)
+        except InputError as error:
+            _leave_out(registry, stored, known, reason(TRIM_LEFT_OUT, error=str(error)), True, actor)
 
 
 def _known_trim(registry: Registry, lot_id: str, serial: str) -> KnownTrim | None:
@@ -112,25 +129,6 @@ def _known_trim(registry: Registry, lot_id: str, serial: str) -> KnownTrim | Non
     before = untrimmed(registry, stored).record.audit
     audit = "" if before is None else before.recording_sha256
     return KnownTrim(loads_of(kept), kept.get("recording", stored.record.recording_sha256), kept.get("audit", audit))
-
-
-def _carry(registry: Registry, stored: StoredCalibration, known: KnownTrim, actor: str | None) -> None:
-    """Put a trim behind the map of a new fit, or say with the unit why it is left out.
-
-    The loads of another recording are left out: they say how the unit was when that one was made. So are loads that
-    the new map cannot take.
-    """
-    if LOADS in stored.record.settings:
-        return
-    if known.recording != stored.record.recording_sha256:
-        _leave_out(registry, stored, known, reason(TRIM_OLDER, loads=len(known.loads.output)), True, actor)
-        return
-    try:
-        _trimmed(registry, stored, known, "the trim of this recording, behind its new map", actor)
-    except NeedlessTrim:
-        _leave_out(registry, stored, known, reason(READ, loads=len(known.loads.output)), False, actor)
-    except InputError as error:
-        _leave_out(registry, stored, known, reason(TRIM_LEFT_OUT, error=str(error)), True, actor)
 
 
 def _trimmed(registry: Registry, stored: StoredCalibration, known: KnownTrim, why: str, actor: str | None) -> Trimmed:
@@ -216,12 +214,11 @@ def _record(
     arrays["interval.half_width"] = wider.half_width
     numbers |= {name: before.evidence[name] for name in LIMIT_EVIDENCE if name in before.evidence}
     judged_by = {"decision": decision.to_json(), "grounds": None if grounds is None else grounds.to_json()}
-    settings = {**record.settings, **judged_by, LOADS: known.to_json()}
     trimmed = replace(
         record,
         map_sha256=map_sha256(result.unit_map),
         arrays=arrays,
-        settings=settings,
+        settings={**record.settings, **judged_by, LOADS: known.to_json()},
         verdict=str(decision.verdict),
         reasons=decision.reasons,
         evidence={**record.evidence, **numbers},

@@ -59,29 +59,6 @@ def serve(options: UiOptions) -> int:
     port = options.port or _free_port(options.address)
     url = f"http://{options.address}:{port}"
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a terminated `softcal ui` takes its server with it
-    server = _started(options, port)
-    try:
-        _wait_until_healthy(server, url)
-        from sqlalchemy import make_url
-
-        from softcal.db.schema.database import shown_url
-
-        shown = shown_url(make_url(registry_url(options.registry)))
-        say(f"softcal is at {url}; Ctrl-C ends the screen, not the station; its registry is {shown}")
-        if window is not None:
-            _open_window(window, url, options.is_kiosk)
-            return 0
-        if options.opens_browser:
-            webbrowser.open(url)
-        return server.wait()
-    except KeyboardInterrupt:
-        return 0
-    finally:
-        server.terminate()
-        server.wait()
-
-
-def _started(options: UiOptions, port: int) -> "subprocess.Popen[bytes]":
     flags = {"server.port": str(port), "server.address": options.address, "logger.level": "error"}
     if options.accounts is not None:
         flags["secrets.files"] = str(options.accounts.resolve())
@@ -91,7 +68,29 @@ def _started(options: UiOptions, port: int) -> "subprocess.Popen[bytes]":
         extra["SOFTCAL_STATION"] = options.station
     if options.hosts:
         extra[HOSTS_VARIABLE] = ",".join(options.hosts)
-    return subprocess.Popen(command, env=dict(os.environ) | extra)
+    server = subprocess.Popen(command, env=dict(os.environ) | extra)
+    try:
+        _wait_until_healthy(server, url)
+        from sqlalchemy import make_url
+
+        from softcal.db.schema.database import shown_url
+
+        shown = shown_url(make_url(registry_url(options.registry)))
+        say(f"softcal is at {url}; Ctrl-C ends the screen, not the station; its registry is {shown}")
+        if window is not None:
+            with tempfile.TemporaryDirectory(prefix="softcal-window-", ignore_cleanup_errors=True) as profile:
+                look = [f"--app={url}", f"--user-data-dir={profile}", "--no-first-run"]
+                look += ["--disable-background-networking", *(["--kiosk"] if options.is_kiosk else [])]
+                subprocess.run([window, *look], check=False)
+            return 0
+        if options.opens_browser:
+            webbrowser.open(url)
+        return server.wait()
+    except KeyboardInterrupt:
+        return 0
+    finally:
+        server.terminate()
+        server.wait()
 
 
 def _free_port(address: str) -> int:
@@ -116,11 +115,3 @@ def _wait_until_healthy(server: "subprocess.Popen[bytes]", url: str) -> None:
         except (urllib.error.URLError, OSError):
             time.sleep(0.1)
     raise InputError(f"the application did not answer at {url} within {START_TIMEOUT_S:.0f} s")
-
-
-def _open_window(browser: str, url: str, is_kiosk: bool) -> None:
-    with tempfile.TemporaryDirectory(prefix="softcal-window-", ignore_cleanup_errors=True) as profile:
-        flags = [f"--app={url}", f"--user-data-dir={profile}", "--no-first-run", "--disable-background-networking"]
-        if is_kiosk:
-            flags.append("--kiosk")
-        subprocess.run([browser, *flags], check=False)

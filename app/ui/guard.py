@@ -39,7 +39,7 @@ REFUSAL = (
 )
 
 
-def own_names(more: Iterable[str] = ()) -> frozenset[str]:
+def own_names(more: Iterable[str]) -> frozenset[str]:
     """Return the names under which this server may be reached, beside addresses in numbers."""
     own = socket.gethostname().lower()
     return frozenset({"localhost", own, f"{own}.local", *(name.strip().lower() for name in more if name.strip())})

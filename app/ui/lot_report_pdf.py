@@ -1,6 +1,6 @@
 """The report of a lot as a PDF for people."""
 
-from datetime import UTC, datetime
+from datetime import datetime
 from functools import partial
 from importlib.metadata import version
 
@@ -12,23 +12,22 @@ from softcal.app.export.certificates import parts
 from softcal.app.export.certificates.fonts import BOLD, marked_up
 from softcal.app.export.certificates.plots import Level, bars_plot, course_plot
 from softcal.app.texts.catalogue import text
-from softcal.app.texts.reasons import Words
 from softcal.app.views.common import far_end, number
 from softcal.app.views.lot import NEEDS_A_LOOK, LotView
-from softcal.app.views.lot_report import MOST_ROWS, ReportPart, report_facts, report_parts
+from softcal.app.views.lot_report import MOST_ROWS, report_facts, report_parts
 from softcal.db.registry import Registry
 from softcal.db.truth.lot_pages import UnitFilter
 
 BINS = 32
 
 
-def lot_report_pdf(registry: Registry, view: LotView, language: str = "en", made: datetime | None = None) -> bytes:
+def lot_report_pdf(registry: Registry, view: LotView, language: str, made: datetime) -> bytes:
     """Return the report of a lot, or of what a filter leaves; units that did not pass are listed.
 
     Raises:
         InputError: no font at hand can write the language.
     """
-    say, now = partial(text, language), made or datetime.now(UTC)
+    say = partial(text, language)
     wanted = UnitFilter(NEEDS_A_LOOK, sort="severity", serials=view.chosen)
     bad = registry.pages.unit_page(view.lot.id, wanted, size=MOST_ROWS)
     title = say("report.title", lot=view.lot.id)
@@ -36,8 +35,8 @@ def lot_report_pdf(registry: Registry, view: LotView, language: str = "en", made
         title=title,
         author="",
         software=f"softcal {version('softcal')}",
-        footer=f"{title}   {say('report.made', at=now, version=version('softcal'))}",
-        made_on=now.date(),
+        footer=f"{title}   {say('report.made', at=made, version=version('softcal'))}",
+        made_on=made.date(),
         numbering=say("report.page", number="{number}", count="{count}"),
     )
     story = [
@@ -46,24 +45,24 @@ def lot_report_pdf(registry: Registry, view: LotView, language: str = "en", made
         parts.facts_table(list(report_facts(view, say).items())),
     ]
     listed = say("report.bad", shown=len(bad.units), of=bad.total)
-    for part in report_parts(view, bad.units, listed, say):
-        story += parts.section(part.title, _drawn(part, view, say))
-    return parts.document_pdf(story, page)
-
-
-def _drawn(part: ReportPart, view: LotView, say: Words) -> Flowable:
     unit, chart = view.lot.reference_unit, view.process.chart
     predicted = f"{say('column.predicted')}, {unit}"
-    if part.picture == "errors":
-        values, limit = view.predicted(), view.limit_rmse
-        if not len(values):
-            return parts.paragraph("–")
-        top = far_end(values, limit)
-        counts, edges = np.histogram(np.minimum(values, top), BINS, (0.0, top))
-        level = None if limit is None else Level(limit, say("chart.limit.named", limit=number(limit, unit)))
-        return bars_plot(edges, counts.astype(float), level, (predicted, say("chart.count")), parts.WIDTH)
-    if part.picture == "process" and chart is not None:
-        levels = [Level(limit, number(limit)) for limit in (chart.upper, chart.lower)]
-        return course_plot(chart.values, levels, (say("chart.order"), predicted), parts.WIDTH)
-    cells = [[parts.paragraph(cell, 7) for cell in row] for row in (part.header, *part.rows)]
-    return Table(cells, colWidths=[parts.WIDTH * share for share in part.shares], style=parts.grid(7), repeatRows=1)
+    for part in report_parts(view, bad.units, listed, say):
+        drawn: Flowable
+        if part.picture == "errors":
+            values, limit = view.predicted(), view.limit_rmse
+            drawn = parts.paragraph("–")
+            if len(values):
+                top = far_end(values, limit)
+                counts, edges = np.histogram(np.minimum(values, top), BINS, (0.0, top))
+                level = None if limit is None else Level(limit, say("chart.limit.named", limit=number(limit, unit)))
+                drawn = bars_plot(edges, counts.astype(float), level, (predicted, say("chart.count")), parts.WIDTH)
+        elif part.picture == "process" and chart is not None:
+            levels = [Level(limit, number(limit)) for limit in (chart.upper, chart.lower)]
+            drawn = course_plot(chart.values, levels, (say("chart.order"), predicted), parts.WIDTH)
+        else:
+            cells = [[parts.paragraph(cell, 7) for cell in row] for row in (part.header, *part.rows)]
+            widths = [parts.WIDTH * share for share in part.shares]
+            drawn = Table(cells, colWidths=widths, style=parts.grid(7), repeatRows=1)
+        story += parts.section(part.title, drawn)
+    return parts.document_pdf(story, page)

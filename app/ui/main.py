@@ -1,6 +1,5 @@
 """Entry of the Streamlit application: which pages there are for whom, nothing else."""
 
-from functools import cache
 from pathlib import Path
 
 import streamlit as st
@@ -16,6 +15,8 @@ from softcal.app.ui.pages import pages_for
 ICON = Path(__file__).with_name("icon.png")
 
 
+# The script by which a page says within two seconds that its server is gone.
+LIVENESS = Path(__file__).with_name("liveness.js").read_text(encoding="utf-8")
 HEALTH = "/_stcore/health"
 
 
@@ -25,7 +26,7 @@ def run() -> None:
     st.set_page_config(page_title=say("app.title"), page_icon=str(ICON), layout="wide")
     readable()
     # Registered here because a component needs a running server; the same again changes nothing.
-    watch = st.components.v2.component("softcal_liveness", html="<span hidden></span>", js=_liveness())
+    watch = st.components.v2.component("softcal_liveness", html="<span hidden></span>", js=LIVENESS)
     watch(data={"server": say("gone.server"), "late": say("gone.late"), "health": HEALTH}, key="liveness")
     with errors_in_words():
         sections: dict[str, list[StreamlitPage]] = {"": []}
@@ -43,28 +44,16 @@ def run() -> None:
         # The default page has no address of its own: a hidden one leads to the start while there is nothing yet, later
         # to what the person works with.
         bar = sections[""]
-        home = st.Page(
-            lambda: st.switch_page(_first(bar, is_new)),
-            title=say("app.title"),
-            url_path="home",
-            default=True,
-            visibility="hidden",
-        )
+
+        def first() -> None:
+            # A line without a station has nothing to do; a screen that was given one waits for it.
+            has_line = screen().station or registry().order_queue.stations()
+            wanted = "start" if is_new else "line" if has_line else "lot"
+            st.switch_page(next((page for page in bar if page.url_path == wanted), bar[0]))
+
+        home = st.Page(first, title=say("app.title"), url_path="home", default=True, visibility="hidden")
         st.navigation({**sections, "": [home, *sections[""]]}, position="top").run()
     keep()
-
-
-@cache
-def _liveness() -> str:
-    """Return the script by which a page says within two seconds that its server is gone."""
-    return Path(__file__).with_name("liveness.js").read_text(encoding="utf-8")
-
-
-def _first(bar: list[StreamlitPage], is_new: bool) -> StreamlitPage:
-    # A line without a station has nothing to do; a screen that was given one waits for it.
-    has_line = screen().station or registry().order_queue.stations()
-    wanted = "start" if is_new else "line" if has_line else "lot"
-    return next((page for page in bar if page.url_path == wanted), bar[0])
 
 
 run()

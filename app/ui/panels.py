@@ -1,7 +1,7 @@
 """Pieces of screen that several pages draw: titles, numbers, figures, tables, ways to a page."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import wraps
 from typing import Any
 
@@ -146,8 +146,9 @@ def go_to(page: str, **query: str) -> None:
     st.switch_page(st.Page(entry.render, url_path=entry.name), query_params=query)
 
 
-def table(rows: Sequence[Mapping[str, object]], otherwise: str = "") -> None:
+def table(listed: Iterable[Mapping[str, object]], otherwise: str = "") -> None:
     """Draw a table to read: a short one in full, a long one to scroll in; of no rows the sentence instead."""
+    rows = list(listed)
     if not rows and otherwise:
         st.caption(otherwise)
         return

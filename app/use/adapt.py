@@ -224,7 +224,7 @@ def adapt_file(
     serial: str,
     source: Path,
     target: Path,
-    options: AdaptOptions = AdaptOptions(),  # noqa: B008 - frozen
+    options: AdaptOptions,
     on_rows: Callable[[int], None] = lambda rows: None,
     names: ColumnNames = PLAIN,
 ) -> AdaptReport:

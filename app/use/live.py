@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -18,9 +18,6 @@ from softcal.app.use.source import Sample, Samples, open_source
 from softcal.core.errors import InputError
 from softcal.core.unit.estimate import Estimate
 from softcal.db.registry import Registry
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 WIDTH = 48
 """Characters of the bar over the range of the source's reference."""
@@ -37,23 +34,6 @@ def bar(value: float, lower: float, upper: float, span: tuple[float, float]) -> 
     cells = ["-" if places[0] <= k <= places[2] else " " for k in range(WIDTH)]
     cells[places[1]] = "█"
     return "".join(cells)
-
-
-def _table(title: str, rows: Estimate, report: AdaptReport, span: tuple[float, float], unit: str) -> "Table":
-    from rich.table import Table
-
-    value, lower, upper = (float(column[-1]) for column in (rows.estimate, rows.lower, rows.upper))
-    current = report.current
-    table = Table(title=title, show_header=False)
-    shown = f"{value:8.3f} {unit}   [{lower:.3f}, {upper:.3f}]" if value == value else "no estimate"
-    table.add_row("estimate", shown)
-    table.add_row(f"{span[0]:.3g} .. {span[1]:.3g} {unit}", bar(value, lower, upper, span))
-    table.add_row("row", f"{report.rows} at {float(rows.t_s[-1]):.2f} s   {rows.flag[-1] or 'trusted'}")
-    table.add_row("drift", f"shift {current.shift:+.3f} ± {current.shift_sd:.3f}, log gain {current.log_gain:+.3f}")
-    table.add_row("map", f"{current.verdict}  {current.reason}")
-    table.add_row("predicted error", f"{current.predicted_rmse:.3g} {unit}")
-    table.add_row("alarm", current.alarm or "none")
-    return table
 
 
 @dataclass(frozen=True)
@@ -88,16 +68,23 @@ def adapt_live(registry: Registry, serial: str, live: LiveOptions, options: Adap
         held = written(live.target) if options.resume else Written()
         sink = stack.enter_context(open_sink(live.target, options.resume))
         keeper = stack.enter_context(ThreadPoolExecutor(1))
-        follower = stack.enter_context(_kept(Follower(registry, unit, stream, options, keeper)))
-        show = stack.enter_context(_view(unit, live.has_view))
+        follower = Follower(registry, unit, stream, options, keeper)
         samples = _limited(samples, live.duration_s)
-        for piece, is_held in _gone_on(follower, samples, held) if options.resume else _all_new(samples):
-            columns = np.array(piece)
-            rows = follower.advance(columns[:, 0], columns[:, 1])
-            if not is_held:
-                sink.write(lines_of(rows))
-            follower.keep()
-            show(rows, follower.report)
+        # The state is kept however the stream ends; Ctrl-C is the usual way.
+        try:
+            with _view(unit, live.has_view) as show:
+                for piece, is_held in _gone_on(follower, samples, held) if options.resume else _all_new(samples):
+                    columns = np.array(piece)
+                    rows = follower.advance(columns[:, 0], columns[:, 1])
+                    if not is_held:
+                        sink.write(lines_of(rows))
+                    follower.keep()
+                    show(rows, follower.report)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            follower.checkpoint()
+            follower.settle()
     return follower.report
 
 
@@ -133,18 +120,6 @@ def _gone_on(follower: Follower, samples: Samples, held: Written) -> Pieces:
 
 
 @contextmanager
-def _kept(follower: Follower) -> Iterator[Follower]:
-    """Keep a follower's state however the block ends; Ctrl-C is the usual way."""
-    try:
-        yield follower
-    except KeyboardInterrupt:
-        pass
-    finally:
-        follower.checkpoint()
-        follower.settle()
-
-
-@contextmanager
 def _view(unit: UnitInUse, has_view: bool) -> Iterator[Show]:
     """Give what shows rows and map in the terminal, at most eight times a second."""
     if not has_view:
@@ -152,10 +127,27 @@ def _view(unit: UnitInUse, has_view: bool) -> Iterator[Show]:
         return
     from rich.console import Console
     from rich.live import Live
+    from rich.table import Table
 
-    title, span = f"unit {unit.calibration.serial}", (unit.calibration.interval.low, unit.calibration.interval.high)
+    interval, load = unit.calibration.interval, unit.lot.reference_unit
+    span = (interval.low, interval.high)
+
+    def draw(rows: Estimate, report: AdaptReport) -> None:
+        value, lower, upper = (float(column[-1]) for column in (rows.estimate, rows.lower, rows.upper))
+        now = report.current
+        table = Table(title=f"unit {unit.calibration.serial}", show_header=False)
+        shown = f"{value:8.3f} {load}   [{lower:.3f}, {upper:.3f}]" if value == value else "no estimate"
+        table.add_row("estimate", shown)
+        table.add_row(f"{span[0]:.3g} .. {span[1]:.3g} {load}", bar(value, lower, upper, span))
+        table.add_row("row", f"{report.rows} at {float(rows.t_s[-1]):.2f} s   {rows.flag[-1] or 'trusted'}")
+        table.add_row("drift", f"shift {now.shift:+.3f} ± {now.shift_sd:.3f}, log gain {now.log_gain:+.3f}")
+        table.add_row("map", f"{now.verdict}  {now.reason}")
+        table.add_row("predicted error", f"{now.predicted_rmse:.3g} {load}")
+        table.add_row("alarm", now.alarm or "none")
+        live.update(table)
+
     with Live(console=Console(stderr=True), refresh_per_second=8, transient=False) as live:
-        yield lambda rows, report: live.update(_table(title, rows, report, span, unit.lot.reference_unit))
+        yield draw
 
 
 def _limited(samples: Samples, duration_s: float | None) -> Samples:

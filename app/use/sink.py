@@ -82,25 +82,12 @@ def open_sink(target: str, append: bool) -> Iterator[Sink]:
     if target == "-":
         sys.stdout.write(HEADER)
         yield _Flushed(sys.stdout)
-    elif target.startswith("tcp://"):
+        return
+    if target.startswith("tcp://"):
         with _Listener(target) as listener:
             yield listener
-    else:
-        with _open_file(Path(target), append) as file:
-            yield file
-
-
-class _Flushed:
-    def __init__(self, file: TextIO) -> None:
-        self._file = file
-
-    def write(self, lines: str) -> None:
-        self._file.write(lines)
-        self._file.flush()
-
-
-@contextmanager
-def _open_file(path: Path, append: bool) -> Iterator[Sink]:
+        return
+    path = Path(target)
     if path.suffix.lower() != ".csv":
         raise InputError(f"{path}: live estimates go to a .csv file, - or tcp://HOST:PORT")
     is_new = not path.exists() or path.stat().st_size == 0
@@ -114,6 +101,15 @@ def _open_file(path: Path, append: bool) -> Iterator[Sink]:
             yield _Flushed(file)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}; whole lines written so far are kept") from error
+
+
+class _Flushed:
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+
+    def write(self, lines: str) -> None:
+        self._file.write(lines)
+        self._file.flush()
 
 
 class _Listener:

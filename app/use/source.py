@@ -51,23 +51,29 @@ def open_source(source: str, station_file: Path | None, output_unit: str) -> Ite
         config = ReadoutConfig(port) if station_file is None else read_station_file(station_file).readout
         config = replace(config, port=port or config.port)
         clock = HostClock()
-        with closing(replugged(lambda: _open_readout(config, clock, output_unit), clock)) as samples:
+
+        def connect() -> Readout:
+            readout = open_readout(config, clock)
+            if readout.unit != output_unit:
+                readout.close()
+                raise InputError(f"the unit was calibrated in {output_unit}; this sensor readout gives {readout.unit}")
+            return readout
+
+        with closing(replugged(connect, clock)) as samples:
             # The first step opens the port: one that is not there is refused before anything is written.
             next(samples)
             yield on_one_clock(samples, clock)
         return
     if output_unit != "V":
         raise InputError(f"the unit was calibrated in {output_unit}; the simulated sensor readout gives V")
-    with open_simulated_bench(time_factor=_factor(source)) as (bench, _):
+    try:
+        factor = float(source.removeprefix("simulated").removeprefix(":") or "1")
+    except ValueError:
+        factor = -1.0
+    if not 0 < factor < float("inf"):
+        raise InputError(f"{source}: `simulated` or `simulated:20` for 20 times real speed was expected")
+    with open_simulated_bench(time_factor=factor) as (bench, _):
         yield _pressed(bench.stage, bench.readout, bench.clock, bench.config.fixture.approach_mm)
-
-
-def _open_readout(config: ReadoutConfig, clock: Clock, output_unit: str) -> Readout:
-    readout = open_readout(config, clock)
-    if readout.unit != output_unit:
-        readout.close()
-        raise InputError(f"the unit was calibrated in {output_unit}; this sensor readout gives {readout.unit}")
-    return readout
 
 
 def replugged(open_readout: Callable[[], Readout], clock: Clock) -> Generator[list[Sample], None, None]:
@@ -107,17 +113,6 @@ def on_one_clock(pieces: Samples, clock: Clock) -> Samples:
                 shift_s = last_s + max(now_s - heard_s, WAIT_S) - piece[0][0]
             last_s, heard_s = piece[-1][0] + shift_s, now_s
         yield [(t_s + shift_s, output) for t_s, output in piece]
-
-
-def _factor(source: str) -> float:
-    text = source.removeprefix("simulated").removeprefix(":") or "1"
-    try:
-        factor = float(text)
-    except ValueError:
-        factor = -1.0
-    if not 0 < factor < float("inf"):
-        raise InputError(f"{source}: `simulated` or `simulated:20` for 20 times real speed was expected")
-    return factor
 
 
 def readings(readout: Readout, clock: Clock) -> Samples:

@@ -9,7 +9,7 @@ from softcal.core.use.trim import Trimmed
 from softcal.db.registry import Registry
 
 
-def trim_unit(registry: Registry, serial: str, loads_file: Path, lot_id: str | None = None) -> tuple[Trimmed, int]:
+def trim_unit(registry: Registry, serial: str, loads_file: Path, lot_id: str | None) -> tuple[Trimmed, int]:
     """Re-anchor a unit's map by loads of a file; return the trim and the new revision.
 
     Args:
@@ -24,7 +24,7 @@ def trim_unit(registry: Registry, serial: str, loads_file: Path, lot_id: str | N
     return trimmed, registry.calibrations.get(serial, lot_id=stored.lot_id).revision
 
 
-def trimmed_by(registry: Registry, serial: str, loads_file: Path, lot_id: str | None = None) -> int:
+def trimmed_by(registry: Registry, serial: str, loads_file: Path, lot_id: str | None) -> int:
     """Return the revision that known loads made, trimming only where they have not yet.
 
     A stream that is followed again from its start is then followed from the same map.

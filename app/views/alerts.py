@@ -6,7 +6,6 @@ from datetime import datetime, timedelta
 from softcal.app.views.common import percent
 from softcal.app.views.lot import LotView
 from softcal.core.orders import StationState
-from softcal.db.entries import CellCertificate
 from softcal.db.queues.order_queue import SILENT_AFTER
 from softcal.db.registry import Registry
 
@@ -32,24 +31,28 @@ def alerts(registry: Registry, view: LotView, now: datetime) -> tuple[Alert, ...
 
 def plant_alerts(registry: Registry, now: datetime) -> list[Alert]:
     """Return what should be looked at now, whichever lot is made."""
-    due = [unit.serial for unit in registry.adaptations.units() if unit.entry.get("alarm")]
+    found = []
+    # Of each station the newest check with a golden unit counts.
     golden = {run.station: run for run in sorted(registry.stations.golden_runs(), key=lambda run: run.made_at)}
-    return [
-        # Of each station the newest check with a golden unit counts.
-        *(
-            Alert("golden", {"station": run.station, "serial": run.serial, "at": run.made_at}, True)
-            for run in golden.values()
-            if not run.passed
-        ),
+    for run in golden.values():
+        if not run.passed:
+            found.append(Alert("golden", {"station": run.station, "serial": run.serial, "at": run.made_at}, True))
+    for beat in registry.order_queue.stations():
         # Who said goodbye is not missed.
-        *(
-            Alert("station", {"station": beat.station, "at": beat.at})
-            for beat in registry.order_queue.stations()
-            if beat.state is not StationState.OFF and SILENT_AFTER < now - beat.at < FORGOTTEN_AFTER
-        ),
-        *_certificates(registry.stations.certificates(), now),
-        *([Alert("units_due", {"count": len(due), "first": due[0]})] if due else []),
-    ]
+        if beat.state is not StationState.OFF and SILENT_AFTER < now - beat.at < FORGOTTEN_AFTER:
+            found.append(Alert("station", {"station": beat.station, "at": beat.at}))
+    # Of each load cell the newest certificate counts.
+    issued = sorted(registry.stations.certificates(), key=lambda entry: entry.issued_on)
+    for entry in {entry.cell_serial: entry for entry in issued}.values():
+        left, values = entry.due_on - now.date(), {"cell": entry.cell_serial, "due": f"{entry.due_on}"}
+        if left < timedelta(0):
+            found.append(Alert("certificate_over", dict(values), True))
+        elif left <= DUE_WITHIN:
+            found.append(Alert("certificate_due", {**values, "days": left.days}))
+    due = [unit.serial for unit in registry.adaptations.units() if unit.entry.get("alarm")]
+    if due:
+        found.append(Alert("units_due", {"count": len(due), "first": due[0]}))
+    return found
 
 
 def lot_alerts(view: LotView) -> list[Alert]:
@@ -65,17 +68,3 @@ def lot_alerts(view: LotView) -> list[Alert]:
         last = next(rule for rule in view.process.broken if rule.forbids)
         found.append(Alert("process", {"last": last.last, "count": last.count}))
     return found
-
-
-def _certificates(found: list[CellCertificate], now: datetime) -> list[Alert]:
-    """Return the load cells whose newest certificate ends soon or has ended."""
-    newest = {entry.cell_serial: entry for entry in sorted(found, key=lambda entry: entry.issued_on)}
-    alerts_of = []
-    for entry in newest.values():
-        left = entry.due_on - now.date()
-        if left < timedelta(0):
-            alerts_of.append(Alert("certificate_over", {"cell": entry.cell_serial, "due": f"{entry.due_on}"}, True))
-        elif left <= DUE_WITHIN:
-            values = {"cell": entry.cell_serial, "due": f"{entry.due_on}", "days": left.days}
-            alerts_of.append(Alert("certificate_due", dict(values)))
-    return alerts_of

@@ -79,7 +79,6 @@ def trail(rows: Sequence[AuditRow], words: Words) -> list[Entry]:
 def entry_of(row: AuditRow, words: Words) -> Entry:
     """Return one row as a line."""
     before, after = _values(row.before), _values(row.after)
-    section = "papers" if row.action == "export" else SECTIONS.get(row.entity, "registry")
     found = []
     for name in FIELDS:
         old, new = before.get(name), after.get(name)
@@ -87,7 +86,18 @@ def entry_of(row: AuditRow, words: Words) -> Entry:
             continue
         shown = _said(name, old, words) if name in before else ""
         found.append((words(f"trail.field.{name}"), shown, _said(name, new, words)))
-    return Entry(row, section, _what(row, words), tuple(found))
+
+    key = json.loads(row.key)
+    name, *more = [str(part) for part in key] if isinstance(key, list) else [str(key)]
+    facts = {"name": name, "second": more[0] if more else "", "lot": str(after.get("lot_id", "")) or name}
+    facts["serial"] = str(after.get("serial", "")) or (more[0] if more else name)
+    facts["kind"] = words(f"kind.{after['kind']}") if after.get("kind") in ("source", "unit", "audit") else ""
+    try:
+        what = words(f"trail.{row.action}.{row.entity}", **facts)
+    except KeyError:
+        what = words("trail.other", action=row.action, entity=row.entity, name=", ".join((name, *more)))
+    section = "papers" if row.action == "export" else SECTIONS.get(row.entity, "registry")
+    return Entry(row, section, what, tuple(found))
 
 
 def _values(kept: str | None) -> Mapping[str, Any]:
@@ -96,20 +106,6 @@ def _values(kept: str | None) -> Mapping[str, Any]:
     # The rules of a line are one value of their table; each of them is said by itself.
     rules = flat.pop("rules", None)
     return flat | (rules if isinstance(rules, dict) else {})
-
-
-def _what(row: AuditRow, words: Words) -> str:
-    key = json.loads(row.key)
-    names = [str(part) for part in key] if isinstance(key, list) else [str(key)]
-    after = _values(row.after)
-    serial = str(after.get("serial", "")) or (names[1] if len(names) > 1 else names[0])
-    values = {"name": names[0], "second": names[1] if len(names) > 1 else "", "serial": serial}
-    kind = words(f"kind.{after['kind']}") if after.get("kind") in ("source", "unit", "audit") else ""
-    values |= {"lot": str(after.get("lot_id", "")) or names[0], "kind": kind}
-    try:
-        return words(f"trail.{row.action}.{row.entity}", **values)
-    except KeyError:
-        return words("trail.other", action=row.action, entity=row.entity, name=", ".join(names))
 
 
 def _said(name: str, value: object, words: Words) -> str:

@@ -31,11 +31,6 @@ class AuditTrace:
     reference: Array
     estimate: Array
 
-    @property
-    def error(self) -> Array:
-        """(n,) estimate − reference."""
-        return self.estimate - self.reference
-
 
 @dataclass(frozen=True, eq=False)
 class AuditedView:
@@ -74,23 +69,21 @@ def audited_view(
 ) -> AuditedView | None:
     """Estimate the newest audits of a lot with the maps in use; None where there are none."""
     worst = sorted(audited, key=lambda row: -(row.after_rmse or 0.0))[:MOST_UNITS]
-    units = tuple(unit for row in worst if (unit := _unit(registry, lot.id, row.serial)) is not None)
+    units = []
+    for serial in (row.serial for row in worst):
+        audit = audit_of(registry, newest_audits(registry, lot.id, serial).get(serial))
+        if audit is None:
+            continue
+        record = registry.calibrations.get(serial, lot_id=lot.id).record
+        calibration = Calibration.from_record(record)
+        # The stretch that the error of the unit is stated on.
+        config = calibration.method.decision if calibration.method else DecisionConfig()
+        test = audit.part(round(len(audit) * (1 - config.test_share)), len(audit))
+        estimate = registry.networks.get(record.network_id).evaluate(calibration.unit_map.apply(test.windows))
+        units.append(AuditTrace(serial, test.window_reference, estimate))
     if not units:
         return None
     loads = np.concatenate([unit.reference for unit in units])
     low, high = float(loads.min()), float(loads.max())
     edges = np.linspace(low, high if high > low else low + 1.0, BANDS + 1)
-    return AuditedView(lot, units, len(audited), edges, limit_rmse)
-
-
-def _unit(registry: Registry, lot_id: str, serial: str) -> AuditTrace | None:
-    audit = audit_of(registry, newest_audits(registry, lot_id, serial).get(serial))
-    if audit is None:
-        return None
-    record = registry.calibrations.get(serial, lot_id=lot_id).record
-    calibration = Calibration.from_record(record)
-    # The stretch that the error of the unit is stated on.
-    config = calibration.method.decision if calibration.method else DecisionConfig()
-    test = audit.part(round(len(audit) * (1 - config.test_share)), len(audit))
-    estimate = registry.networks.get(record.network_id).evaluate(calibration.unit_map.apply(test.windows))
-    return AuditTrace(serial, test.window_reference, estimate)
+    return AuditedView(lot, tuple(units), len(audited), edges, limit_rmse)

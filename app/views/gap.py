@@ -3,7 +3,7 @@
 Every function takes the words of the screen. A name that has none, as of a plug-in's own effect, is shown as it is.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from softcal.app.texts.reasons import Words, phrase, said
@@ -86,17 +86,29 @@ def named_causes(report: Report, say: Words) -> list[str]:
 
 def cause_rows(report: Report, say: Words) -> list[dict[str, str]]:
     """Return one row per likely cause, with its values and their 90 % intervals."""
-    return [
-        {
-            "effect": effect_name(cause["effect"], say),
-            "stage": stage_name(str(cause.get("stage", "")), say),
-            "probability": percent(cause["probability"]),
-            "shrink": percent(cause["shrink"]),
-            "values": "; ".join(_values(cause, say)),
-        }
-        for cause in ranked(report)
-        if cause["probability"] >= LIKELY
-    ]
+    rows = []
+    for cause in ranked(report):
+        if cause["probability"] < LIKELY:
+            continue
+        values = []
+        for name, fitted in cause["parameters"].items():
+            low, high = (fitted.get(end) for end in ("low", "high"))
+            unit = phrase("gap.unit", str(fitted["unit"]), say) if fitted.get("unit") else ""
+            value = "–" if fitted.get("value") is None else f"{fitted['value']:.4g}"
+            interval = "" if None in (low, high) else f" ({say('gap.range', low=f'{low:.3g}', high=f'{high:.3g}')})"
+            values.append(f"{phrase('gap.parameter', name, say)} = {value}{interval} {unit}".rstrip())
+        if cause.get("form"):
+            values.append(say("gap.form", form=phrase("gap.form", cause["form"], say)))
+        rows.append(
+            {
+                "effect": effect_name(cause["effect"], say),
+                "stage": stage_name(str(cause.get("stage", "")), say),
+                "probability": percent(cause["probability"]),
+                "shrink": percent(cause["shrink"]),
+                "values": "; ".join(values),
+            }
+        )
+    return rows
 
 
 def no_cause_words(report: Report, say: Words) -> str:
@@ -177,14 +189,3 @@ def ranked(report: Report) -> Sequence[Mapping[str, Any]]:
 def _sentences(entry: Mapping[str, Any], names: Sequence[str], say: Words) -> list[str]:
     """Return what an entry says under some names; an older version kept English alone."""
     return [said(Reason.of(one), say) for one in entry.get("reasons") or [entry.get(name) or "" for name in names]]
-
-
-def _values(cause: Mapping[str, Any], say: Words) -> Iterator[str]:
-    for name, fitted in cause["parameters"].items():
-        low, high = (fitted.get(end) for end in ("low", "high"))
-        unit = phrase("gap.unit", str(fitted["unit"]), say) if fitted.get("unit") else ""
-        value = "–" if fitted.get("value") is None else f"{fitted['value']:.4g}"
-        interval = "" if None in (low, high) else f" ({say('gap.range', low=f'{low:.3g}', high=f'{high:.3g}')})"
-        yield f"{phrase('gap.parameter', name, say)} = {value}{interval} {unit}".rstrip()
-    if cause.get("form"):
-        yield say("gap.form", form=phrase("gap.form", cause["form"], say))

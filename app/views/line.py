@@ -84,6 +84,17 @@ def line_view(facts: LineFacts, operator: str, words: Words) -> LineView:
     card, state = _Card(facts, name, run, words), STATES[name]
     progress = run[1] if run and state.is_busy else None
     gate = facts.heartbeat.gate if facts.heartbeat and state.shows_gate else ()
+    lot_id = facts.lot.id if facts.lot else ""
+    over = [r for r in facts.runs if r[0].kind is OrderKind.UNIT and r[0].lot_id == lot_id and not r[1].state.is_active]
+    chips = []
+    for pressed in over[:SHOWN_RUNS]:
+        look = "broken" if pressed[1].state is not RunState.DONE else verdict_of(facts, pressed) or "recorded"
+        chips.append(Chip(pressed[0].serial, STATES[look].tone, state_word(look, words)))
+    remaining, remaining_s = "", progress.remaining_s if progress else 0.0
+    if remaining_s >= 90:
+        remaining = words("line.remaining_min", minutes=round(remaining_s / 60))
+    elif remaining_s >= 1:
+        remaining = words("line.remaining_s", seconds=round(remaining_s))
     return LineView(
         state=name,
         word=state_word(name, words),
@@ -93,12 +104,12 @@ def line_view(facts: LineFacts, operator: str, words: Words) -> LineView:
         why=card.why,
         conditions=tuple(Condition(plain(said(c.name, words)), c.is_good, plain(said(c.says, words))) for c in gate),
         cells=_cells(facts, operator, words),
-        chips=_chips(facts, words),
+        chips=tuple(chips),
         # Without a unit there is nothing to take back.
         actions=state.actions if facts.serial or not state.is_before_run else (),
         phase=phase_said(progress.phase, words) if progress else "",
         fraction=progress.fraction if progress else 0.0,
-        remaining=_remaining(progress.remaining_s, words) if progress else "",
+        remaining=remaining,
         signal=progress.signal if progress else Signal(),
         version=facts.place.version,
     )
@@ -147,19 +158,8 @@ def _state(facts: LineFacts) -> tuple[str, LineRun | None]:
     if facts.serial:
         armed = "armed_golden" if facts.is_golden else "armed"
         return facts.open_question or (armed if facts.may_press else "closed"), None
-    return (_idle(facts), None) if facts.is_in_doubt or run is None else _after_run(facts, run)
-
-
-def _idle(facts: LineFacts) -> str:
-    """Return the state where nobody knows which unit is in the hand, or none was pressed yet."""
-    if not facts.may_press:
-        return "closed"
-    if facts.lot is None:
-        return "no_lot"
-    return "hand" if facts.is_in_doubt or facts.newest is not None else "ready"
-
-
-def _after_run(facts: LineFacts, run: LineRun) -> tuple[str, LineRun | None]:
+    if facts.is_in_doubt or run is None:
+        return _idle(facts), None
     order, progress = run
     if progress.state is not RunState.DONE:
         return "broken", run
@@ -173,6 +173,15 @@ def _after_run(facts: LineFacts, run: LineRun) -> tuple[str, LineRun | None]:
     if verdict == "retest" and not facts.retests_left:
         return "retest_used_up", run
     return verdict or "recorded", run
+
+
+def _idle(facts: LineFacts) -> str:
+    """Return the state where nobody knows which unit is in the hand, or none was pressed yet."""
+    if not facts.may_press:
+        return "closed"
+    if facts.lot is None:
+        return "no_lot"
+    return "hand" if facts.is_in_doubt or facts.newest is not None else "ready"
 
 
 def verdict_of(facts: LineFacts, run: LineRun) -> str:
@@ -415,21 +424,3 @@ def _cells(facts: LineFacts, operator: str, words: Words) -> tuple[tuple[str, st
         (words("line.cell.units"), f"{judged} / {target}" if target else str(judged)),
         (words("line.cell.yield"), share),
     )
-
-
-def _chips(facts: LineFacts, words: Words) -> tuple[Chip, ...]:
-    lot_id = facts.lot.id if facts.lot else ""
-    over = [r for r in facts.runs if r[0].kind is OrderKind.UNIT and r[0].lot_id == lot_id and not r[1].state.is_active]
-    chips = []
-    for run in over[:SHOWN_RUNS]:
-        state = "broken" if run[1].state is not RunState.DONE else verdict_of(facts, run) or "recorded"
-        chips.append(Chip(run[0].serial, STATES[state].tone, state_word(state, words)))
-    return tuple(chips)
-
-
-def _remaining(remaining_s: float, words: Words) -> str:
-    if remaining_s < 1:
-        return ""
-    if remaining_s < 90:
-        return words("line.remaining_s", seconds=round(remaining_s))
-    return words("line.remaining_min", minutes=round(remaining_s / 60))

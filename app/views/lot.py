@@ -173,10 +173,20 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
         errors = [row for row in errors if row.serial in serials]
     looks = registry.pages.unit_page(lot_id, UnitFilter(NEEDS_A_LOOK, sort="severity", serials=chosen), size=LOOKS)
     counts = registry.pages.verdict_counts(lot_id)
+    # As `LotStanding.withdrawn`; unit by unit only where more passed once than now.
+    passed, withdrawn = registry.calibrations.passed_once(lot_id), []
+    if len(passed) != counts["pass"]:
+        standings = registry.pages.standings(lot_id, sorted(passed))
+        withdrawn = sorted(serial for serial, one in standings.items() if one.verdict != "pass")
+    if chosen is not None:
+        # By the verdict of the map in use, without one by the newest run.
+        verdicts = {run.serial: run.verdict for run in runs} | {row.serial: row.verdict for row in errors}
+        of_chosen = Counter(verdicts.values())
+        counts = {word: of_chosen[word] for word in (*reversed(VERDICTS), "none")}
     of_units = [one for one in placed_runs if one.run.serial not in golden]
     return LotView(
         lot,
-        counts if chosen is None else _counts(errors, runs),
+        counts,
         tuple(errors),
         shares,
         shares.reasons,
@@ -190,24 +200,8 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
         tuple(sorted({run.station for run in every})),
         tuple(sorted({run.operator for run in every})),
         limit,
-        _withdrawn(registry, lot_id, counts["pass"]),
+        tuple(withdrawn),
     )
-
-
-def _withdrawn(registry: Registry, lot_id: str, passing: int) -> tuple[str, ...]:
-    """Return `LotStanding.withdrawn`; unit by unit only where more passed once than now."""
-    passed = registry.calibrations.passed_once(lot_id)
-    if len(passed) == passing:
-        return ()
-    standings = registry.pages.standings(lot_id, sorted(passed))
-    return tuple(sorted(serial for serial, one in standings.items() if one.verdict != "pass"))
-
-
-def _counts(errors: Sequence[UnitErrors], runs: Sequence[RunEntry]) -> dict[str, int]:
-    """Count units by the verdict of their map in use, without one by their newest run."""
-    standing = {run.serial: run.verdict for run in runs} | {row.serial: row.verdict for row in errors}
-    counts = Counter(standing.values())
-    return {word: counts[word] for word in (*reversed(VERDICTS), "none")}
 
 
 def yield_drop(runs: Sequence[RunEntry]) -> YieldDrop | None:

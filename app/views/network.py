@@ -7,7 +7,6 @@ from typing import Any
 
 from softcal.core.errors import InputError
 from softcal.db.registry import Registry
-from softcal.db.truth.networks import NetworkState
 
 MOST_LAYERS, WIDEST = 6, 512
 
@@ -44,28 +43,29 @@ def network_rows(registry: Registry, lot_id: str) -> list[NetworkRow]:
     newest = sources[-1].sha256 if sources else ""
     in_use = registry.networks.released(lot_id)
     used = in_use.network.id if in_use else ""
-    return [_row(state, newest, used) for state in reversed(registry.networks.states(lot_id))]
-
-
-def _row(state: NetworkState, newest_source: str, used: str) -> NetworkRow:
-    entry = state.network
-    config = entry.training.get("config")
-    given: Mapping[str, Any] = config if isinstance(config, Mapping) else {}
-    metrics: Mapping[str, Any] = entry.metrics
-    return NetworkRow(
-        id=entry.id,
-        added_at=entry.added_at,
-        layers="-".join(str(width) for width in given.get("hidden", ())),
-        members=int(given.get("members", 1)),
-        seed=int(given.get("seed", 0)),
-        validation_rmse=metrics.get("validation_rmse"),
-        epochs=None if metrics.get("epochs") is None else int(metrics["epochs"]),
-        train_s=metrics.get("train_s"),
-        is_stale=bool(newest_source) and entry.training.get("source_recording_sha256") != newest_source,
-        state=state.state,
-        is_in_use=entry.id == used,
-        decided=f"{state.actor}: {state.reason}" if state.reason else "",
-    )
+    rows = []
+    for state in reversed(registry.networks.states(lot_id)):
+        entry = state.network
+        config = entry.training.get("config")
+        given: Mapping[str, Any] = config if isinstance(config, Mapping) else {}
+        metrics: Mapping[str, Any] = entry.metrics
+        rows.append(
+            NetworkRow(
+                id=entry.id,
+                added_at=entry.added_at,
+                layers="-".join(str(width) for width in given.get("hidden", ())),
+                members=int(given.get("members", 1)),
+                seed=int(given.get("seed", 0)),
+                validation_rmse=metrics.get("validation_rmse"),
+                epochs=None if metrics.get("epochs") is None else int(metrics["epochs"]),
+                train_s=metrics.get("train_s"),
+                is_stale=bool(newest) and entry.training.get("source_recording_sha256") != newest,
+                state=state.state,
+                is_in_use=entry.id == used,
+                decided=f"{state.actor}: {state.reason}" if state.reason else "",
+            )
+        )
+    return rows
 
 
 def hidden_widths(text: str) -> list[int]:

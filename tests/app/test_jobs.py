@@ -110,7 +110,7 @@ def test_an_upload_that_is_no_case_is_not_kept() -> None:
 @pytest.mark.long
 def test_a_practice_rig_is_pressed_once_more_and_diagnosed_and_its_figures_come_back(calibrated: str) -> None:
     case = practise("usual")
-    assert has_sealed_rig(case) and cases() == [case] and len(truth(case).effects) == 1
+    assert has_sealed_rig(case) and cases() == [case] and len(truth(case)[0]) == 1
     with open_registry(calibrated) as registry:
         request = {"case": str(case), "experiment": "rate_sweep"}
         job_id = registry.job_board.place("diagnose", request, "Erin")

@@ -153,7 +153,9 @@ def test_audited_units_are_scored_on_the_stretch_their_error_is_stated_on(calibr
     assert found is not None and view.audited
     stated = {row.serial: row.after_rmse for row in view.audited}
     for unit in found.units:
-        assert float(np.sqrt(np.mean(unit.error**2))) == pytest.approx(stated[unit.serial], rel=1e-6)
+        assert float(np.sqrt(np.mean((unit.estimate - unit.reference) ** 2))) == pytest.approx(
+            stated[unit.serial], rel=1e-6
+        )
 
 
 def test_the_axis_of_a_yield_says_of_how_many_units_it_is() -> None:

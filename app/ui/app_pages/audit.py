@@ -3,7 +3,7 @@
 import streamlit as st
 
 from softcal.app.batch.audit import LotAudit, draw_plan, lot_audit
-from softcal.app.batch.audit_files import AuditFile, look_at_audits, store_audits
+from softcal.app.batch.audit_files import look_at_audits, store_audits
 from softcal.app.batch.judging import confirm
 from softcal.app.batch.release import lot_standing
 from softcal.app.registry.lot_recordings import target_serials
@@ -14,6 +14,7 @@ from softcal.app.ui.components.lot_upload import choose_columns, dropped_files, 
 from softcal.app.ui.desk import in_words, instant, registry, say
 from softcal.app.ui.panels import for_lot, go_to, has_units, numbers, table
 from softcal.app.views.common import number
+from softcal.core.lot import Lot
 from softcal.core.quality.audit_plan import AuditConfig
 
 ASKED, ACTION = "audit", "set_up"
@@ -25,39 +26,82 @@ def render(lot_id: str) -> None:
     if not has_units(lot_id):
         return
     st.markdown(say("audit.what"))
-    audit = lot_audit(registry(), lot_id)
+    lot, audit = registry().lots.get(lot_id), lot_audit(registry(), lot_id)
+    unit = lot.reference_unit
     if audit is None:
-        _draw(lot_id)
-    else:
-        _stands(audit, lot_id)
-    _audited(lot_id)
-    if allows(ACTION):
         with st.container(border=True):
-            _upload(lot_id)
+            st.markdown(f"## {say('audit.draw')}")
+            config = _config()
+            if role_allows(ACTION):
+                if st.button(say("audit.draw.do"), type="primary", icon=":material/casino:", key="audit-draw"):
+                    permit(ACTION)
+                    draw_plan(registry(), lot_id, config, actor=actor())
+                    st.rerun()
+    else:
+        _plan(audit, lot)
 
+    audited = lot_standing(registry(), lot_id).audited
+    if audited:
+        st.markdown(f"## {say('audit.units')}")
+        table(
+            {
+                say("column.serial"): row.serial,
+                say("release.forecast"): number(row.forecast_rmse, unit),
+                say("release.measured"): number(row.measured_rmse, unit),
+                say("column.verdict"): say(f"verdict.{row.verdict or 'none'}"),
+                say("audit.brought"): instant(row.audited_at),
+            }
+            for row in audited[:MOST_ROWS]
+        )
+    for serial, doubt in ((row.serial, row.doubt) for row in audited if row.doubt is not None):
+        with st.container(border=True):
+            st.warning(in_words(doubt), title=serial, icon=":material/rule:")
+            reason = ask_reason(f"confirm-{serial}", say("audit.confirm", serial=serial), "release")
+        if reason is not None:
+            confirm(registry(), lot_id, serial, reason=reason, actor=actor())
+            st.rerun()
 
-def _draw(lot_id: str) -> None:
+    if not allows(ACTION):
+        return
     with st.container(border=True):
-        st.markdown(f"## {say('audit.draw')}")
-        config = _config()
-        if not role_allows(ACTION):
+        st.markdown(f"## {say('audit.bring')}")
+        if awaits_calibration(ASKED, lot_id):
             return
-        if st.button(say("audit.draw.do"), type="primary", icon=":material/casino:", key="audit-draw"):
+        if say_finished(ASKED):
+            if st.button(say("new_lot.to_lot"), icon=":material/arrow_forward:", key="audit-to-lot"):
+                go_to("lot", lot=lot_id)
+        st.caption(say("audit.bring.how"))
+        files = dropped_files(ASKED)
+        readable = first_readable(files) if files else None
+        if readable is None:
+            return
+        columns = choose_columns(readable[1], wide=False)
+        looked = look_at_audits(lot, target_serials(registry(), lot_id), files, columns)
+        rows = []
+        for one in looked:
+            recording = one.recording
+            seconds = None if recording is None else len(recording) / recording.unlabelled.sample_rate_Hz
+            rows.append(
+                {
+                    say("new_lot.column.file"): one.file,
+                    say("column.serial"): one.serial or None,
+                    say("column.duration"): None if seconds is None else f"{seconds:.0f} s",
+                    say("column.reasons"): "" if one.refusal is None else in_words(one.refusal),
+                }
+            )
+        table(rows)
+        taken = sum(one.recording is not None for one in looked)
+        if st.button(say("audit.take", count=taken), type="primary", disabled=not taken, key="audit-take"):
             permit(ACTION)
-            draw_plan(registry(), lot_id, config, actor=actor())
+            store_audits(registry(), lot_id, looked, actor())
+            st.session_state[ASKED] = begin_job("calibrate", ACTION, lot=lot_id)
+            forget_files(ASKED)
             st.rerun()
 
 
-def _config() -> AuditConfig:
-    usual = AuditConfig()
-    left, right = st.columns(2)
-    drawn = int(left.number_input(say("audit.random"), 1, 1000, usual.random, help=say("audit.random.help")))
-    doubtful = int(right.number_input(say("audit.doubtful"), 0, 1000, usual.doubtful, help=say("audit.doubtful.help")))
-    return AuditConfig(doubtful, drawn)
-
-
-def _stands(audit: LotAudit, lot_id: str) -> None:
-    unit, statement = registry().lots.get(lot_id).reference_unit, audit.statement
+def _plan(audit: LotAudit, lot: Lot) -> None:
+    """Draw the drawn units, what their audits say of the lot, and a way to draw others."""
+    unit, statement = lot.reference_unit, audit.statement
     numbers(
         (
             (say("audit.measured"), f"{len(audit.measured)} / {len(audit.plan.serials)}", None),
@@ -78,74 +122,19 @@ def _stands(audit: LotAudit, lot_id: str) -> None:
         for serial, why, forecast, measured, result in audit.rows
     ]
     table(rows)
-    download(say("audit.list"), f"{lot_id}-audit.csv", csv_of(rows), "audit-list")
+    download(say("audit.list"), f"{lot.id}-audit.csv", csv_of(rows), "audit-list")
     with st.expander(say("audit.again"), icon=":material/casino:"):
         st.caption(say("audit.again.why"))
         config = _config()
         reason = ask_reason("audit-again", say("audit.draw.do"), ACTION)
         if reason is not None:
-            draw_plan(registry(), lot_id, config, reason=reason, actor=actor())
+            draw_plan(registry(), lot.id, config, reason=reason, actor=actor())
             st.rerun()
 
 
-def _upload(lot_id: str) -> None:
-    """Draw the field for labelled recordings, what would become of each, and their scoring."""
-    st.markdown(f"## {say('audit.bring')}")
-    if awaits_calibration(ASKED, lot_id):
-        return
-    if say_finished(ASKED):
-        if st.button(say("new_lot.to_lot"), icon=":material/arrow_forward:", key="audit-to-lot"):
-            go_to("lot", lot=lot_id)
-    st.caption(say("audit.bring.how"))
-    files = dropped_files(ASKED)
-    readable = first_readable(files) if files else None
-    if readable is None:
-        return
-    columns = choose_columns(readable[1], wide=False)
-    looked = look_at_audits(registry().lots.get(lot_id), target_serials(registry(), lot_id), files, columns)
-    table([_row(one) for one in looked])
-    taken = sum(one.recording is not None for one in looked)
-    if st.button(say("audit.take", count=taken), type="primary", disabled=not taken, key="audit-take"):
-        permit(ACTION)
-        store_audits(registry(), lot_id, looked, actor())
-        st.session_state[ASKED] = begin_job("calibrate", ACTION, lot=lot_id)
-        forget_files(ASKED)
-        st.rerun()
-
-
-def _row(one: AuditFile) -> dict[str, object]:
-    recording = one.recording
-    seconds = None if recording is None else f"{len(recording) / recording.unlabelled.sample_rate_Hz:.0f} s"
-    return {
-        say("new_lot.column.file"): one.file,
-        say("column.serial"): one.serial or None,
-        say("column.duration"): seconds,
-        say("column.reasons"): "" if one.refusal is None else in_words(one.refusal),
-    }
-
-
-def _audited(lot_id: str) -> None:
-    """Draw the audited units; nothing where none was."""
-    unit, rows = registry().lots.get(lot_id).reference_unit, lot_standing(registry(), lot_id).audited
-    if not rows:
-        return
-    st.markdown(f"## {say('audit.units')}")
-    table(
-        [
-            {
-                say("column.serial"): row.serial,
-                say("release.forecast"): number(row.forecast_rmse, unit),
-                say("release.measured"): number(row.measured_rmse, unit),
-                say("column.verdict"): say(f"verdict.{row.verdict or 'none'}"),
-                say("audit.brought"): instant(row.audited_at),
-            }
-            for row in rows[:MOST_ROWS]
-        ]
-    )
-    for serial, doubt in ((row.serial, row.doubt) for row in rows if row.doubt is not None):
-        with st.container(border=True):
-            st.warning(in_words(doubt), title=serial, icon=":material/rule:")
-            reason = ask_reason(f"confirm-{serial}", say("audit.confirm", serial=serial), "release")
-        if reason is not None:
-            confirm(registry(), lot_id, serial, reason=reason, actor=actor())
-            st.rerun()
+def _config() -> AuditConfig:
+    usual = AuditConfig()
+    left, right = st.columns(2)
+    drawn = int(left.number_input(say("audit.random"), 1, 1000, usual.random, help=say("audit.random.help")))
+    doubtful = int(right.number_input(say("audit.doubtful"), 0, 1000, usual.doubtful, help=say("audit.doubtful.help")))
+    return AuditConfig(doubtful, drawn)

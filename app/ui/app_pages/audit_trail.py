@@ -21,7 +21,17 @@ def render() -> None:
         empty("audit.none", say("empty.lots.how"))
         return
     entries = trail(rows, say)
-    wanted = _filter(entries)
+    first, second, third, fourth, fifth = st.columns([3, 2, 3, 2, 2])
+    text = str(first.text_input(say("trail.find"), key="trail-find", icon=":material/search:") or "")
+    everybody, unset = sorted({entry.row.actor for entry in entries}), say("choose.all")
+    actors = second.multiselect(say("column.actor"), everybody, key="trail-actor", placeholder=unset)
+    sections = third.multiselect(
+        say("trail.section"), HEADINGS, format_func=named("trail.section"), key="trail-section", placeholder=unset
+    )
+    since = _midnight(fourth.date_input(say("trail.since"), value=None, key="trail-since"), time.min)
+    until = _midnight(fifth.date_input(say("trail.until"), value=None, key="trail-until"), time.max)
+    wanted = TrailFilter(text, tuple(actors), tuple(sections), since, until)
+
     found = [entry for entry in entries if wanted.takes(entry)]
     st.caption(say("trail.count", shown=min(len(found), PAGE), found=len(found), of=len(entries)))
     if len(entries) >= NEWEST and not is_whole:
@@ -32,21 +42,19 @@ def render() -> None:
     chosen = table_to_choose([_row(entry) for entry in found[:PAGE]], "trail")
     exported = ("audit_trail", "audit_trail", {"rows": len(found)})
     download(say("trail.export"), "audit-trail.csv", partial(_csv, found), "trail-export", exported=exported)
-    if chosen is not None:
-        _in_full(found[chosen])
-
-
-def _filter(entries: list[Entry]) -> TrailFilter:
-    first, second, third, fourth, fifth = st.columns([3, 2, 3, 2, 2])
-    text = str(first.text_input(say("trail.find"), key="trail-find", icon=":material/search:") or "")
-    everybody, unset = sorted({entry.row.actor for entry in entries}), say("choose.all")
-    actors = second.multiselect(say("column.actor"), everybody, key="trail-actor", placeholder=unset)
-    sections = third.multiselect(
-        say("trail.section"), HEADINGS, format_func=named("trail.section"), key="trail-section", placeholder=unset
-    )
-    since = _midnight(fourth.date_input(say("trail.since"), value=None, key="trail-since"), time.min)
-    until = _midnight(fifth.date_input(say("trail.until"), value=None, key="trail-until"), time.max)
-    return TrailFilter(text, tuple(actors), tuple(sections), since, until)
+    if chosen is None:
+        return
+    # The row as it is kept: for who checks the chain itself.
+    row = found[chosen].row
+    with st.container(border=True):
+        st.markdown(f"**{say('trail.row')}**")
+        st.code(
+            f"{row.origin} #{row.seq}  {row.action} {row.entity} {row.key}\n"
+            f"before: {row.before or '–'}\nafter:  {row.after or '–'}\n"
+            f"hash: {row.hash}\nafter the row with: {row.prev_hash}",
+            language=None,
+            wrap_lines=True,
+        )
 
 
 def _midnight(day: date | None, at: time) -> datetime | None:
@@ -66,17 +74,3 @@ def _row(entry: Entry) -> dict[str, object]:
 def _csv(found: list[Entry]) -> bytes:
     with in_one_language():
         return csv_of([_row(entry) for entry in found])
-
-
-def _in_full(entry: Entry) -> None:
-    """Draw the row as it is kept: for who checks the chain itself."""
-    row = entry.row
-    with st.container(border=True):
-        st.markdown(f"**{say('trail.row')}**")
-        st.code(
-            f"{row.origin} #{row.seq}  {row.action} {row.entity} {row.key}\n"
-            f"before: {row.before or '–'}\nafter:  {row.after or '–'}\n"
-            f"hash: {row.hash}\nafter the row with: {row.prev_hash}",
-            language=None,
-            wrap_lines=True,
-        )

@@ -28,12 +28,27 @@ def render() -> None:
             label_visibility="collapsed",
         )
     if kind == "lots":
-        _lots()
-    else:
-        _units()
+        known = registry().lots.ids()
+        if not known:
+            empty("empty.lots")
+            return
+        wanted = [lot for lot in st.query_params.get_all("lot") if lot in known]
+        lots = st.multiselect(
+            say("compare.lots"),
+            known,
+            wanted or known[-2:],
+            max_selections=MOST_LOTS,
+            key="compare-lots",
+            placeholder=say("choose.some"),
+        )
+        if not lots:
+            return
+        views = [remembered_lot_view(lot) for lot in lots]
+        table(lot_rows(views, say))
+        if rest_may_follow():
+            figure_under("lot.distribution", errors_of_lots(views, colours(), say), "compare-errors")
+        return
 
-
-def _units() -> None:
     chosen = [
         find_unit(place, f"compare-{place}", (column, column), _calibrated, usual)
         for usual, (place, column) in enumerate(zip(PLACES, st.columns(2), strict=True))
@@ -49,34 +64,11 @@ def _units() -> None:
     first, second = left.stored.serial, right.stored.serial
     second = second if second != first else f"{second} "
     table([{say("compare.fact"): name, first: one[name], second: other[name]} for name in one])
-    if not rest_may_follow():
-        return
-    figures_beside(
-        ("unit.map", maps_together((left, right), colours(), say), "compare-maps"),
-        ("compare.interval", predicted_over_load((left, right), colours(), say), "compare-interval"),
-    )
-
-
-def _lots() -> None:
-    known = registry().lots.ids()
-    if not known:
-        empty("empty.lots")
-        return
-    asked = [lot for lot in st.query_params.get_all("lot") if lot in known]
-    chosen = st.multiselect(
-        say("compare.lots"),
-        known,
-        asked or known[-2:],
-        max_selections=MOST_LOTS,
-        key="compare-lots",
-        placeholder=say("choose.some"),
-    )
-    if not chosen:
-        return
-    views = [remembered_lot_view(lot) for lot in chosen]
-    table(lot_rows(views, say))
     if rest_may_follow():
-        figure_under("lot.distribution", errors_of_lots(views, colours(), say), "compare-errors")
+        figures_beside(
+            ("unit.map", maps_together((left, right), colours(), say), "compare-maps"),
+            ("compare.interval", predicted_over_load((left, right), colours(), say), "compare-interval"),
+        )
 
 
 def _calibrated(text: str) -> list[str]:

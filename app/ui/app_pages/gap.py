@@ -2,23 +2,79 @@
 
 from pathlib import Path
 
+import plotly.graph_objects as go
 import streamlit as st
 
-from softcal.app.gap.desk import cases, cases_folder, practise, store_upload
-from softcal.app.ui.account import permit
-from softcal.app.ui.actions import refusals_in_words
-from softcal.app.ui.components.gap_report import gap_report
+from softcal.app.charts import gap as gap_figures
+from softcal.app.charts.gap_page import chain_svg, gap_page
+from softcal.app.charts.style import coloured
+from softcal.app.gap.desk import cases, cases_folder, has_sealed_rig, practise, run_views_of, store_upload, truth
+from softcal.app.ui.account import allows, permit
+from softcal.app.ui.actions import download, refusals_in_words
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
-from softcal.app.ui.desk import empty, named, say
-from softcal.app.ui.panels import heading
+from softcal.app.ui.desk import colours, empty, named, registry, say, words
+from softcal.app.ui.panels import heading, numbers, rest_may_follow, show_figure, table
+from softcal.app.views import gap
+from softcal.app.views.common import percent
+from softcal.app.views.gap import Report
+from softcal.db.queues.job_board import Job
 
 METADATA = (("vref_V", 5.0), ("adc_bits", 16), ("r_series_ohm", 1000.0), ("sample_rate_Hz", 50.0))
+ICONS = {
+    "no_gap": "check_circle",
+    "explained": "lightbulb",
+    "ambiguous": "call_split",
+    "unknown": "help",
+    "data": "report",
+}
+SHOWN_CAUSES = 8
 
 
 def render() -> None:
+    wanted, known = str(st.query_params.get("case", "")), [str(case) for case in cases()]
+    options = [wanted, *known] if wanted and wanted not in known else known
+    case = None
     with heading("gap"):
-        case = _choose_case()
-    _add_case()
+        if options:
+            index = options.index(wanted) if wanted in options else 0
+            chosen = str(st.selectbox(say("gap.case"), options, index=index, format_func=_shown, key=f"case-{wanted}"))
+            if chosen != wanted:
+                st.query_params["case"] = chosen
+            case = Path(chosen)
+    with st.expander(say("gap.add"), icon=":material/add:", expanded=not known):
+        folder, upload, rig = st.tabs([say("gap.add.folder"), say("gap.add.upload"), say("gap.add.rig")])
+        with folder, st.form("case-folder", border=False):
+            path = str(st.text_input(say("gap.folder"), placeholder="/data/rig-7")).strip()
+            st.caption(say("gap.folder.how"))
+            if st.form_submit_button(say("gap.folder.do")) and path:
+                permit("set_up")
+                if Path(path).is_dir():
+                    _open(Path(path).resolve())
+                st.error(say("gap.folder.none", path=path), icon=":material/error:")
+        with upload, st.form("case-upload", border=False):
+            left, right = st.columns(2)
+            name = str(left.text_input(say("gap.name"), placeholder="rig-7"))
+            serial = str(right.text_input(say("column.serial"), placeholder="A17"))
+            values: dict[str, object] = {"serial": serial.strip()}
+            for column, (key, usual) in zip(st.columns(len(METADATA)), METADATA, strict=True):
+                least = 1 if key == "adc_bits" else type(usual)(1e-3)
+                values[key] = column.number_input(key, value=usual, min_value=least)
+            sensors, said = ("pressure", "strain"), named("gap.sensor")
+            values["sensor_type"] = st.selectbox(say("gap.sensor"), sensors, format_func=said)
+            files = st.file_uploader(say("gap.files"), type=["csv"], accept_multiple_files=True)
+            st.caption(say("gap.files.how"))
+            is_sent = st.form_submit_button(say("gap.upload.do"))
+        with upload:
+            if is_sent:
+                permit("set_up")
+                with refusals_in_words():
+                    _open(store_upload(name.strip(), [file.getvalue() for file in files], values))
+        with rig:
+            st.caption(say("gap.rig.how"))
+            if st.button(say("gap.rig.do"), icon=":material/casino:"):
+                permit("set_up")
+                with st.spinner(say("gap.rig.wait")):
+                    _open(practise())
     if case is None:
         empty("gap.none")
         return
@@ -31,72 +87,133 @@ def render() -> None:
         gap_report(job, case)
 
 
-def _choose_case() -> Path | None:
-    """Draw the choice and return the case; None where there is none yet."""
-    wanted = str(st.query_params.get("case", ""))
-    known = [str(case) for case in cases()]
-    options = [wanted, *known] if wanted and wanted not in known else known
-    if not options:
-        return None
-    index = options.index(wanted) if wanted in options else 0
-    chosen = str(st.selectbox(say("gap.case"), options, index=index, format_func=_shown, key=f"case-{wanted}"))
-    if chosen != wanted:
-        st.query_params["case"] = chosen
-    return Path(chosen)
-
-
 def _shown(path: str) -> str:
     folder = Path(path)
     return str(folder.relative_to(cases_folder())) if folder.is_relative_to(cases_folder()) else path
 
 
-def _add_case() -> None:
-    """Draw the three ways to a new case."""
-    with st.expander(say("gap.add"), icon=":material/add:", expanded=not cases()):
-        folder, upload, rig = st.tabs([say("gap.add.folder"), say("gap.add.upload"), say("gap.add.rig")])
-        with folder:
-            _folder()
-        with upload:
-            _upload()
-        with rig:
-            st.caption(say("gap.rig.how"))
-            if st.button(say("gap.rig.do"), icon=":material/casino:"):
-                permit("set_up")
-                with st.spinner(say("gap.rig.wait")):
-                    _open(practise())
-
-
-def _folder() -> None:
-    with st.form("case-folder", border=False):
-        path = str(st.text_input(say("gap.folder"), placeholder="/data/rig-7")).strip()
-        st.caption(say("gap.folder.how"))
-        if st.form_submit_button(say("gap.folder.do")) and path:
-            permit("set_up")
-            if Path(path).is_dir():
-                _open(Path(path).resolve())
-            st.error(say("gap.folder.none", path=path), icon=":material/error:")
-
-
-def _upload() -> None:
-    with st.form("case-upload", border=False):
-        left, right = st.columns(2)
-        name = str(left.text_input(say("gap.name"), placeholder="rig-7"))
-        serial = str(right.text_input(say("column.serial"), placeholder="A17"))
-        fields = zip(st.columns(len(METADATA)), METADATA, strict=True)
-        values: dict[str, object] = {
-            key: column.number_input(key, value=usual, min_value=type(usual)(1e-3) if key != "adc_bits" else 1)
-            for column, (key, usual) in fields
-        }
-        values["sensor_type"] = st.selectbox(say("gap.sensor"), ("pressure", "strain"), format_func=named("gap.sensor"))
-        files = st.file_uploader(say("gap.files"), type=["csv"], accept_multiple_files=True)
-        st.caption(say("gap.files.how"))
-        if not st.form_submit_button(say("gap.upload.do")):
-            return
-    permit("set_up")
-    with refusals_in_words():
-        _open(store_upload(name.strip(), [file.getvalue() for file in files], {"serial": serial.strip(), **values}))
-
-
 def _open(case: Path) -> None:
     st.query_params["case"] = str(case)
     st.rerun()
+
+
+def gap_report(job: Job, case: Path) -> None:
+    """Draw the diagnosis a job has left."""
+    report, board, texts = job.result, registry().job_board, words()
+    is_data = report["verdict"] == "data"
+    st.header(f":material/{ICONS[report['verdict']]}: {say('gap.verdict.' + report['verdict'])}")
+    for row in gap.mistake_rows(report, say):
+        announce = st.error if is_data else st.warning
+        announce(say("gap.data.found", **row), icon=":material/report:")
+    if not is_data:
+        if causes := gap.named_causes(report, say):
+            st.markdown(say("gap.causes", causes=", ".join(causes)))
+        if report["missing_channels"]:
+            st.caption(say("gap.missing", channels=", ".join(report["missing_channels"])))
+        shrink = report["shrink"]
+        cells = [
+            (say(f"gap.{name}"), percent(shrink.get(key)), say(f"gap.{name}.help"))
+            for name, key in (("forecast", "predicted"), ("held_out", "held_out"))
+            if shrink.get(key) is not None
+        ]
+        if cells:
+            numbers(cells)
+        if shrink.get("low") is not None:
+            st.caption(say("gap.interval", low=percent(shrink["low"]), high=percent(shrink["high"])))
+
+    def page() -> str:
+        return gap_page(report, run_views_of(report, board.arrays(job)), report["serial"], texts)
+
+    # The standalone page in the language of the screen.
+    download(say("gap.page.save"), f"{case.name}-gap.html", page, "gap-page")
+    # The figures of recordings with a mistake would show the mistake as a gap.
+    if is_data and has_sealed_rig(case):
+        _truth(case)
+    if is_data or not rest_may_follow():
+        return
+    runs = run_views_of(report, board.arrays(job))
+    st.header(say("gap.where"))
+    # The picture has a light ground of its own: its shades of red would not be read on a dark one.
+    drawn = '<svg xmlns="http://www.w3.org/2000/svg" style="background:#fff" '
+    picture = chain_svg(report, say).replace("<svg ", drawn, 1)
+    st.image(picture, width="stretch", alt=say("gap.chain"))
+    _rows(gap.place_rows(report, say), say("gap.where.none"))
+    for channel in gap_figures.CHANNELS:
+        figure = gap_figures.map_figure(runs, channel, say)
+        if figure is not None:
+            _figure(figure, f"map-{channel}")
+    st.header(say("gap.why"))
+    _rows(gap.cause_rows(report, say), gap.no_cause_words(report, say))
+    for group in gap.ambiguous_groups(report, say):
+        st.warning(say("gap.ambiguous", group=group), icon=":material/call_split:")
+    _figure(gap_figures.ranking_figure(report, SHOWN_CAUSES, say, colours()), "ranking")
+    left, right = st.columns(2)
+    with left:
+        st.header(say("gap.gain"))
+        _figure(gap_figures.gain_figure(report, say, colours()), "gain")
+    with right:
+        st.header(say("gap.sure"))
+        if hidden := gap.hidden_effects(report, say):
+            st.caption(say("gap.hidden", effects=", ".join(hidden)))
+        if (figure := gap_figures.hidden_figure(report, say, colours())) is not None:
+            _figure(figure, "hidden")
+    if lines := gap.untold_lines(report, say):
+        st.header(say("gap.told"))
+        st.markdown("\n".join(f"- {gap.begun(line)}" for line in lines))
+    if residual := report.get("residual"):
+        st.header(say("gap.left"))
+        shares = {name: percent(residual["shrink"][name]) for name in ("held_out", "low", "high")}
+        st.markdown(say("gap.left.is", **shares))
+        _rows(gap.residual_rows(report, say), say("gap.left"))
+        if residual["beside"]:
+            beside = gap.listed([gap.effect_name(effect, say) for effect in residual["beside"]], "gap.and", say)
+            st.caption(say("gap.left.beside", causes=beside, without=percent(residual["without"])))
+        st.caption(say("gap.left.span", **{name: f"{residual[name]:.3g}" for name in ("load_N", "depth_mm")}))
+    _next(report, case)
+    with st.expander(say("gap.runs"), icon=":material/show_chart:"):
+        for channel, name in gap_figures.CHANNELS.items():
+            if figure := gap_figures.trace_figure(runs, channel, say, colours()):
+                st.subheader(gap.begun(say("gap.figure.trace", channel=gap.channel_name(name, say))))
+                _figure(figure, f"trace-{channel}")
+
+
+def _next(report: Report, case: Path) -> None:
+    proposed = gap.next_experiment(report)
+    st.header(say("gap.next"))
+    with st.container(border=True):
+        if proposed is None:
+            st.markdown(say("gap.next.none"))
+        else:
+            minutes = f" · {proposed['minutes']:.0f} min" if proposed.get("minutes") else ""
+            name = gap.pressed_name(str(proposed["profile"]), say)
+            st.markdown(f"**{name}**{minutes}  \n{gap.why_next(proposed, say)}")
+            if not has_sealed_rig(case):
+                st.caption(say("gap.next.by_hand", experiment=name))
+            elif allows("set_up") and st.button(say("gap.next.do"), type="primary", icon=":material/play_arrow:"):
+                begin_job("diagnose", case=str(case), experiment=str(proposed["profile"]))
+                st.rerun()
+        if has_sealed_rig(case):
+            _truth(case)
+
+
+def _truth(case: Path) -> None:
+    if st.toggle(say("gap.truth"), key=f"truth-{case}"):
+        effects, mistake = truth(case)
+        hidden = [gap.effect_name(effect, say) for effect in effects]
+        if mistake is not None:
+            values = {"mistake": gap.mistake_name(mistake.what, say), "runs": ", ".join(map(str, mistake.runs))}
+            values |= {"channel": gap.channel_name(mistake.channel, say) if mistake.channel else "–"}
+            key = "gap.truth.mistake" if mistake.runs else "gap.truth.mistake.all"
+            hidden.append(say(key, **values))
+        st.markdown(say("gap.truth.is", causes=", ".join(hidden) or say("trail.nothing")))
+
+
+def _rows(rows: list[dict[str, str]], otherwise: str) -> None:
+    table([{say(f"gap.column.{name}"): value for name, value in row.items()} for row in rows], otherwise)
+
+
+def _figure(figure: go.Figure, key: str) -> None:
+    """Draw a figure made for paper in the colours of the theme."""
+    own = {name: figure.layout[name].to_plotly_json() for name in ("margin", "legend")}
+    shown = coloured(figure, colours(), figure.layout.height).update_layout(**own)
+    show_figure(shown.update_xaxes(automargin=True).update_yaxes(automargin=True), key)

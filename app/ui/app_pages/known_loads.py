@@ -6,7 +6,7 @@ from pathlib import Path
 import streamlit as st
 
 from softcal.app.files.anchors import read_anchors
-from softcal.app.registry.known_loads import UnitLoads, keep_loads, known_loads
+from softcal.app.registry.known_loads import keep_loads, known_loads
 from softcal.app.registry.lot_recordings import source_recording
 from softcal.app.ui.account import actor, allows, permit
 from softcal.app.ui.actions import finish, say_finished
@@ -31,54 +31,51 @@ def render(lot_id: str) -> None:
     if not newest and not has_units(lot_id):
         return
     st.markdown(say("known_loads.what"))
-    loads = list(known_loads(registry(), lot_id).values())
-    table([_row(one, lot, newest) for one in reversed(loads)], say("known_loads.none"))
+    rows = [
+        {
+            say("column.serial"): one.serial,
+            say("known_loads.loads", unit=lot.reference_unit): ", ".join(f"{x:.5g}" for x in one.loads.reference),
+            say("known_loads.outputs", unit=lot.output_unit): ", ".join(f"{x:.5g}" for x in one.loads.output),
+            say("known_loads.where"): say(f"known_loads.where.{one.where}"),
+            say("known_loads.newest"): say(
+                "trail.yes" if newest.get(one.serial) == one.recording_sha256 else "trail.no"
+            ),
+            say("column.made"): instant(one.at),
+            say("column.actor"): one.actor,
+        }
+        for one in reversed(list(known_loads(registry(), lot_id).values()))
+    ]
+    table(rows, say("known_loads.none"))
     st.caption(say("known_loads.line"))
     if allows("set_limit"):
         if st.button(say("known_loads.to_rules"), icon=":material/arrow_forward:", key="known-loads-rules"):
             go_to("limits", lot=lot_id)
-    if allows(ACTION):
-        with st.container(border=True):
-            _bring(lot, newest)
-
-
-def _row(one: UnitLoads, lot: Lot, newest: Mapping[str, str]) -> dict[str, object]:
-    is_newest = newest.get(one.serial) == one.recording_sha256
-    return {
-        say("column.serial"): one.serial,
-        say("known_loads.loads", unit=lot.reference_unit): ", ".join(f"{x:.5g}" for x in one.loads.reference),
-        say("known_loads.outputs", unit=lot.output_unit): ", ".join(f"{x:.5g}" for x in one.loads.output),
-        say("known_loads.where"): say(f"known_loads.where.{one.where}"),
-        say("known_loads.newest"): say("trail.yes" if is_newest else "trail.no"),
-        say("column.made"): instant(one.at),
-        say("column.actor"): one.actor,
-    }
-
-
-def _bring(lot: Lot, newest: Mapping[str, str]) -> None:
-    """Draw the field for a table, what would become of each unit, and the calibration."""
-    st.markdown(f"## {say('known_loads.bring')}")
-    if awaits_calibration(ASKED, lot.id):
+    if not allows(ACTION):
         return
-    say_finished(ASKED)
-    st.caption(say("known_loads.bring.how"))
-    files = dropped_files(ASKED)
-    if not files:
-        return
-    taken, refused = _looked_at(lot, files, newest)
-    rows = [{say("column.serial"): serial, say("column.reasons"): why or None} for serial, why in refused.items()]
-    if rows:
-        table(rows)
-    label = say("known_loads.take", count=len(taken))
-    if st.button(label, type="primary", disabled=not taken, key="known-loads-take"):
-        permit(ACTION)
-        loads = {newest[serial]: (serial, one) for serial, one in taken.items()}
-        is_new = keep_loads(registry(), lot.id, loads, "page", actor=actor())
-        forget_files(ASKED)
-        if not is_new:
-            finish(ASKED, say("known_loads.no_change"))
-        st.session_state[ASKED] = begin_job("calibrate", ACTION, lot=lot.id)
-        st.rerun()
+    with st.container(border=True):
+        st.markdown(f"## {say('known_loads.bring')}")
+        if awaits_calibration(ASKED, lot_id):
+            return
+        say_finished(ASKED)
+        st.caption(say("known_loads.bring.how"))
+        files = dropped_files(ASKED)
+        if not files:
+            return
+        taken, refused = _looked_at(lot, files, newest)
+        if refused:
+            table(
+                [{say("column.serial"): serial, say("column.reasons"): why or None} for serial, why in refused.items()]
+            )
+        label = say("known_loads.take", count=len(taken))
+        if st.button(label, type="primary", disabled=not taken, key="known-loads-take"):
+            permit(ACTION)
+            loads = {newest[serial]: (serial, one) for serial, one in taken.items()}
+            is_new = keep_loads(registry(), lot_id, loads, "page", actor=actor())
+            forget_files(ASKED)
+            if not is_new:
+                finish(ASKED, say("known_loads.no_change"))
+            st.session_state[ASKED] = begin_job("calibrate", ACTION, lot=lot_id)
+            st.rerun()
 
 
 def _looked_at(lot: Lot, files: Sequence[Path], newest: Mapping[str, str]) -> tuple[dict[str, Anchors], dict[str, str]]:

@@ -1,7 +1,6 @@
 """The limit and the rules of a lot in versions, and what another limit would do."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import streamlit as st
 
@@ -15,9 +14,8 @@ from softcal.app.ui.desk import colours, instant, registry, say
 from softcal.app.ui.panels import figure_under, for_lot, headline, rest_may_follow, table
 from softcal.app.ui.server_memory import remembered_lot_view
 from softcal.app.views.common import limit_said, number, percent
-from softcal.app.views.lot import LotView
 from softcal.core.lot import Lot
-from softcal.core.quality.known_loads import MOST_LOADS
+from softcal.core.quality.known_loads import MOST_LOADS, KnownLoad
 from softcal.core.quality.line_rules import LETTERS, LineRules
 from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import VERDICTS
@@ -30,15 +28,35 @@ MOST_UNITS, MOST_RETESTS = 10_000_000, 99
 def render(lot_id: str) -> None:
     say_finished("limit")
     view, versions = remembered_lot_view(lot_id), registry().lots.limit_versions(lot_id)
+    unit, looked_at, automatic = view.lot.reference_unit, f"limit-seen-{lot_id}", say("lot.limit.none")
     left, right = st.columns(2)
     with left, st.container(border=True):
-        _change(view, versions)
+        version = _seen(looked_at, versions)
+        newest = versions[-1].version if versions else 0
+        headline(say("limits.now", limit=limit_said(view.limit, say), version=newest))
+        is_automatic = st.toggle(say("limits.auto"), view.lot.limit_rmse is None, key=f"auto-{lot_id}-{version}")
+        usual = float(view.limit_rmse or view.median_predicted or 1.0)
+        label, step, key = f"{say('limits.new')} [{unit}]", float(f"{usual / 10:.1g}"), f"limit-{lot_id}-{version}"
+        wanted = st.number_input(label, 0.0, None, usual, step, "%.4g", key, disabled=is_automatic)
+        if not is_automatic:
+            errors = view.predicted()
+            if count := len(errors):
+                within = int((errors <= wanted).sum())
+                st.markdown(say("limits.within", within=within, count=count, share=percent(within / count)))
+            st.caption(say("limits.note"))
+        reason = ask_reason(f"limit-{lot_id}-{version}", say("limits.set"), "set_limit")
+        if reason is not None:
+            rmse = None if is_automatic else wanted
+            st.session_state.pop(looked_at)
+            with refusals_in_words():
+                registry().lots.set_limit(lot_id, rmse, reason=reason, actor=actor(), expected_version=version)
+                judge_again(registry(), [lot_id], actor())
+                finish("limit", say("limits.done", limit=automatic if rmse is None else f"{rmse:g}"))
     if not rest_may_follow():
         return
     with right:
         figure_under("lot.distribution", charts_lot.predicted_errors(view, colours(), say), "limit-distribution")
     st.header(say("limits.versions"))
-    unit, automatic = view.lot.reference_unit, say("lot.limit.none")
     rows = [
         _row(entry, {say("lot.limit"): number(entry.rmse, unit) if entry.rmse else automatic})
         for entry in reversed(versions)
@@ -49,7 +67,18 @@ def render(lot_id: str) -> None:
     rules = registry().lots.line_rules_versions(lot_id)
     with st.container(border=True):
         _change_rules(view.lot, rules)
-    table([_rule_row(entry) for entry in reversed(rules)], say("rules.none"))
+    rows = []
+    for entry in reversed(rules):
+        retests = ", ".join(f"{say(f'verdict.{verdict}')} {times}" for verdict, times in entry.rules.retests.items())
+        facts = {
+            say("rules.pattern"): entry.rules.serial_pattern or say("rules.pattern.any"),
+            say("rules.letters"): _letters_said(entry.rules.letters),
+            say("rules.target"): entry.rules.target,
+            say("rules.retests.column"): retests,
+            say("page.known_loads"): ", ".join(f"{load.value:.5g} ± {load.expanded:.2g}" for load in entry.rules.loads),
+        }
+        rows.append(_row(entry, facts))
+    table(rows, say("rules.none"))
 
 
 def _seen(looked_at: str, versions: Sequence[LimitEntry | LineRulesEntry]) -> int:
@@ -67,42 +96,44 @@ def _row(entry: LimitEntry | LineRulesEntry, facts: Mapping[str, object]) -> dic
     }
 
 
-def _change(view: LotView, versions: list[LimitEntry]) -> None:
-    unit, looked_at = view.lot.reference_unit, f"limit-seen-{view.lot.id}"
-    version = _seen(looked_at, versions)
-    newest = versions[-1].version if versions else 0
-    headline(say("limits.now", limit=limit_said(view.limit, say), version=newest))
-    is_automatic = st.toggle(say("limits.auto"), view.lot.limit_rmse is None, key=f"auto-{view.lot.id}-{version}")
-    usual = view.limit_rmse or view.median_predicted or 1.0
-    label, step, key = f"{say('limits.new')} [{unit}]", float(f"{usual / 10:.1g}"), f"limit-{view.lot.id}-{version}"
-    wanted = st.number_input(label, 0.0, None, float(usual), step, "%.4g", key, disabled=is_automatic)
-    if not is_automatic:
-        errors = view.predicted()
-        if count := len(errors):
-            within = int((errors <= wanted).sum())
-            st.markdown(say("limits.within", within=within, count=count, share=percent(within / count)))
-        st.caption(say("limits.note"))
-    reason = ask_reason(f"limit-{view.lot.id}-{version}", say("limits.set"), "set_limit")
-    if reason is None:
-        return
-    rmse = None if is_automatic else wanted
-    st.session_state.pop(looked_at)
-    with refusals_in_words():
-        registry().lots.set_limit(view.lot.id, rmse, reason=reason, actor=actor(), expected_version=version)
-        judge_again(registry(), [view.lot.id], actor())
-        finish("limit", say("limits.done", limit=say("lot.limit.none") if rmse is None else f"{rmse:g}"))
-
-
 def _change_rules(lot: Lot, versions: Sequence[LineRulesEntry]) -> None:
+    """Draw one field per rule with what holds now, and take the change."""
     looked_at = f"rules-seen-{lot.id}"
     version = _seen(looked_at, versions)
-    wanted = _asked(registry().lots.line_rules(lot), lot.reference_unit, f"{lot.id}-{version}")
-    reason = ask_reason(f"rules-{lot.id}-{version}", say("rules.set"), "set_limit")
+    now, mark = registry().lots.line_rules(lot), f"{lot.id}-{version}"
+    left, middle, right = st.columns([3, 2, 2])
+    key, help_ = f"rules-pattern-{mark}", say("rules.pattern.help")
+    pattern = left.text_input(say("rules.pattern"), now.serial_pattern, key=key, help=help_)
+    index, key = LETTERS.index(now.letters), f"rules-letters-{mark}"
+    letters = middle.selectbox(say("rules.letters"), LETTERS, index, format_func=_letters_said, key=key)
+    key, none = f"rules-target-{mark}", say("rules.target.none")
+    target = right.number_input(say("rules.target"), 1, MOST_UNITS, now.target, key=key, placeholder=none)
+    st.markdown(say("rules.retests"))
+    retests: dict[str, int] = {}
+    for verdict, column in zip(VERDICTS, st.columns(len(VERDICTS)), strict=True):
+        label, usual = say(f"verdict.{verdict}"), now.retests.get(verdict, 0)
+        retests[verdict] = int(column.number_input(label, 0, MOST_RETESTS, usual, key=f"rules-{verdict}-{mark}"))
+
+    st.markdown(say("rules.loads"), help=say("rules.loads.help"))
+    # Each load is (load, U) in the lot's unit.
+    unit, loads = lot.reference_unit, []
+    cells = st.columns(2 * MOST_LOADS)
+    for place, (cell, beside) in enumerate(zip(cells[::2], cells[1::2], strict=True), 1):
+        load = now.loads[place - 1] if place <= len(now.loads) else None
+        label, key = f"{say('rules.load', number=place)} [{unit}]", f"rules-load-{place}-{mark}"
+        value = cell.number_input(label, 0.0, value=load.value if load else None, format="%.5g", key=key)
+        label, key = f"{say('rules.load_uncertainty')} [{unit}]", f"rules-load-u-{place}-{mark}"
+        expanded = beside.number_input(label, 0.0, value=load.expanded if load else 0.0, format="%.5g", key=key)
+        if value is not None:
+            loads.append((float(value), float(expanded or 0.0)))
+
+    reason = ask_reason(f"rules-{mark}", say("rules.set"), "set_limit")
     if reason is None:
         return
     st.session_state.pop(looked_at)
     with refusals_in_words():
-        rules = LineRules(**wanted)
+        known = tuple(KnownLoad(*load) for load in loads)
+        rules = LineRules(str(pattern).strip(), letters, target, retests, known)
         state = registry().networks.released(lot.id)
         if state is not None and rules.loads:
             check_stated(rules.loads, source_recording(registry(), state.network.id), Method().map.anchors)
@@ -110,60 +141,5 @@ def _change_rules(lot: Lot, versions: Sequence[LineRulesEntry]) -> None:
         finish("rules", say("rules.done"))
 
 
-def _asked(now: LineRules, unit: str, mark: str) -> dict[str, Any]:
-    """Draw one field per rule with what holds now; return what stands in them."""
-    left, middle, right = st.columns([3, 2, 2])
-    key, help_ = f"rules-pattern-{mark}", say("rules.pattern.help")
-    pattern = left.text_input(say("rules.pattern"), now.serial_pattern, key=key, help=help_)
-    letters = middle.selectbox(
-        say("rules.letters"),
-        LETTERS,
-        LETTERS.index(now.letters),
-        format_func=lambda name: say(f"rules.letters.{name.replace(' ', '_')}"),
-        key=f"rules-letters-{mark}",
-    )
-    key, none = f"rules-target-{mark}", say("rules.target.none")
-    target = right.number_input(say("rules.target"), 1, MOST_UNITS, now.target, key=key, placeholder=none)
-    st.markdown(say("rules.retests"))
-    retests = {}
-    for verdict, column in zip(VERDICTS, st.columns(len(VERDICTS)), strict=True):
-        label, usual = say(f"verdict.{verdict}"), now.retests.get(verdict, 0)
-        retests[verdict] = int(column.number_input(label, 0, MOST_RETESTS, usual, key=f"rules-{verdict}-{mark}"))
-    return {
-        "serial_pattern": str(pattern).strip(),
-        "letters": letters,
-        "target": target,
-        "retests": retests,
-        "loads": _loads(now, unit, mark),
-    }
-
-
-def _loads(now: LineRules, unit: str, mark: str) -> tuple[tuple[float, float], ...]:
-    """Draw the known loads the line asks for; return each as (load, U) in the lot's unit."""
-    st.markdown(say("rules.loads"), help=say("rules.loads.help"))
-    loads = []
-    cells = st.columns(2 * MOST_LOADS)
-    for place, columns in enumerate(zip(cells[::2], cells[1::2], strict=True), 1):
-        load = now.loads[place - 1] if place <= len(now.loads) else None
-        label, usual = f"{say('rules.load', number=place)} [{unit}]", load.value if load else None
-        key = f"rules-load-{place}-{mark}"
-        value = columns[0].number_input(label, 0.0, value=usual, format="%.5g", key=key)
-        label, usual = f"{say('rules.load_uncertainty')} [{unit}]", load.expanded if load else 0.0
-        key = f"rules-load-u-{place}-{mark}"
-        expanded = columns[1].number_input(label, 0.0, value=usual, format="%.5g", key=key)
-        if value is not None:
-            loads.append((float(value), float(expanded or 0.0)))
-    return tuple(loads)
-
-
-def _rule_row(entry: LineRulesEntry) -> dict[str, object]:
-    rules = entry.rules
-    retests = ", ".join(f"{say(f'verdict.{verdict}')} {times}" for verdict, times in rules.retests.items())
-    facts = {
-        say("rules.pattern"): rules.serial_pattern or say("rules.pattern.any"),
-        say("rules.letters"): say(f"rules.letters.{rules.letters.replace(' ', '_')}"),
-        say("rules.target"): rules.target,
-        say("rules.retests.column"): retests,
-        say("page.known_loads"): ", ".join(f"{load.value:.5g} ± {load.expanded:.2g}" for load in rules.loads),
-    }
-    return _row(entry, facts)
+def _letters_said(letters: str) -> str:
+    return say(f"rules.letters.{letters.replace(' ', '_')}")

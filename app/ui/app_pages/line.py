@@ -31,7 +31,20 @@ def render() -> None:
     st.fragment(_screen, run_every=BUSY_S if is_busy else IDLE_S)()
     # Drawn last, though it stands at the top: the state is what a person looks for.
     with st.container(key="line-setup"), st.popover("", icon=":material/tune:", help=say("line.setup")):
-        line_setup()
+        choose_language()
+        try:
+            facts = read_line(registry(), screen())
+            station = _choose(say("station.station"), "station", list(facts.stations), facts.station)
+            if station:
+                remember("station", station)
+                st.rerun()
+            lot = _choose(say("choose.lot"), "lot", list(facts.lots), facts.lot.id if facts.lot else "")
+            if lot:
+                take_scan(registry(), screen(), f"LOT:{lot}")
+                st.rerun()
+        except (RegistryError, InputError) as error:
+            st.caption(in_words(error))
+        st.caption(say("line.setup.codes"))
 
 
 @in_one_language()
@@ -46,7 +59,13 @@ def _screen() -> None:
         # The field has one place whatever stands beside it: drawn anew in another, it would miss what is typed then.
         with st.container(key="line-actions", horizontal=True):
             with st.container(key="line-buttons", horizontal=True, width="content"):
-                _actions(view)
+                if view.state == "no_station" and allows("set_up"):
+                    if st.button(say("start.station.do"), key="line-to-station", type="primary"):
+                        go_to("station")
+                for number, command in enumerate(view.actions):
+                    label = f"{action_said(command, view.state, say)} · {KEYS[command]}"
+                    draw = partial(st.button, label, key=f"line-{command}", on_click=in_one_piece(_on_scan))
+                    draw(args=(f"CMD:{command}", view.seen), type="primary" if number == 0 else "secondary")
             texts = {"label": say("line.scan"), "placeholder": say("line.scan.hint"), "late": say("line.scan.late")}
             texts["spoken"] = note[0] if note else view.spoken
             scan_field(texts, view.seen, COMMAND_OF_KEY, screen().station, _on_scan)
@@ -105,34 +124,6 @@ def _on_scan(text: str, seen: int | None, until_s: float | None = None) -> None:
     except InputError as error:
         why = in_words(error)
     st.session_state[REFUSED] = why
-
-
-def _actions(view: LineView) -> None:
-    if view.state == "no_station" and allows("set_up"):
-        if st.button(say("start.station.do"), key="line-to-station", type="primary"):
-            go_to("station")
-    for number, command in enumerate(view.actions):
-        label = f"{action_said(command, view.state, say)} · {KEYS[command]}"
-        draw = partial(st.button, label, key=f"line-{command}", on_click=in_one_piece(_on_scan))
-        draw(args=(f"CMD:{command}", view.seen), type="primary" if number == 0 else "secondary")
-
-
-def line_setup() -> None:
-    """Draw the settings."""
-    choose_language()
-    try:
-        facts = read_line(registry(), screen())
-        station = _choose(say("station.station"), "station", list(facts.stations), facts.station)
-        if station:
-            remember("station", station)
-            st.rerun()
-        lot = _choose(say("choose.lot"), "lot", list(facts.lots), facts.lot.id if facts.lot else "")
-        if lot:
-            take_scan(registry(), screen(), f"LOT:{lot}")
-            st.rerun()
-    except (RegistryError, InputError) as error:
-        st.caption(in_words(error))
-    st.caption(say("line.setup.codes"))
 
 
 def _choose(label: str, name: str, names: list[str], now: str) -> str:

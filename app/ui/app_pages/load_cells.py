@@ -17,41 +17,42 @@ from softcal.app.views.common import number
 from softcal.app.views.station import golden_units
 from softcal.core.errors import InputError
 from softcal.core.orders import OrderKind
-from softcal.db.entries import CellCertificate
+
+LARGEST_BYTES = 20_000_000
+FIRST_DAY, LAST_DAY = date(2000, 1, 1), date(2100, 1, 1)
+TEXTS = {"cell_serial": "cells.serial", "number": "cells.number", "laboratory": "cells.laboratory"}
+DAYS = {"issued_on": "cells.issued", "due_on": "cells.due"}
+FORCES = {"capacity_N": "cells.capacity", "uncertainty_N": "cells.uncertainty"}
 
 
 def render() -> None:
     heading("load_cells")
     say_finished("cells")
-    certificates = registry().stations.certificates()
-    if certificates:
-        table([_row(entry) for entry in reversed(certificates)])
+    certificates, today = registry().stations.certificates(), datetime.now(UTC).astimezone(zone()).date()
+    rows = [
+        {
+            say("cells.serial"): entry.cell_serial,
+            say("cells.number"): entry.number,
+            say("cells.laboratory"): entry.laboratory,
+            say("cells.issued"): f"{entry.issued_on}",
+            say("cells.due"): f"{entry.due_on}",
+            say("cells.capacity"): number(entry.capacity_N, "N"),
+            say("cells.uncertainty"): number(entry.uncertainty_N, "N"),
+            say("column.state"): say("cells.valid", days=(entry.due_on - today).days)
+            if entry.is_valid(today)
+            else say("cells.invalid"),
+        }
+        for entry in reversed(certificates)
+    ]
+    if rows:
+        table(rows)
     else:
         empty("cells.none")
     if allows("set_up"):
         _certificate_form()
     st.header(say("golden.title"))
-    if rest_may_follow():
-        _golden()
-
-
-def _row(entry: CellCertificate) -> dict[str, object]:
-    today = datetime.now(UTC).astimezone(zone()).date()
-    left = (entry.due_on - today).days
-    state = say("cells.valid", days=left) if entry.is_valid(today) else say("cells.invalid")
-    return {
-        say("cells.serial"): entry.cell_serial,
-        say("cells.number"): entry.number,
-        say("cells.laboratory"): entry.laboratory,
-        say("cells.issued"): f"{entry.issued_on}",
-        say("cells.due"): f"{entry.due_on}",
-        say("cells.capacity"): number(entry.capacity_N, "N"),
-        say("cells.uncertainty"): number(entry.uncertainty_N, "N"),
-        say("column.state"): state,
-    }
-
-
-def _golden() -> None:
+    if not rest_may_follow():
+        return
     for unit in golden_units(registry()):
         last = unit.runs[-1]
         word = say("golden.passed" if last.passed else "golden.failed")
@@ -71,13 +72,6 @@ def _golden() -> None:
                     st.info(say("golden.ordered"), icon=":material/hourglass:")
 
 
-LARGEST_BYTES = 20_000_000
-FIRST_DAY, LAST_DAY = date(2000, 1, 1), date(2100, 1, 1)
-TEXTS = {"cell_serial": "cells.serial", "number": "cells.number", "laboratory": "cells.laboratory"}
-DAYS = {"issued_on": "cells.issued", "due_on": "cells.due"}
-FORCES = {"capacity_N": "cells.capacity", "uncertainty_N": "cells.uncertainty"}
-
-
 def _certificate_form() -> None:
     with st.form("certificate", border=True):
         st.markdown(f"**{say('cells.add')}**")
@@ -95,19 +89,13 @@ def _certificate_form() -> None:
         if not st.form_submit_button(say("cells.store"), type="primary"):
             return
     permit("set_up")
-    with refusals_in_words():
-        number = _store(given, None if document is None else document.getvalue())
-        finish("cells", say("cells.stored", number=number))
-
-
-def _store(given: dict[str, object], document: bytes | None) -> str:
-    if document is not None and len(document) > LARGEST_BYTES:
-        raise InputError(f"the document has {len(document)} bytes; at most {LARGEST_BYTES} are taken")
-    with tempfile.TemporaryDirectory(prefix="softcal-dcc-") as folder:
+    with refusals_in_words(), tempfile.TemporaryDirectory(prefix="softcal-dcc-") as folder:
         file = None
         if document is not None:
+            if document.size > LARGEST_BYTES:
+                raise InputError(f"the document has {document.size} bytes; at most {LARGEST_BYTES} are taken")
             file = Path(folder) / "certificate.xml"
-            file.write_bytes(document)
+            file.write_bytes(document.getvalue())
         certificate = certificate_from(given, file)
-    registry().stations.add_certificate(certificate, actor=actor())
-    return certificate.number
+        registry().stations.add_certificate(certificate, actor=actor())
+        finish("cells", say("cells.stored", number=certificate.number))

@@ -8,7 +8,6 @@ from softcal.app.ui.desk import choose, colours, empty, instant, registry, say
 from softcal.app.ui.panels import heading, rest_may_follow, show_figure, table
 from softcal.app.views.common import number
 from softcal.app.views.long_term import course, units_in_use
-from softcal.db.truth.adaptations import AdaptedUnit
 
 
 def render() -> None:
@@ -19,7 +18,18 @@ def render() -> None:
         return
     with beside:
         serial = choose(say("column.serial"), [unit.serial for unit, _ in units], "unit") or units[0][0].serial
-    table([_row(unit, reference_unit) for unit, reference_unit in units])
+    table(
+        {
+            say("column.serial"): unit.serial,
+            say("column.state"): say("event.alarm" if unit.entry["alarm"] else f"event.{unit.entry['verdict']}"),
+            say("lot.predicted"): number(unit.entry["predicted_rmse"], reference_unit),
+            say("chart.drift_scale"): number(unit.entry["shift"]),
+            say("long_term.steps"): unit.steps,
+            say("column.made"): instant(unit.made_at),
+            say("column.remark"): phrase("adapt", unit.entry["alarm"], say),
+        }
+        for unit, reference_unit in units
+    )
     streams = registry().adaptations.streams(serial)
     stream = streams[0] if len(streams) == 1 else str(st.selectbox(say("long_term.stream"), streams))
     stream_course = course(registry(), serial, stream)
@@ -32,16 +42,3 @@ def render() -> None:
         return
     if rest_may_follow():
         show_figure(course_figure(stream_course, colours(), say), f"course-{serial}")
-
-
-def _row(unit: AdaptedUnit, reference_unit: str) -> dict[str, object]:
-    step = unit.entry
-    return {
-        say("column.serial"): unit.serial,
-        say("column.state"): say("event.alarm" if step["alarm"] else f"event.{step['verdict']}"),
-        say("lot.predicted"): number(step["predicted_rmse"], reference_unit),
-        say("chart.drift_scale"): number(step["shift"]),
-        say("long_term.steps"): unit.steps,
-        say("column.made"): instant(unit.made_at),
-        say("column.remark"): phrase("adapt", step["alarm"], say),
-    }

@@ -1,6 +1,5 @@
 """The lot at a glance: yields, errors, the process, the units that need a look, the table."""
 
-from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 
 import streamlit as st
@@ -33,13 +32,25 @@ from softcal.app.views.common import number, percent
 from softcal.app.views.lot import LotView
 from softcal.app.views.lot_runs import DESK, LotFilter
 from softcal.app.views.unit import unit_view
-from softcal.db.entries import UnitEntry
+
+SEEN = "calibrate-seen"
+ARROW = ":material/arrow_forward:"
 
 
 @for_lot("lot")
 def render(lot_id: str) -> None:
     first = st.container()
-    _calibrate_again(lot_id)
+    job = newest_job("calibrate", lot=lot_id)
+    has_source = bool(registry().recordings.of_lot(lot_id, kind="source"))
+    if allows("set_up") and has_source and not is_running(job):
+        if st.button(say("lot.again"), icon=":material/replay:", help=say("lot.again.help"), key="calibrate-again"):
+            st.session_state[SEEN] = begin_job("calibrate", lot=lot_id)
+            st.rerun()
+    if job is not None and (is_running(job) or st.session_state.get(SEEN) == job.job_id):
+        st.session_state[SEEN] = job.job_id
+        if job_panel(job):
+            st.success(say("lot.again.done", new=job.result["new"], known=job.result["known"]), icon=":material/check:")
+
     view = _chosen_view(lot_id)
     if not view.judged:
         empty("empty.units")
@@ -50,14 +61,41 @@ def render(lot_id: str) -> None:
     for alert in alerts(registry(), view, datetime.now(UTC).astimezone(zone())):
         draw, icon = (st.error, "report") if alert.is_urgent else (st.warning, "notifications")
         draw(say(f"alert.{alert.kind}", **alert.values), icon=f":material/{icon}:")
-    _numbers(view)
+    unit, ratio = view.lot.reference_unit, view.after_to_own
+    scored = (say("lot.audited"), str(len(view.audited)), say("lot.audited.help"))
+    compared = (say("lot.ratio"), number(ratio), say("lot.ratio.help", count=len(view.audited)))
+    shares = []
+    for name, share in (("first_pass", view.yields.first_pass), ("yield", view.yields.last_pass)):
+        low, high = map(percent, share.interval)
+        shares.append((say(f"lot.{name}"), percent(share.value), say(f"lot.{name}.help", low=low, high=high)))
+    # A sentence would be cut off in a tile.
+    limit = say("lot.limit.short" if view.limit is not None and not view.limit.is_stated else "lot.limit")
+    numbers(
+        (
+            (say("lot.units"), f"{view.judged} / {view.total}", say("lot.units.help")),
+            *shares,
+            (say("lot.predicted"), number(view.median_predicted, unit), say("lot.predicted.help")),
+            (limit, number(view.limit_rmse, unit), say("lot.limit.help")),
+            scored if ratio is None else compared,
+        )
+    )
+    st.progress(view.judged / view.total, text=say("lot.progress", done=view.judged, total=view.total))
     if not rest_may_follow():
         return
     _figures(view)
     if view.audited:
-        _audited(view)
+        marker = registry().pages.change_marker(lot_id)
+        audited = _audited_view(str(registry().database.name), marker, lot_id, view.chosen, view)
+        if audited is not None:
+            figures_beside(
+                ("lot.audited.estimate", estimate_over_reference(audited, colours(), say), "audited-estimate"),
+                ("lot.audited.load", error_over_load(audited, colours(), say), "audited-load"),
+            )
+            st.caption(say("lot.audited.count", shown=len(audited.units), of=audited.of))
     st.header(say("lot.look"))
     if view.looks:
+        if view.needing_a_look > len(view.looks):
+            st.caption(say("lot.look.count", shown=len(view.looks), count=view.needing_a_look))
         _looks(view)
     else:
         st.caption(say("lot.look.none"))
@@ -74,171 +112,6 @@ def render(lot_id: str) -> None:
     exported = ("lots", lot_id, {"file": "report.pdf"})
     name, icon = f"{lot_id}-report.pdf", "picture_as_pdf"
     download(say("lot.report"), name, report, "lot-report", exported=exported, icon=icon)
-
-
-def _numbers(view: LotView) -> None:
-    unit = view.lot.reference_unit
-    ratio = view.after_to_own
-    audited = (say("lot.audited"), str(len(view.audited)), say("lot.audited.help"))
-    compared = (say("lot.ratio"), number(ratio), say("lot.ratio.help", count=len(view.audited)))
-    shares = []
-    for name, share in (("first_pass", view.yields.first_pass), ("yield", view.yields.last_pass)):
-        low, high = map(percent, share.interval)
-        shares.append((say(f"lot.{name}"), percent(share.value), say(f"lot.{name}.help", low=low, high=high)))
-    # A sentence would be cut off in a tile.
-    limit = say("lot.limit.short" if view.limit is not None and not view.limit.is_stated else "lot.limit")
-    numbers(
-        (
-            (say("lot.units"), f"{view.judged} / {view.total}", say("lot.units.help")),
-            *shares,
-            (say("lot.predicted"), number(view.median_predicted, unit), say("lot.predicted.help")),
-            (limit, number(view.limit_rmse, unit), say("lot.limit.help")),
-            audited if ratio is None else compared,
-        )
-    )
-    st.progress(view.judged / view.total, text=say("lot.progress", done=view.judged, total=view.total))
-
-
-def _figures(view: LotView) -> None:
-    """Draw errors beside scores, the control chart, and why units failed beside the capability."""
-    left, right = st.columns(2)
-    with left:
-        figure_under("lot.distribution", charts_lot.predicted_errors(view, colours(), say), "predicted")
-    with right:
-        if view.audited:
-            figure_under("lot.scores", charts_lot.audit_scores(view, colours(), say), "scores")
-        else:
-            _reasons(view)
-    places = [("days", view.days), ("stations", view.stations)]
-    if len(view.operators) > 1:
-        places.append(("operators", view.operators))
-    yields = ((name, yield_figure(found, say(f"lot.yield.{name}.axis"), colours(), say)) for name, found in places)
-    figures_beside(*((f"lot.yield.{name}", figure, f"yield-{name}") for name, figure in yields))
-    if view.process.chart is None:
-        st.header(say("lot.process"))
-        st.caption(in_words(view.process.refusal or ""))
-    else:
-        figure = charts_lot.control_chart_figure(view.process, view.lot.reference_unit, colours(), say)
-        figure_under("lot.process", figure, "control-chart")
-    left, right = st.columns(2)
-    with left:
-        _capability(view)
-    with right:
-        if view.audited:
-            _reasons(view)
-
-
-def _audited(view: LotView) -> None:
-    """Draw the audited units of a lot; nothing where none was audited."""
-    marker = registry().pages.change_marker(view.lot.id)
-    audited = _audited_view(str(registry().database.name), marker, view.lot.id, view.chosen, view)
-    if audited is None:
-        return
-    figures_beside(
-        ("lot.audited.estimate", estimate_over_reference(audited, colours(), say), "audited-estimate"),
-        ("lot.audited.load", error_over_load(audited, colours(), say), "audited-load"),
-    )
-    st.caption(say("lot.audited.count", shown=len(audited.units), of=audited.of))
-
-
-@st.cache_resource(max_entries=8, show_spinner=False)
-def _audited_view(
-    registry_name: str, marker: str, lot_id: str, chosen: tuple[str, ...] | None, _lot: LotView
-) -> AuditedView | None:
-    return audited_view(registry(), _lot.lot, _lot.audited, _lot.limit_rmse)
-
-
-SEEN = "calibrate-seen"
-
-
-def _calibrate_again(lot_id: str) -> None:
-    """Draw the button where the role allows it, and for everybody how far a calibration is."""
-    job = newest_job("calibrate", lot=lot_id)
-    has_source = bool(registry().recordings.of_lot(lot_id, kind="source"))
-    if allows("set_up") and has_source and not is_running(job):
-        if st.button(say("lot.again"), icon=":material/replay:", help=say("lot.again.help"), key="calibrate-again"):
-            st.session_state[SEEN] = begin_job("calibrate", lot=lot_id)
-            st.rerun()
-    if job is None or (not is_running(job) and st.session_state.get(SEEN) != job.job_id):
-        return
-    st.session_state[SEEN] = job.job_id
-    if job_panel(job):
-        st.success(say("lot.again.done", new=job.result["new"], known=job.result["known"]), icon=":material/check:")
-
-
-def _capability(view: LotView) -> None:
-    """Draw capability against the limit, or why it is refused, and the rules that points break."""
-    process = view.process
-    capability = process.capability
-    if process.chart is None:
-        return
-    st.header(say("lot.capability"))
-    if view.limit is None or not view.limit.is_stated:
-        st.caption(say("lot.capability.no_limit"))
-    elif capability is None:
-        st.warning(in_words(process.refusal or ""), icon=":material/block:", title=say("lot.capability.refused"))
-    else:
-        interval = say("lot.cpk.help", low=number(capability.cpk_lower), high=number(capability.cpk_upper))
-        numbers((("Cpk", number(capability.cpk), interval), ("Ppk", number(capability.ppk), say("lot.ppk.help"))))
-        st.caption(say("lot.cp.none"))
-    st.markdown(f"**{say('lot.rules')}**")
-    if not process.broken:
-        st.caption(say("lot.rules.none"))
-    for broken in process.broken:
-        mark = ":material/warning:" if broken.forbids else ":material/info:"
-        rule = say(f"rule.{broken.rule}")
-        st.markdown(f"{mark} {say('lot.rules.line', rule=rule, count=broken.count, last=broken.last)}")
-
-
-def _reasons(view: LotView) -> None:
-    if view.reasons:
-        figure_under("lot.reasons", charts_lot.reasons_pareto(view, colours(), say), "reasons")
-
-
-ARROW = ":material/arrow_forward:"
-
-
-def _looks(view: LotView) -> None:
-    """Draw the worst units and the plot of the one that is chosen, the worst at first."""
-    if view.needing_a_look > len(view.looks):
-        st.caption(say("lot.look.count", shown=len(view.looks), count=view.needing_a_look))
-    rows = [
-        {
-            say("column.serial"): unit.serial,
-            say("column.verdict"): say(f"verdict.{unit.verdict}"),
-            say("column.reasons"): in_words(unit.reasons[:1]),
-            say("column.predicted"): number(unit.predicted_rmse, view.lot.reference_unit),
-        }
-        for unit in view.looks
-    ]
-    _chosen_look(view, rows)
-
-
-@st.fragment
-@errors_in_words()
-def _chosen_look(view: LotView, rows: Sequence[Mapping[str, object]]) -> None:
-    left, right = st.columns([3, 2])
-    with left:
-        chosen = table_to_choose(rows, f"looks-{view.lot.id}")
-    with right:
-        _plot(view.looks[chosen or 0])
-
-
-def _plot(unit: UnitEntry) -> None:
-    # What does not fit beside the name goes below it; a label is never cut.
-    with st.container(horizontal=True, horizontal_alignment="distribute", vertical_alignment="center"):
-        st.markdown(f"**{unit.serial}** · {say(f'verdict.{unit.verdict}')}", width="content")
-        is_chosen = st.button(say("lot.look.open"), key="open-look", icon=ARROW)
-    if is_chosen:
-        go_to("unit", unit=unit.serial)
-    if unit.reasons:
-        # The table has room for its beginning alone.
-        st.caption(said(unit.reasons[0], say))
-    if unit.revision is None:
-        st.caption(say("empty.calibration"))
-        return
-    view = unit_view(registry(), unit.serial)
-    show_figure(charts_unit.output_distributions(view, colours(), say), f"look-{unit.serial}")
 
 
 def _chosen_view(lot_id: str) -> LotView:
@@ -266,3 +139,91 @@ def _chosen_view(lot_id: str) -> LotView:
     view = remembered_lot_view(lot_id, wanted)
     st.caption(f":material/filter_alt: {say('lot.filter.on', left=len(view.chosen or ()), of=every.judged)}")
     return view if view.judged else every
+
+
+def _figures(view: LotView) -> None:
+    """Draw errors beside scores, yields, the control chart, and why units failed beside the capability."""
+    left, right = st.columns(2)
+    with left:
+        figure_under("lot.distribution", charts_lot.predicted_errors(view, colours(), say), "predicted")
+    with right:
+        if view.audited:
+            figure_under("lot.scores", charts_lot.audit_scores(view, colours(), say), "scores")
+        elif view.reasons:
+            figure_under("lot.reasons", charts_lot.reasons_pareto(view, colours(), say), "reasons")
+    places = [("days", view.days), ("stations", view.stations)]
+    if len(view.operators) > 1:
+        places.append(("operators", view.operators))
+    yields = ((name, yield_figure(found, say(f"lot.yield.{name}.axis"), colours(), say)) for name, found in places)
+    figures_beside(*((f"lot.yield.{name}", figure, f"yield-{name}") for name, figure in yields))
+    process = view.process
+    if process.chart is None:
+        st.header(say("lot.process"))
+        st.caption(in_words(process.refusal or ""))
+    else:
+        figure = charts_lot.control_chart_figure(process, view.lot.reference_unit, colours(), say)
+        figure_under("lot.process", figure, "control-chart")
+    left, right = st.columns(2)
+    with right:
+        if view.audited and view.reasons:
+            figure_under("lot.reasons", charts_lot.reasons_pareto(view, colours(), say), "reasons")
+    if process.chart is None:
+        return
+    with left:
+        st.header(say("lot.capability"))
+        capability = process.capability
+        if view.limit is None or not view.limit.is_stated:
+            st.caption(say("lot.capability.no_limit"))
+        elif capability is None:
+            st.warning(in_words(process.refusal or ""), icon=":material/block:", title=say("lot.capability.refused"))
+        else:
+            interval = say("lot.cpk.help", low=number(capability.cpk_lower), high=number(capability.cpk_upper))
+            numbers((("Cpk", number(capability.cpk), interval), ("Ppk", number(capability.ppk), say("lot.ppk.help"))))
+            st.caption(say("lot.cp.none"))
+        st.markdown(f"**{say('lot.rules')}**")
+        if not process.broken:
+            st.caption(say("lot.rules.none"))
+        for broken in process.broken:
+            mark = ":material/warning:" if broken.forbids else ":material/info:"
+            rule = say(f"rule.{broken.rule}")
+            st.markdown(f"{mark} {say('lot.rules.line', rule=rule, count=broken.count, last=broken.last)}")
+
+
+@st.cache_resource(max_entries=8, show_spinner=False)
+def _audited_view(
+    registry_name: str, marker: str, lot_id: str, chosen: tuple[str, ...] | None, _lot: LotView
+) -> AuditedView | None:
+    return audited_view(registry(), _lot.lot, _lot.audited, _lot.limit_rmse)
+
+
+@st.fragment
+@errors_in_words()
+def _looks(view: LotView) -> None:
+    """Draw the worst units and the plot of the one that is chosen, the worst at first."""
+    rows = [
+        {
+            say("column.serial"): unit.serial,
+            say("column.verdict"): say(f"verdict.{unit.verdict}"),
+            say("column.reasons"): in_words(unit.reasons[:1]),
+            say("column.predicted"): number(unit.predicted_rmse, view.lot.reference_unit),
+        }
+        for unit in view.looks
+    ]
+    left, right = st.columns([3, 2])
+    with left:
+        unit = view.looks[table_to_choose(rows, f"looks-{view.lot.id}") or 0]
+    with right:
+        # What does not fit beside the name goes below it; a label is never cut.
+        with st.container(horizontal=True, horizontal_alignment="distribute", vertical_alignment="center"):
+            st.markdown(f"**{unit.serial}** · {say(f'verdict.{unit.verdict}')}", width="content")
+            is_chosen = st.button(say("lot.look.open"), key="open-look", icon=ARROW)
+        if is_chosen:
+            go_to("unit", unit=unit.serial)
+        if unit.reasons:
+            # The table has room for its beginning alone.
+            st.caption(said(unit.reasons[0], say))
+        if unit.revision is None:
+            st.caption(say("empty.calibration"))
+            return
+        figure = charts_unit.output_distributions(unit_view(registry(), unit.serial), colours(), say)
+        show_figure(figure, f"look-{unit.serial}")

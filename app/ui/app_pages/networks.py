@@ -34,27 +34,27 @@ def render(lot_id: str) -> None:
     if not rest_may_follow():
         return
     if rows:
-        table(told([_row(row, lot.reference_unit) for row in rows]))
+        listed = [
+            {
+                say("column.network"): row.id[:12],
+                say("column.state"): say("networks.in_use") if row.is_in_use else say(f"networks.state.{row.state}"),
+                say("networks.decided"): row.decided,
+                say("column.made"): instant(row.added_at),
+                say("networks.hidden"): row.layers,
+                say("networks.members"): row.members,
+                say("networks.seed"): row.seed,
+                say("networks.validation"): number(row.validation_rmse, lot.reference_unit),
+                say("networks.epochs"): row.epochs,
+                say("networks.train_s"): number(row.train_s, "s"),
+                say("column.remark"): say("networks.stale") if row.is_stale else "",
+            }
+            for row in rows
+        ]
+        table(told(listed))
         release(lot, rows)
     training(lot)
     if rows:
         comparison(lot, rows)
-
-
-def _row(row: NetworkRow, unit: str) -> dict[str, object]:
-    return {
-        say("column.network"): row.id[:12],
-        say("column.state"): say("networks.in_use") if row.is_in_use else say(f"networks.state.{row.state}"),
-        say("networks.decided"): row.decided,
-        say("column.made"): instant(row.added_at),
-        say("networks.hidden"): row.layers,
-        say("networks.members"): row.members,
-        say("networks.seed"): row.seed,
-        say("networks.validation"): number(row.validation_rmse, unit),
-        say("networks.epochs"): row.epochs,
-        say("networks.train_s"): number(row.train_s, "s"),
-        say("column.remark"): say("networks.stale") if row.is_stale else "",
-    }
 
 
 def release(lot: Lot, rows: Sequence[NetworkRow]) -> None:
@@ -63,25 +63,25 @@ def release(lot: Lot, rows: Sequence[NetworkRow]) -> None:
     used = next((row for row in rows if row.is_in_use), None)
     st.caption(say("networks.release.how", network=used.id[:12]) if used else say("networks.release.none"))
     say_finished("network")
-    unit = lot.reference_unit
-    names = {row.id: f"{row.id[:12]} · {row.layers} · {number(row.validation_rmse, unit)}" for row in rows}
+    names = {
+        row.id: f"{row.id[:12]} · {row.layers} · {number(row.validation_rmse, lot.reference_unit)}" for row in rows
+    }
     chosen = st.selectbox(say("column.network"), list(names), format_func=names.__getitem__, key=f"release-{lot.id}")
     row = next(row for row in rows if row.id == chosen)
+    networks = registry().networks
+    decisions = (
+        ("release", not row.is_in_use, networks.release),
+        ("withdraw", row.state == RELEASED, networks.withdraw),
+    )
     with refusals_in_words():
-        if not row.is_in_use:
-            _decide(row, "release")
-        if row.state == RELEASED:
-            _decide(row, "withdraw")
-
-
-def _decide(row: NetworkRow, what: str) -> None:
-    with st.container(border=True):
-        reason = ask_reason(f"{what}-{row.id[:12]}-{row.state}", say(f"networks.{what}.do"), "release")
-    if reason is None:
-        return
-    decide = registry().networks.release if what == "release" else registry().networks.withdraw
-    decide(row.id, reason=reason, actor=actor())
-    finish("network", say(f"networks.{what}.done", network=row.id[:12]))
+        for what, is_open, decide in decisions:
+            if not is_open:
+                continue
+            with st.container(border=True):
+                reason = ask_reason(f"{what}-{row.id[:12]}-{row.state}", say(f"networks.{what}.do"), "release")
+            if reason is not None:
+                decide(row.id, reason=reason, actor=actor())
+                finish("network", say(f"networks.{what}.done", network=row.id[:12]))
 
 
 USUAL = NetworkConfig()
@@ -93,8 +93,22 @@ def training(lot: Lot) -> None:
     st.header(say("networks.train"))
     left, right = st.columns([2, 3])
     job = newest_job("train", lot=lot.id)
+    is_sent = False
     with left:
-        _train_form(lot, is_running(job))
+        if role_allows("set_up"):
+            with st.form("train", border=True):
+                hidden = st.text_input(say("networks.hidden"), "-".join(map(str, USUAL.hidden)), key="train-hidden")
+                first, second, third = st.columns(3)
+                members = first.number_input(say("networks.members"), 1, 10, USUAL.members, key="train-members")
+                seed = second.number_input(say("networks.seed"), 0, 10**6, USUAL.seed, key="train-seed")
+                epochs = third.number_input(say("networks.max_epochs"), 5, 2000, USUAL.max_epochs, key="train-epochs")
+                is_sent = st.form_submit_button(say("networks.train.do"), type="primary", disabled=is_running(job))
+        if is_sent:
+            permit("set_up")
+            with refusals_in_words():
+                widths = hidden_widths(str(hidden))
+                begin_job("train", lot=lot.id, hidden=widths, seed=seed, members=members, max_epochs=epochs)
+                st.rerun()
     with right:
         if job is None:
             st.caption(say("networks.train.how"))
@@ -102,24 +116,6 @@ def training(lot: Lot) -> None:
             message = say("networks.trained" if job.result["is_new"] else "networks.found", network=job.message)
             st.success(message, icon=":material/check:")
             _loss(job, lot)
-
-
-def _train_form(lot: Lot, is_busy: bool) -> None:
-    if not role_allows("set_up"):
-        return
-    with st.form("train", border=True):
-        hidden = st.text_input(say("networks.hidden"), "-".join(map(str, USUAL.hidden)), key="train-hidden")
-        left, middle, right = st.columns(3)
-        members = left.number_input(say("networks.members"), 1, 10, USUAL.members, key="train-members")
-        seed = middle.number_input(say("networks.seed"), 0, 10**6, USUAL.seed, key="train-seed")
-        epochs = right.number_input(say("networks.max_epochs"), 5, 2000, USUAL.max_epochs, key="train-epochs")
-        if not st.form_submit_button(say("networks.train.do"), type="primary", disabled=is_busy):
-            return
-    permit("set_up")
-    with refusals_in_words():
-        widths = hidden_widths(str(hidden))
-        begin_job("train", lot=lot.id, hidden=widths, seed=seed, members=members, max_epochs=epochs)
-        st.rerun()
 
 
 def _loss(job: Job, lot: Lot) -> None:
@@ -136,54 +132,43 @@ def comparison(lot: Lot, rows: Sequence[NetworkRow]) -> None:
     st.caption(say("networks.compare.how"))
     job = newest_job("compare", lot=lot.id)
     if allows("set_up"):
-        _compare_form(lot, rows, is_running(job))
-    if job is not None and job_panel(job):
-        _compared(job, lot)
-
-
-def _compare_form(lot: Lot, rows: Sequence[NetworkRow], is_busy: bool) -> None:
-    names = {row.id: f"{row.id[:12]} · {row.layers}" for row in rows}
-    with st.form("compare", border=True):
-        left, middle, right = st.columns([3, 3, 1], vertical_alignment="bottom")
-        networks = left.multiselect(
-            say("page.networks"),
-            list(names),
-            default=list(names)[:2],
-            format_func=names.__getitem__,
-            placeholder=say("choose.some"),
-        )
-        families = middle.multiselect(
-            say("column.family"), [DEFAULT, *FAMILIES], default=[DEFAULT, "affine"], placeholder=say("choose.some")
-        )
-        units = right.number_input(say("lot.units"), 1, MOST_UNITS, 12)
-        is_asked = st.form_submit_button(say("networks.compare.do"), disabled=is_busy)
-    if not is_asked:
+        names = {row.id: f"{row.id[:12]} · {row.layers}" for row in rows}
+        some = say("choose.some")
+        with st.form("compare", border=True):
+            left, middle, right = st.columns([3, 3, 1], vertical_alignment="bottom")
+            networks = left.multiselect(
+                say("page.networks"),
+                list(names),
+                default=list(names)[:2],
+                format_func=names.__getitem__,
+                placeholder=some,
+            )
+            families = middle.multiselect(
+                say("column.family"), [DEFAULT, *FAMILIES], default=[DEFAULT, "affine"], placeholder=some
+            )
+            units = right.number_input(say("lot.units"), 1, MOST_UNITS, 12)
+            is_asked = st.form_submit_button(say("networks.compare.do"), disabled=is_running(job))
+        if is_asked and networks and families:
+            begin_job("compare", lot=lot.id, networks=networks, families=families, units=units)
+            st.rerun()
+        elif is_asked:
+            st.warning(say("networks.compare.choose"), icon=":material/edit:")
+    if job is None or not job_panel(job):
         return
-    if not networks or not families:
-        st.warning(say("networks.compare.choose"), icon=":material/edit:")
-        return
-    begin_job("compare", lot=lot.id, networks=networks, families=families, units=units)
-    st.rerun()
-
-
-def _compared(job: Job, lot: Lot) -> None:
-    unit = lot.reference_unit
-    rows = job.result["rows"]
-    show_figure(charts_compare.comparison(rows, unit, colours(), say), f"compared-{job.job_id}")
+    unit, compared = lot.reference_unit, job.result["rows"]
+    show_figure(charts_compare.comparison(compared, unit, colours(), say), f"compared-{job.job_id}")
     table(
-        [
-            {
-                say("column.network"): row["network"][:12],
-                say("column.family"): row["family"],
-                say("lot.units"): row["units"],
-                say("verdict.pass"): row["passed"],
-                say("networks.refused"): row["refused"],
-                say("column.predicted"): number(row["predicted"], unit),
-                say("lot.audited"): row["audited"],
-                say("column.before"): number(row["before"], unit),
-                say("column.after"): number(row["after"], unit),
-                say("networks.after_95"): number(row["after_95"], unit),
-            }
-            for row in rows
-        ]
+        {
+            say("column.network"): row["network"][:12],
+            say("column.family"): row["family"],
+            say("lot.units"): row["units"],
+            say("verdict.pass"): row["passed"],
+            say("networks.refused"): row["refused"],
+            say("column.predicted"): number(row["predicted"], unit),
+            say("lot.audited"): row["audited"],
+            say("column.before"): number(row["before"], unit),
+            say("column.after"): number(row["after"], unit),
+            say("networks.after_95"): number(row["after_95"], unit),
+        }
+        for row in compared
     )

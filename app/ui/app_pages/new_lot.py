@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 import streamlit as st
 
-from softcal.app.batch.front_door import Expected, expect, store_lot
+from softcal.app.batch.front_door import expect, store_lot
 from softcal.app.charts.new_lot import columns_over_time, reference_over_output
 from softcal.app.files.importing import Columns, ImportPlan, median_rate_Hz
 from softcal.app.texts.reasons import all_said
@@ -28,7 +28,12 @@ ASKED = "new-lot-asked"
 def render() -> None:
     heading("new_lot")
     if asked := st.session_state.get(ASKED):
-        _calibrating(asked)
+        st.markdown(say("new_lot.calibrating", lot=asked))
+        job = newest_job("calibrate", lot=asked)
+        is_over = job is None or job_panel(job)
+        if is_over or (not is_running(job) and st.button(say("new_lot.to_lot"), icon=":material/arrow_forward:")):
+            del st.session_state[ASKED]
+            go_to("lot", lot=asked)
         return
     with step("new_lot", 1):
         st.caption(say("new_lot.files.how"))
@@ -36,10 +41,31 @@ def render() -> None:
         readable = first_readable(files) if files else None
     if readable is None:
         return
+    path, content = readable
     with step("new_lot", 2):
-        columns, rate_Hz = _columns(*readable)
+        st.caption(say("new_lot.preview", file=path.name, rows=len(content), columns=len(content.columns)))
+        st.dataframe(content.head(ROWS), width="stretch", hide_index=True)
+        shapes = {"files": say("new_lot.shape.files"), "wide": say("new_lot.shape.wide")}
+        shape = st.radio(say("new_lot.shape"), list(shapes), format_func=shapes.__getitem__, horizontal=True)
+        columns = choose_columns(content, shape == "wide")
+        if columns.time is None:
+            rate_Hz = float(st.number_input(f"{say('column.rate')} [Hz]", 0.1, 100_000.0, 50.0, key="new-lot-rate"))
+        else:
+            try:
+                rate_Hz = median_rate_Hz(path, columns.time)
+                st.caption(say("new_lot.rate", rate=f"{rate_Hz:g}"))
+            except InputError as error:
+                rate_Hz = 0.0
+                why = str(error).replace(f"{path}: ", "").split(";")[0]
+                st.error(say("new_lot.time.refused", why=why), icon=":material/error:")
+        left, right = st.columns(2)
+        with left:
+            show_figure(columns_over_time(content, columns, colours(), say), "new-lot-figure")
+        with right:
+            if columns.reference is not None and (figure := reference_over_output(content, columns, colours(), say)):
+                show_figure(figure, "new-lot-figure-reference")
     with step("new_lot", 3):
-        facts, has_audits = _facts(files, readable[1], columns)
+        facts, has_audits = _facts(files, content, columns)
     if not rate_Hz or not facts["id"]:
         st.info(say("new_lot.missing"), icon=":material/edit:")
         return
@@ -57,36 +83,6 @@ def render() -> None:
         forget_files()
         st.session_state[ASKED] = usable.lot.id
         st.rerun()
-
-
-def _columns(path: Path, content: pd.DataFrame) -> tuple[Columns, float]:
-    """Draw preview, choice and plots; return columns and sample rate in Hz, 0 while unknown."""
-    st.caption(say("new_lot.preview", file=path.name, rows=len(content), columns=len(content.columns)))
-    st.dataframe(content.head(ROWS), width="stretch", hide_index=True)
-    shapes = {"files": say("new_lot.shape.files"), "wide": say("new_lot.shape.wide")}
-    shape = st.radio(say("new_lot.shape"), list(shapes), format_func=shapes.__getitem__, horizontal=True)
-    columns = choose_columns(content, shape == "wide")
-    rate_Hz = _rate_Hz(path, columns.time)
-    left, right = st.columns(2)
-    with left:
-        show_figure(columns_over_time(content, columns, colours(), say), "new-lot-figure")
-    with right:
-        if columns.reference is not None and (figure := reference_over_output(content, columns, colours(), say)):
-            show_figure(figure, "new-lot-figure-reference")
-    return columns, rate_Hz
-
-
-def _rate_Hz(path: Path, time_column: str | None) -> float:
-    if time_column is None:
-        return float(st.number_input(f"{say('column.rate')} [Hz]", 0.1, 100_000.0, 50.0, key="new-lot-rate"))
-    try:
-        rate_Hz = median_rate_Hz(path, time_column)
-    except InputError as error:
-        message = str(error).replace(f"{path}: ", "").split(";")[0]
-        st.error(say("new_lot.time.refused", why=message), icon=":material/error:")
-        return 0.0
-    st.caption(say("new_lot.rate", rate=f"{rate_Hz:g}"))
-    return rate_Hz
 
 
 def _facts(files: Sequence[Path], content: pd.DataFrame, columns: Columns) -> tuple[dict[str, Any], bool]:
@@ -122,8 +118,21 @@ def _expected(plan: ImportPlan) -> ImportPlan | None:
     doubtful = [one for one in expected if one.findings]
     good = len(expected) - len(refused) - len(doubtful)
     st.markdown(say("new_lot.expected", good=good, doubtful=len(doubtful), refused=len(refused)))
-    worst_first = sorted(expected, key=lambda one: (not one.problem, not one.findings))
-    table([_row(one, plan.lot.source) for one in worst_first])
+    rows = []
+    for one in sorted(expected, key=lambda one: (not one.problem, not one.findings)):
+        will = "doubtful" if one.findings else "good"
+        will = "refused" if one.problem else "source" if one.serial == plan.lot.source else will
+        rows.append(
+            {
+                say("new_lot.column.file"): one.file,
+                say("column.serial"): one.serial or None,
+                say("new_lot.column.rows"): one.rows or None,
+                say("column.duration"): f"{one.seconds:.0f} s" if one.rows else None,
+                say("new_lot.column.will"): say(f"new_lot.will.{will}"),
+                say("column.reasons"): in_words(one.problem) if one.problem else all_said(one.findings, say),
+            }
+        )
+    table(rows)
     source = next((one for one in expected if one.serial == plan.lot.source), None)
     if source is None or source.problem or plan.columns.reference is None:
         st.error(say("new_lot.no_source", source=plan.lot.source), icon=":material/error:")
@@ -134,25 +143,3 @@ def _expected(plan: ImportPlan) -> ImportPlan | None:
     unreadable = {one.file for one in refused if not one.serial}
     files = tuple(file for file in plan.files if file.name not in unreadable)
     return replace(plan, files=files, without=frozenset(one.serial for one in refused if one.serial))
-
-
-def _row(one: Expected, source: str) -> dict[str, object]:
-    will = "refused" if one.problem else "source" if one.serial == source else "doubtful" if one.findings else "good"
-    return {
-        say("new_lot.column.file"): one.file,
-        say("column.serial"): one.serial or None,
-        say("new_lot.column.rows"): one.rows or None,
-        say("column.duration"): f"{one.seconds:.0f} s" if one.rows else None,
-        say("new_lot.column.will"): say(f"new_lot.will.{will}"),
-        say("column.reasons"): in_words(one.problem) if one.problem else all_said(one.findings, say),
-    }
-
-
-def _calibrating(lot_id: str) -> None:
-    """Draw how far the calibration is, and lead to the lot once it is done."""
-    st.markdown(say("new_lot.calibrating", lot=lot_id))
-    job = newest_job("calibrate", lot=lot_id)
-    is_over = job is None or job_panel(job)
-    if is_over or (not is_running(job) and st.button(say("new_lot.to_lot"), icon=":material/arrow_forward:")):
-        del st.session_state[ASKED]
-        go_to("lot", lot=lot_id)

@@ -1,5 +1,7 @@
 """Who may do what: people, their roles and PINs; every change asks for a reason."""
 
+from typing import Any
+
 import streamlit as st
 
 from softcal.app.ui.account import actor, person
@@ -22,51 +24,46 @@ def render() -> None:
     left, right = st.columns([3, 2])
     with left:
         table(
-            [
-                {
-                    say("sign_in.name"): user.name,
-                    say("people.role"): say(f"role.{user.role}"),
-                    say("column.state"): say("people.active" if user.is_active else "people.inactive"),
-                }
-                for user in people
-            ]
+            {
+                say("sign_in.name"): user.name,
+                say("people.role"): say(f"role.{user.role}"),
+                say("column.state"): say("people.active" if user.is_active else "people.inactive"),
+            }
+            for user in people
         )
         for role in ROLES:
             st.caption(f"**{say(f'role.{role}')}** · {say(f'role.{role}.may')}")
         if person().is_alone:
             st.caption(say("role.alone.may"))
-    if rest_may_follow():
-        with right, st.container(border=True):
-            _change(people)
-
-
-def _change(people: list[User]) -> None:
-    known = {user.name: user for user in people}
-    chosen = st.selectbox(say("people.who"), ["", *known], format_func=lambda name: name or say("people.new"))
-    user = known.get(chosen, NEW)
-    # Keys carry the version, so that the fields show what is stored after each change.
-    mark = f"{user.name}-{user.version}"
-    name = user.name or str(st.text_input(say("sign_in.name"), key=f"people-name-{mark}")).strip()
-    role = st.selectbox(say("people.role"), ROLES, ROLES.index(user.role), named("role"), key=f"people-role-{mark}")
-    is_active = st.checkbox(say("people.may_sign_in"), user.is_active, key=f"people-active-{mark}")
-    pin = again = ""
-
-    def pins() -> None:
-        nonlocal pin, again
-        label = say("sign_in.new_pin") if user is NEW else say("people.pin")
-        pin = st.text_input(label, type="password", key=f"people-pin-{mark}", autocomplete="new-password")
-        label = say("sign_in.pin_again")
-        again = st.text_input(label, type="password", key=f"people-again-{mark}", autocomplete="new-password")
-
-    reason = ask_reason(f"people-{mark}", say("people.save"), "people", pins)
-    if reason is None:
+    if not rest_may_follow():
         return
-    was_alone = person().is_alone
-    with refusals_in_words():
-        if pin:
-            check_pin(pin, again)
-        registry().people.set(
-            name, role, pin or None, actor=actor(), reason=reason, is_active=is_active, version=user.version
-        )
-        st.session_state["people-parted"] = was_alone and not person().is_alone
-        finish("people", say("people.saved", name=name))
+    with right, st.container(border=True):
+        known = {user.name: user for user in people}
+        chosen = st.selectbox(say("people.who"), ["", *known], format_func=lambda name: name or say("people.new"))
+        user = known.get(chosen, NEW)
+        # Keys carry the version, so that the fields show what is stored after each change.
+        mark = f"{user.name}-{user.version}"
+        name = user.name or str(st.text_input(say("sign_in.name"), key=f"people-name-{mark}")).strip()
+        role = st.selectbox(say("people.role"), ROLES, ROLES.index(user.role), named("role"), key=f"people-role-{mark}")
+        is_active = st.checkbox(say("people.may_sign_in"), user.is_active, key=f"people-active-{mark}")
+        pin = again = ""
+
+        def pins() -> None:
+            nonlocal pin, again
+            secret: dict[str, Any] = {"type": "password", "autocomplete": "new-password"}
+            label = say("sign_in.new_pin") if user is NEW else say("people.pin")
+            pin = st.text_input(label, key=f"people-pin-{mark}", **secret)
+            again = st.text_input(say("sign_in.pin_again"), key=f"people-again-{mark}", **secret)
+
+        reason = ask_reason(f"people-{mark}", say("people.save"), "people", pins)
+        if reason is None:
+            return
+        was_alone = person().is_alone
+        with refusals_in_words():
+            if pin:
+                check_pin(pin, again)
+            registry().people.set(
+                name, role, pin or None, actor=actor(), reason=reason, is_active=is_active, version=user.version
+            )
+            st.session_state["people-parted"] = was_alone and not person().is_alone
+            finish("people", say("people.saved", name=name))

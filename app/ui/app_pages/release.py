@@ -1,6 +1,5 @@
 """What leaves the house for a lot: the statement on its units, their files and certificates."""
 
-from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import partial
 from typing import Any
@@ -18,9 +17,7 @@ from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel
 from softcal.app.ui.desk import in_words, named, registry, say, words
 from softcal.app.ui.panels import for_lot, has_units, numbers, table
 from softcal.app.views.common import number
-from softcal.core.quality.lot_release import LotRelease
-from softcal.core.quality.lot_standing import LotStanding, UnitInLot, Way
-from softcal.db.entries import CellCertificate
+from softcal.core.quality.lot_standing import LotStanding, Way
 
 USUAL_FORMATS = ("json", "pdf")
 MOST_ROWS = 200
@@ -39,26 +36,20 @@ def render(lot_id: str) -> None:
     with right, st.container(border=True):
         _archive(lot_id)
     for name, units in (("withdrawn", standing.withdrawn), ("waiting", standing.on(Way.WAITING))):
-        if units:
-            _kept_back(name, units)
-    with st.expander(say("laboratory.title"), icon=":material/badge:"):
-        _laboratory()
-
-
-def _kept_back(name: str, units: Sequence[UnitInLot]) -> None:
-    """Draw the units that are not released, with the first reason of each."""
-    st.markdown(f"## {say(f'release.{name}')}: {len(units)}")
-    st.caption(say(f"release.{name}.means"))
-    table(
-        [
+        if not units:
+            continue
+        st.markdown(f"## {say(f'release.{name}')}: {len(units)}")
+        st.caption(say(f"release.{name}.means"))
+        table(
             {
                 say("column.serial"): unit.serial,
                 say("column.verdict"): say(f"verdict.{unit.verdict or 'none'}"),
                 say("column.reasons"): in_words(unit.reasons[:1]),
             }
             for unit in units[:MOST_ROWS]
-        ]
-    )
+        )
+    with st.expander(say("laboratory.title"), icon=":material/badge:"):
+        _laboratory()
 
 
 def _statement(standing: LotStanding) -> None:
@@ -67,7 +58,21 @@ def _statement(standing: LotStanding) -> None:
     if decided is None:
         st.caption(say("release.none"))
         return
-    _said(decided, lot_id)
+    unit, audits = registry().lots.get(lot_id).reference_unit, decided.audits
+    limit = number(decided.limit.maximum_rmse, unit)
+    st.markdown(say("release.counts", released=len(decided.released), open=len(decided.forecasts), limit=limit))
+    st.markdown(say("release.evidence", audits=len(audits)))
+    if audits:
+        table(
+            {
+                say("column.serial"): audit.serial,
+                say("release.forecast"): number(audit.forecast_rmse, unit),
+                say("release.measured"): number(audit.measured_rmse, unit),
+            }
+            for audit in sorted(audits, key=lambda audit: -audit.ratio)[:10]
+        )
+    with st.expander(say("release.words"), icon=":material/article:"):
+        st.caption(in_words(decided.statement))
     if not role_allows("release"):
         return
     if st.button(say("release.do"), type="primary", icon=":material/verified:", key="release-do"):
@@ -78,26 +83,6 @@ def _statement(standing: LotStanding) -> None:
     make = partial(lot_statement_pdf, lot_statement_facts(registry(), standing, decided), words())
     exported = ("lots", lot_id, {"file": "statement.pdf"})
     download(say("release.pdf"), f"{lot_id}-statement.pdf", make, "release-pdf", exported=exported)
-
-
-def _said(decided: LotRelease, lot_id: str) -> None:
-    unit, audits = registry().lots.get(lot_id).reference_unit, decided.audits
-    limit = number(decided.limit.maximum_rmse, unit)
-    st.markdown(say("release.counts", released=len(decided.released), open=len(decided.forecasts), limit=limit))
-    st.markdown(say("release.evidence", audits=len(audits)))
-    if audits:
-        table(
-            [
-                {
-                    say("column.serial"): audit.serial,
-                    say("release.forecast"): number(audit.forecast_rmse, unit),
-                    say("release.measured"): number(audit.measured_rmse, unit),
-                }
-                for audit in sorted(audits, key=lambda audit: -audit.ratio)[:10]
-            ]
-        )
-    with st.expander(say("release.words"), icon=":material/article:"):
-        st.caption(in_words(decided.statement))
 
 
 def _archive(lot_id: str) -> None:
@@ -137,61 +122,46 @@ def _laboratory() -> None:
     if not role_allows("set_up"):
         return
     cells = {entry.cell_serial: entry for entry in registry().stations.certificates()}
+    given: dict[str, dict[str, str]] = {}
     with st.form("laboratory", border=False):
-        given = {name: _section(name, getattr(kept, name)) for name in PARTS}
-        conditions = _conditions(kept.conditions)
-        cell = _cell(kept.load_cell, list(cells))
+        for name in PARTS:
+            st.markdown(f"**{say(f'laboratory.{name}')}**")
+            part, given[name] = getattr(kept, name), {}
+            names = [field.name for field in fields(part)]
+            for column, field in zip(st.columns(len(names)), names, strict=True):
+                value = str(getattr(part, field))
+                shown = "" if value in (laboratory.NOT_STATED, laboratory.NO_COUNTRY) else value
+                label, key = say(f"laboratory.{field}"), f"laboratory-{name}-{field}"
+                nothing = laboratory.NO_COUNTRY if field == "country" else laboratory.NOT_STATED
+                given[name][field] = str(column.text_input(label, shown, key=key)).strip() or nothing
+
+        st.markdown(f"**{say('laboratory.conditions')}**")
+        left, right, _, _ = st.columns(4)
+        label, usual = f"{say('laboratory.temperature')} [°C]", kept.conditions
+        temperature_C = left.number_input(label, -50.0, 150.0, usual.temperature_C, format="%.1f")
+        label = f"{say('laboratory.humidity')} [%]"
+        humidity_pct = right.number_input(label, 0.0, 100.0, usual.humidity_pct, format="%.0f")
+
+        st.markdown(f"**{say('laboratory.load_cell')}**")
+        load_cell = kept.load_cell
+        options = [load_cell.serial, *(serial for serial in cells if serial != load_cell.serial)]
+        unstated = {laboratory.NOT_STATED: say("laboratory.not_stated")}
+        left, _ = st.columns(2)
+        chosen = str(
+            left.selectbox(say("cells.serial"), options, 0, lambda one: unstated.get(one, one), "laboratory-cell")
+        )
+        if chosen == load_cell.serial and load_cell.due_on is not None:
+            st.caption(say("laboratory.due", due=f"{load_cell.due_on}"))
         if not st.form_submit_button(say("laboratory.save"), type="primary"):
             return
     permit("set_up")
     with refusals_in_words():
-        parts: dict[str, Any] = {name: PARTS[name](**values) for name, values in given.items()}
-        load_cell = _of_certificate(cells[cell]) if cell in cells else kept.load_cell
-        laboratory.keep_laboratory(replace(kept, **parts, conditions=conditions, load_cell=load_cell))
-        registry().trail.add("change", "laboratory", ("certificates",), {**given, "load_cell": cell}, actor=actor())
+        changed: dict[str, Any] = {name: PARTS[name](**values) for name, values in given.items()}
+        changed["conditions"] = replace(usual, temperature_C=temperature_C, humidity_pct=humidity_pct)
+        if entry := cells.get(chosen):
+            same = ("laboratory", "issued_on", "due_on", "uncertainty_N")
+            facts = {name: getattr(entry, name) for name in same}
+            changed["load_cell"] = laboratory.LoadCell(serial=entry.cell_serial, certificate=entry.number, **facts)
+        laboratory.keep_laboratory(replace(kept, **changed))
+        registry().trail.add("change", "laboratory", ("certificates",), {**given, "load_cell": chosen}, actor=actor())
         finish("release", say("laboratory.saved"))
-
-
-def _section(name: str, kept: laboratory.Party | laboratory.Person) -> dict[str, str]:
-    st.markdown(f"**{say(f'laboratory.{name}')}**")
-    names = [field.name for field in fields(kept)]
-    given = {}
-    for column, field in zip(st.columns(len(names)), names, strict=True):
-        value = str(getattr(kept, field))
-        shown = "" if value in (laboratory.NOT_STATED, laboratory.NO_COUNTRY) else value
-        text = str(column.text_input(say(f"laboratory.{field}"), shown, key=f"laboratory-{name}-{field}")).strip()
-        given[field] = text or (laboratory.NO_COUNTRY if field == "country" else laboratory.NOT_STATED)
-    return given
-
-
-def _conditions(kept: laboratory.Conditions) -> laboratory.Conditions:
-    st.markdown(f"**{say('laboratory.conditions')}**")
-    left, right, _, _ = st.columns(4)
-    label = f"{say('laboratory.temperature')} [°C]"
-    temperature_C = left.number_input(label, -50.0, 150.0, kept.temperature_C, format="%.1f")
-    label = f"{say('laboratory.humidity')} [%]"
-    humidity_pct = right.number_input(label, 0.0, 100.0, kept.humidity_pct, format="%.0f")
-    return replace(kept, temperature_C=temperature_C, humidity_pct=humidity_pct)
-
-
-def _cell(kept: laboratory.LoadCell, known: list[str]) -> str:
-    st.markdown(f"**{say('laboratory.load_cell')}**")
-    options = [kept.serial, *(serial for serial in known if serial != kept.serial)]
-    shown = {laboratory.NOT_STATED: say("laboratory.not_stated")}
-    left, _ = st.columns(2)
-    chosen = left.selectbox(say("cells.serial"), options, 0, lambda one: shown.get(one, one), "laboratory-cell")
-    if chosen == kept.serial and kept.due_on is not None:
-        st.caption(say("laboratory.due", due=f"{kept.due_on}"))
-    return str(chosen)
-
-
-def _of_certificate(entry: CellCertificate) -> laboratory.LoadCell:
-    """Return what certificates say of a load cell whose certificate the registry has."""
-    return laboratory.LoadCell(
-        serial=entry.cell_serial,
-        certificate=entry.number,
-        laboratory=entry.laboratory,
-        issued_on=entry.issued_on,
-        due_on=entry.due_on,
-        uncertainty_N=entry.uncertainty_N,
-    )

@@ -1,7 +1,7 @@
 """Sign in by PIN or company account; the first person of a registry; the way out."""
 
 from html import escape
-from typing import Literal
+from typing import Any, Literal
 
 import streamlit as st
 
@@ -28,8 +28,25 @@ def render() -> None:
             _who(company)
             st.warning(say("sign_in.no_role", claim=account.role_claim()), icon=":material/no_accounts:")
             _leave()
+        elif not (is_known := bool(registry().people.all())) and not account.has_company_accounts():
+            _first_person()
         else:
-            _enter()
+            st.title(say("page.sign_in"))
+            st.caption(say("sign_in.why" if is_known else "sign_in.why.company"))
+            if is_known:
+                with st.form("sign-in"):
+                    name = st.text_input(say("sign_in.name"), key="sign-in-name", autocomplete="username")
+                    secret: dict[str, Any] = {"type": "password", "autocomplete": "current-password"}
+                    pin = st.text_input(say("sign_in.pin"), key="sign-in-pin", **secret)
+                    is_sent = st.form_submit_button(say("page.sign_in"), type="primary", width="stretch")
+                if is_sent:
+                    with refusals_in_words(icon="lock"):
+                        account.sign_in(name, pin)
+                        st.rerun()
+            if account.has_company_accounts():
+                kind: Literal["primary", "secondary"] = "secondary" if is_known else "primary"
+                icon = ":material/badge:"
+                st.button(say("sign_in.company"), on_click=st.login, type=kind, width="stretch", icon=icon)
 
 
 def _who(name: str) -> None:
@@ -37,35 +54,10 @@ def _who(name: str) -> None:
     st.html(f"<h1>{escape(name)}</h1>")
 
 
-def _enter() -> None:
-    is_known = bool(registry().people.all())
-    if not is_known and not account.has_company_accounts():
-        _first_person()
-        return
-    st.title(say("page.sign_in"))
-    st.caption(say("sign_in.why" if is_known else "sign_in.why.company"))
-    if is_known:
-        _by_pin()
-    if account.has_company_accounts():
-        kind: Literal["primary", "secondary"] = "secondary" if is_known else "primary"
-        st.button(say("sign_in.company"), on_click=st.login, type=kind, width="stretch", icon=":material/badge:")
-
-
 def _leave() -> None:
     # A callback: a rerun after it would throw away the order to go to the provider.
     leave = in_one_piece(account.sign_out)
     st.button(say("sign_in.leave"), on_click=leave, icon=":material/logout:", type="primary", width="stretch")
-
-
-def _by_pin() -> None:
-    with st.form("sign-in"):
-        name = st.text_input(say("sign_in.name"), key="sign-in-name", autocomplete="username")
-        pin = st.text_input(say("sign_in.pin"), key="sign-in-pin", type="password", autocomplete="current-password")
-        if not st.form_submit_button(say("page.sign_in"), type="primary", width="stretch"):
-            return
-    with refusals_in_words(icon="lock"):
-        account.sign_in(name, pin)
-        st.rerun()
 
 
 def _first_person() -> None:

@@ -24,7 +24,24 @@ def render() -> None:
         lot_id = choose(say("choose.lot"), known, "lot")
         lot = None if lot_id is None else registry().lots.get(lot_id)
         with st.expander(say("page.new_lot"), icon=":material/add:", expanded=not known):
-            _new_lot()
+            with st.form("lot", border=False):
+                left, middle, right = st.columns(3)
+                name = str(left.text_input(say("choose.lot"), placeholder="2026-48")).strip()
+                source_serial = str(middle.text_input(say("source.serial"), placeholder="S1")).strip()
+                model = str(right.text_input(say("source.model"), placeholder="eGaIn pad, 3 mm")).strip()
+                left, middle, right = st.columns(3)
+                quantity = str(left.text_input(say("source.quantity"), "force")).strip()
+                reference_unit = str(middle.text_input(say("source.reference_unit"), "N")).strip()
+                output_unit = str(right.text_input(say("source.output_unit"), "V")).strip()
+                rate_Hz = st.number_input(f"{say('column.rate')} [Hz]", 0.1, 100_000.0, 50.0)
+                is_sent = st.form_submit_button(say("source.add_lot"))
+            if is_sent:
+                permit("set_up")
+                with refusals_in_words():
+                    made = Lot(name, source_serial, rate_Hz, model, quantity, reference_unit, output_unit)
+                    registry().lots.add(made, actor=actor())
+                    st.query_params["lot"] = name
+                    st.rerun()
     if lot is None:
         return
     with step("source", 2):
@@ -32,7 +49,16 @@ def render() -> None:
     if not registry().recordings.of_lot(lot.id, kind="source"):
         return
     with step("source", 3):
-        _look(lot)
+        source = newest_source(registry(), lot.id)
+        pressed = registry().recordings.of_lot(lot.id, kind="source")[-1].added_at
+        numbers([(say(key), value, None) for key, value in source_facts(source).items()], narrowest_px=235)
+        st.caption(say("source.look.how", made=instant(pressed)))
+        if rest_may_follow():
+            left, right = st.columns(2)
+            with left:
+                show_figure(charts_unit.recording(source, lot, colours(), say), "source-recording")
+            with right:
+                show_figure(charts_station.source_curve(source, lot, colours(), say), "source-curve")
     with step("source", 4):
         fresh = [row for row in network_rows(registry(), lot.id) if not row.is_stale]
         if fresh:
@@ -58,37 +84,3 @@ def _press(lot: Lot) -> None:
             st.rerun()
     if run is not None and run_panel(run):
         st.success(in_words(run[1].message) or say("source.pressed"), icon=":material/check:")
-
-
-def _look(lot: Lot) -> None:
-    source = newest_source(registry(), lot.id)
-    made = registry().recordings.of_lot(lot.id, kind="source")[-1].added_at
-    numbers([(say(key), value, None) for key, value in source_facts(source).items()], narrowest_px=235)
-    st.caption(say("source.look.how", made=instant(made)))
-    if not rest_may_follow():
-        return
-    left, right = st.columns(2)
-    with left:
-        show_figure(charts_unit.recording(source, lot, colours(), say), "source-recording")
-    with right:
-        show_figure(charts_station.source_curve(source, lot, colours(), say), "source-curve")
-
-
-def _new_lot() -> None:
-    with st.form("lot", border=False):
-        left, middle, right = st.columns(3)
-        name = str(left.text_input(say("choose.lot"), placeholder="2026-48")).strip()
-        source = str(middle.text_input(say("source.serial"), placeholder="S1")).strip()
-        model = str(right.text_input(say("source.model"), placeholder="eGaIn pad, 3 mm")).strip()
-        left, middle, right = st.columns(3)
-        quantity = str(left.text_input(say("source.quantity"), "force")).strip()
-        reference_unit = str(middle.text_input(say("source.reference_unit"), "N")).strip()
-        output_unit = str(right.text_input(say("source.output_unit"), "V")).strip()
-        rate_Hz = st.number_input(f"{say('column.rate')} [Hz]", 0.1, 100_000.0, 50.0)
-        if not st.form_submit_button(say("source.add_lot")):
-            return
-    permit("set_up")
-    with refusals_in_words():
-        registry().lots.add(Lot(name, source, rate_Hz, model, quantity, reference_unit, output_unit), actor=actor())
-        st.query_params["lot"] = name
-        st.rerun()

@@ -12,46 +12,40 @@ from softcal.core.orders import RunState
 UNITS = 4
 """Units of the demo: enough to see a lot, few enough to wait for."""
 
+WAYS = (("files", "new_lot", "upload_file"), ("station", "station", "precision_manufacturing"))
+
 
 def render() -> None:
     heading("start")
     st.markdown(say("start.why"))
-    demo, files, station = st.columns(3)
+    demo, *others = st.columns(3)
     with demo, st.container(border=True):
-        _demo()
-    with files, st.container(border=True):
-        _way("files", "new_lot", "upload_file")
-    with station, st.container(border=True):
-        _way("station", "station", "precision_manufacturing")
-
-
-def _demo() -> None:
-    st.markdown(f"## :material/science: {say('start.demo')}")
-    st.markdown(say("start.demo.how", units=UNITS))
-    job = newest_job("demo")
-    if DEMO in registry().lots.ids() and not is_running(job):
-        if job is not None and job.state is RunState.DONE:
-            # Lead to the lot whoever has waited for it here
-            if st.session_state.pop("demo-asked", "") == job.job_id:
+        st.markdown(f"## :material/science: {say('start.demo')}")
+        st.markdown(say("start.demo.how", units=UNITS))
+        job = newest_job("demo")
+        if DEMO in registry().lots.ids() and not is_running(job):
+            if job is not None and job.state is RunState.DONE:
+                # Lead to the lot whoever has waited for it here
+                if st.session_state.pop("demo-asked", "") == job.job_id:
+                    go_to("lot", lot=DEMO)
+            if st.button(say("start.demo.open"), type="primary", width="stretch", key="demo-open"):
                 go_to("lot", lot=DEMO)
-        if st.button(say("start.demo.open"), type="primary", width="stretch", key="demo-open"):
-            go_to("lot", lot=DEMO)
-        return
-    if st.button(say("start.demo"), type="primary", width="stretch", disabled=is_running(job), key="demo"):
-        st.session_state["demo-asked"] = begin_job("demo", "calibrate", units=UNITS)
-        st.rerun()
-    if job is not None:
-        job_panel(job)
+        else:
+            if st.button(say("start.demo"), type="primary", width="stretch", disabled=is_running(job), key="demo"):
+                st.session_state["demo-asked"] = begin_job("demo", "calibrate", units=UNITS)
+                st.rerun()
+            if job is not None:
+                job_panel(job)
 
-
-def _way(name: str, page: str, icon: str) -> None:
-    """Draw one other way to begin; who may not take it is led to the sign-in."""
-    st.markdown(f"## :material/{icon}: {say(f'start.{name}')}")
-    st.markdown(say(f"start.{name}.how"))
-    if allows("set_up"):
-        if st.button(say(f"start.{name}.do"), width="stretch", key=f"start-{name}"):
-            go_to(page)
-    else:
-        st.caption(say("start.sign_in" if registry().people.all() else "start.first"))
-        if st.button(say("page.sign_in"), width="stretch", key=f"start-{name}-sign-in"):
-            go_to("sign_in")
+    # The other ways to begin; who may not take one is led to the sign-in.
+    for column, (name, page, icon) in zip(others, WAYS, strict=True):
+        with column, st.container(border=True):
+            st.markdown(f"## :material/{icon}: {say(f'start.{name}')}")
+            st.markdown(say(f"start.{name}.how"))
+            if allows("set_up"):
+                if st.button(say(f"start.{name}.do"), width="stretch", key=f"start-{name}"):
+                    go_to(page)
+            else:
+                st.caption(say("start.sign_in" if registry().people.all() else "start.first"))
+                if st.button(say("page.sign_in"), width="stretch", key=f"start-{name}-sign-in"):
+                    go_to("sign_in")

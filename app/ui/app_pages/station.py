@@ -1,8 +1,6 @@
 """The stations: what each does, why its gate is closed, its runs, and the set-up of a rig."""
 
-from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import Any
 
 import streamlit as st
 
@@ -33,14 +31,65 @@ def render() -> None:
         _actions(station)
         if not rest_may_follow():
             return
-        _runs(station)
+        st.header(say("station.runs"))
+        rows = [
+            {
+                say("column.made"): instant(order.created),
+                say("column.kind"): say(f"order.{order.kind}"),
+                say("column.serial"): order.serial,
+                say("choose.lot"): order.lot_id,
+                say("station.result"): say(f"run.{progress.state}"),
+                say("column.remark"): in_words(progress.message),
+                say("column.actor"): order.actor,
+            }
+            for order, progress in registry().order_queue.runs(station, RUNS)
+        ]
+        table(rows, say("station.runs.none"))
     st.header(say("station.setup"))
     st.caption(say("setup.how"))
     job = newest_job("station_check")
     if allows("set_up"):
-        _ask(is_running(job))
-    if job is not None and job_panel(job):
-        _found(job.result)
+        rig = st.segmented_control(say("setup.rig"), RIGS, default="ports", format_func=named("setup"), key="rig")
+        request: dict[str, object] = {"ports": [], "file": None, "simulated": None}
+        if rig == "ports":
+            request["ports"] = st.multiselect(say("setup.at"), available_ports(), placeholder=say("setup.every"))
+        elif rig == "file":
+            request["file"] = str(st.text_input(say("setup.path"), placeholder="/etc/softcal/station.toml")).strip()
+        else:
+            request["simulated"] = 0
+        may_move = st.checkbox(say("setup.move"), value=False)
+        st.caption(say("setup.move.warning"))
+        is_off = is_running(job) or request["file"] == ""
+        if st.button(say("setup.do"), disabled=is_off, icon=":material/search:"):
+            begin_job("station_check", "set_up", **request, may_move=may_move)
+            st.rerun()
+    if job is None or not job_panel(job):
+        return
+    result = job.result
+    if result["is_good"]:
+        st.success(say("setup.good", station=result["station"]), icon=":material/check:")
+    if result.get("ports"):
+        table(
+            {
+                say("setup.port"): port,
+                say("setup.is"): say(f"setup.role.{role or 'none'}") + (f" ({kind})" if kind else ""),
+                say("setup.says"): in_words(Reason.of(answer)),
+            }
+            for port, role, kind, answer in result["ports"]
+        )
+    table(
+        {
+            say("station.good"): MARKS[not cure],
+            say("setup.device"): in_words(Reason.of(device)),
+            say("setup.what"): in_words(Reason.of(what)),
+            say("setup.value"): in_words(Reason.of(value)),
+            say("setup.cure"): in_words(Reason.of(cure or "")),
+        }
+        for device, what, value, cure in result["found"]
+    )
+    with st.expander(say("setup.file"), icon=":material/description:"):
+        st.code(result["toml"], language="toml")
+        st.download_button(say("setup.save"), result["toml"], "station.toml", "application/toml", on_click="ignore")
 
 
 @st.fragment(run_every=POLL_S)
@@ -57,14 +106,12 @@ def _state(station: str) -> None:
         st.warning(in_words(reason), icon=":material/lock:")
     if beat.gate:
         table(
-            [
-                {
-                    say("station.good"): MARKS[condition.is_good],
-                    say("station.condition"): in_words(condition.name),
-                    say("station.fact"): in_words(condition.says),
-                }
-                for condition in beat.gate
-            ]
+            {
+                say("station.good"): MARKS[condition.is_good],
+                say("station.condition"): in_words(condition.name),
+                say("station.fact"): in_words(condition.says),
+            }
+            for condition in beat.gate
         )
 
 
@@ -84,67 +131,3 @@ def _actions(station: str) -> None:
         why = ask_reason(f"override-{station}", say("station.override"), "override")
     if why is not None:
         place(station, OrderKind.OVERRIDE, reason=why)
-
-
-def _runs(station: str) -> None:
-    rows = [
-        {
-            say("column.made"): instant(order.created),
-            say("column.kind"): say(f"order.{order.kind}"),
-            say("column.serial"): order.serial,
-            say("choose.lot"): order.lot_id,
-            say("station.result"): say(f"run.{progress.state}"),
-            say("column.remark"): in_words(progress.message),
-            say("column.actor"): order.actor,
-        }
-        for order, progress in registry().order_queue.runs(station, RUNS)
-    ]
-    st.header(say("station.runs"))
-    table(rows, say("station.runs.none"))
-
-
-def _ask(is_busy: bool) -> None:
-    rig = st.segmented_control(say("setup.rig"), RIGS, default="ports", format_func=named("setup"), key="rig")
-    request: dict[str, object] = {"ports": [], "file": None, "simulated": None}
-    if rig == "ports":
-        request["ports"] = st.multiselect(say("setup.at"), available_ports(), placeholder=say("setup.every"))
-    elif rig == "file":
-        request["file"] = str(st.text_input(say("setup.path"), placeholder="/etc/softcal/station.toml")).strip()
-    else:
-        request["simulated"] = 0
-    may_move = st.checkbox(say("setup.move"), value=False)
-    st.caption(say("setup.move.warning"))
-    if st.button(say("setup.do"), disabled=is_busy or request["file"] == "", icon=":material/search:"):
-        begin_job("station_check", "set_up", **request, may_move=may_move)
-        st.rerun()
-
-
-def _found(result: Mapping[str, Any]) -> None:
-    if result["is_good"]:
-        st.success(say("setup.good", station=result["station"]), icon=":material/check:")
-    if result.get("ports"):
-        table(
-            [
-                {
-                    say("setup.port"): port,
-                    say("setup.is"): say(f"setup.role.{role or 'none'}") + (f" ({kind})" if kind else ""),
-                    say("setup.says"): in_words(Reason.of(answer)),
-                }
-                for port, role, kind, answer in result["ports"]
-            ]
-        )
-    table(
-        [
-            {
-                say("station.good"): MARKS[not cure],
-                say("setup.device"): in_words(Reason.of(device)),
-                say("setup.what"): in_words(Reason.of(what)),
-                say("setup.value"): in_words(Reason.of(value)),
-                say("setup.cure"): in_words(Reason.of(cure or "")),
-            }
-            for device, what, value, cure in result["found"]
-        ]
-    )
-    with st.expander(say("setup.file"), icon=":material/description:"):
-        st.code(result["toml"], language="toml")
-        st.download_button(say("setup.save"), result["toml"], "station.toml", "application/toml", on_click="ignore")

@@ -97,9 +97,7 @@ def _revision(serial: str, history: list[StoredCalibration]) -> None:
     with recordings:
         _recordings(serial, view.lot)
     with changes:
-        table([_row(entry, view.lot.reference_unit) for entry in reversed(history)])
-        if older := [entry.revision for entry in reversed(history) if not entry.is_current]:
-            _rollback(serial, lot_id, older)
+        _history(serial, history, view.lot)
     with files:
         # The calibration in use is asked for as such: whether it still is the answer is looked up with it.
         _files(serial, lot_id, revision, is_in_use=revision == current)
@@ -135,23 +133,30 @@ def _files(serial: str, lot_id: str, revision: int, is_in_use: bool) -> None:
             download(f"{name}  ({size})", name, content, f"file-{revision}-{name}", exported=exported)
 
 
-def _row(entry: StoredCalibration, unit: str) -> dict[str, object]:
-    record = entry.record
-    back = say("unit.rolled_back", revision=entry.rolled_back_to) if entry.rolled_back_to else ""
-    return {
-        say("column.revision"): entry.revision,
-        say("column.in_use"): say("unit.in_use") if entry.is_current else "",
-        say("column.made"): instant(entry.made_at),
-        say("column.verdict"): say(f"verdict.{record.verdict}"),
-        say("column.predicted"): number(record.predicted_rmse, unit),
-        say("column.after"): number(record.after_rmse, unit),
-        say("column.family"): record.family,
-        say("column.actor"): entry.actor,
-        say("column.reason"): "; ".join(filter(None, (back, entry.reason))),
-    }
-
-
-def _rollback(serial: str, lot_id: str, older: Sequence[int]) -> None:
+def _history(serial: str, history: Sequence[StoredCalibration], lot: Lot) -> None:
+    """Draw the revisions, newest first, and a way back to an older one."""
+    rows, older = [], []
+    for entry in reversed(history):
+        record = entry.record
+        back = say("unit.rolled_back", revision=entry.rolled_back_to) if entry.rolled_back_to else ""
+        rows.append(
+            {
+                say("column.revision"): entry.revision,
+                say("column.in_use"): say("unit.in_use") if entry.is_current else "",
+                say("column.made"): instant(entry.made_at),
+                say("column.verdict"): say(f"verdict.{record.verdict}"),
+                say("column.predicted"): number(record.predicted_rmse, lot.reference_unit),
+                say("column.after"): number(record.after_rmse, lot.reference_unit),
+                say("column.family"): record.family,
+                say("column.actor"): entry.actor,
+                say("column.reason"): "; ".join(filter(None, (back, entry.reason))),
+            }
+        )
+        if not entry.is_current:
+            older.append(entry.revision)
+    table(rows)
+    if not older:
+        return
     with st.container(border=True):
         st.markdown(f"**{say('unit.rollback')}**")
         revision = st.selectbox(say("column.revision"), older, key=f"rollback-{serial}-{len(older)}")
@@ -159,8 +164,8 @@ def _rollback(serial: str, lot_id: str, older: Sequence[int]) -> None:
         if reason is None:
             return
         with refusals_in_words():
-            registry().calibrations.rollback(serial, revision, reason=reason, actor=actor(), lot_id=lot_id)
-            judge_again(registry(), [lot_id], actor())
+            registry().calibrations.rollback(serial, revision, reason=reason, actor=actor(), lot_id=lot.id)
+            judge_again(registry(), [lot.id], actor())
             finish("unit", say("unit.rollback.done", revision=revision))
 
 

@@ -1,7 +1,6 @@
 """The wall board: one lot at one glance, large, drawn again by itself."""
 
 from datetime import UTC, datetime
-from functools import cache
 from html import escape
 from pathlib import Path
 
@@ -15,14 +14,15 @@ from softcal.app.ui.server_memory import remembered_lot_view
 from softcal.app.views.alerts import alerts
 from softcal.app.views.line import STATES
 from softcal.app.views.lot_runs import LotFilter
-from softcal.app.views.wall import WallView, wall_view
+from softcal.app.views.wall import wall_view
 
+STYLE = Path(__file__).with_suffix(".css").read_text(encoding="utf-8")
 EVERY_S = 3.0
 """Between two looks; a lot that did not change costs one query."""
 
 
 def render() -> None:
-    st.html(line_card.style() + line_card.theme(colours()) + board_style())
+    st.html(line_card.style() + line_card.theme(colours()) + f"<style>{STYLE}</style>")
     _of_lot()
 
 
@@ -37,37 +37,27 @@ def _of_lot(lot_id: str) -> None:
 def _board(lot_id: str) -> None:
     view = remembered_lot_view(lot_id, LotFilter(zone=zone()))
     now = datetime.now(UTC).astimezone(zone())
-    with st.container(key="wall"):
-        st.html(board_html(wall_view(registry(), view, alerts(registry(), view, now), say, now)))
-
-
-@cache
-def board_style() -> str:
-    """Return the style of the board; once per page, after that of the line's card."""
-    return f"<style>{Path(__file__).with_suffix('.css').read_text(encoding='utf-8')}</style>"
-
-
-def board_html(view: WallView) -> str:
-    """Return the board."""
+    board = wall_view(registry(), view, alerts(registry(), view, now), say, now)
     tiles = "".join(
         f'<div class="sw-tile"><span>{escape(label)}</span><b>{escape(value)}</b><small>{escape(below)}</small></div>'
-        for label, value, below in view.tiles
+        for label, value, below in board.tiles
     )
     counts = "".join(
         f'<div class="sw-count sc-{STATES[verdict].tone}"><b>{count}</b><span>{escape(word)}</span></div>'
-        for verdict, word, count in view.verdicts
+        for verdict, word, count in board.verdicts
     )
-    looks = "".join(f'<li class="{"sw-urgent" if urgent else ""}">{escape(text)}</li>' for text, urgent in view.alerts)
+    looks = "".join(f'<li class="{"sw-urgent" if urgent else ""}">{escape(text)}</li>' for text, urgent in board.alerts)
     stations = "".join(
         f'<span><b>{escape(name)}</b> <span class="{"sw-well" if is_well else "sw-ill"}">{escape(word)}</span></span>'
-        for name, word, is_well in view.stations
+        for name, word, is_well in board.stations
     )
     no_station = f"<span>{escape(say('wall.stations.none'))}</span>"
     well = f'<li class="sw-well">{escape(say("wall.well"))}</li>'
-    return (
-        f'<div class="sw-tiles">{tiles}</div><div class="sw-counts">{counts}</div>'
-        f'<div role="status"><ul class="sw-alerts">{looks or well}</ul></div>'
-        f'<div class="sw-stations">{stations or no_station}</div>'
-        f'<div class="sc-chips"><h2>{escape(say("line.last"))}</h2>{chips_row(view.chips)}</div>'
-        f'<p class="sw-drawn">{escape(view.drawn)}</p>'
-    )
+    with st.container(key="wall"):
+        st.html(
+            f'<div class="sw-tiles">{tiles}</div><div class="sw-counts">{counts}</div>'
+            f'<div role="status"><ul class="sw-alerts">{looks or well}</ul></div>'
+            f'<div class="sw-stations">{stations or no_station}</div>'
+            f'<div class="sc-chips"><h2>{escape(say("line.last"))}</h2>{chips_row(board.chips)}</div>'
+            f'<p class="sw-drawn">{escape(board.drawn)}</p>'
+        )

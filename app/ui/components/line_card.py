@@ -71,12 +71,20 @@ def card_html(view: LineView, why: str) -> str:
     details = "".join(f"<li>{escape(line)}</li>" for line in view.details)
     numbers = "".join(f"<li>{escape(line)}</li>" for line in view.why)
     behind = f'<details class="sc-why"><summary>{escape(why)}</summary><ul>{numbers}</ul></details>' if numbers else ""
+    progress = ""
+    if view.is_busy:
+        percent, phase = round(100 * min(max(view.fraction, 0.0), 1.0)), escape(view.phase)
+        progress = (
+            f'<div class="sc-phase"><span>{phase}</span><span>{escape(view.remaining)}</span></div>'
+            f'<div class="sc-bar" role="progressbar" aria-valuemin="0" aria-valuemax="100" aria-valuenow="{percent}" '
+            f'aria-label="{phase}"><i style="width:{percent}%"></i></div>'
+        )
     look = f"sc-{view.tone} sc-short" if view.conditions else f"sc-{view.tone}"
     return (
         f'<section class="sc-card {look}" data-state="{view.state}">{_mark(view.tone)}'
         f'<div class="sc-body"><div class="sc-word">{escape(view.word)}</div>{serial}'
         f'<p class="sc-do">{escape(view.instruction)}</p>'
-        f"{f'<ul>{details}</ul>' if details else ''}{behind}{_progress(view)}</div></section>"
+        f"{f'<ul>{details}</ul>' if details else ''}{behind}{progress}</div></section>"
     )
 
 
@@ -110,14 +118,3 @@ def chips_row(chips: Sequence[Chip]) -> str:
 def _mark(name: str) -> str:
     # Streamlit takes SVG out of HTML: the mark is a mask over the colour of the text.
     return f'<i class="sc-mark sc-mark-{name}" aria-hidden="true"></i>'
-
-
-def _progress(view: LineView) -> str:
-    if not view.is_busy:
-        return ""
-    percent = round(100 * min(max(view.fraction, 0.0), 1.0))
-    return (
-        f'<div class="sc-phase"><span>{escape(view.phase)}</span><span>{escape(view.remaining)}</span></div>'
-        f'<div class="sc-bar" role="progressbar" aria-valuemin="0" aria-valuemax="100" aria-valuenow="{percent}" '
-        f'aria-label="{escape(view.phase)}"><i style="width:{percent}%"></i></div>'
-    )

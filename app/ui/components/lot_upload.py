@@ -82,7 +82,11 @@ def choose_columns(table: "pd.DataFrame", wide: bool) -> Columns:
     names = [str(name) for name in table.columns]
     left, second, third, right = st.columns(4)
     if wide:
-        output = str(left.text_input(say("new_lot.pattern"), _pattern(names), key="new-lot-pattern")).strip()
+        # The largest group of columns that differ by a number.
+        stems = [re.sub(r"\d+$", "", name) for name in names]
+        often = max(set(stems), key=lambda stem: (stems.count(stem), len(stem)))
+        pattern = f"{often}*" if stems.count(often) > 1 else "*"
+        output = str(left.text_input(say("new_lot.pattern"), pattern, key="new-lot-pattern")).strip()
     else:
         output = str(left.selectbox(say("new_lot.output"), names, index=_guess("output", names) or 0))
     optional, unset, chosen = [None, *names], say("new_lot.no_column"), []
@@ -97,10 +101,3 @@ def choose_columns(table: "pd.DataFrame", wide: bool) -> Columns:
 def _guess(name: str, columns: Sequence[str]) -> int | None:
     lower = [column.lower() for column in columns]
     return next((lower.index(word) for word in NAMES[name] if word in lower), None)
-
-
-def _pattern(names: Sequence[str]) -> str:
-    """Return the pattern of the largest group of columns that differ by a number."""
-    stems = [re.sub(r"\d+$", "", name) for name in names]
-    often = max(set(stems), key=lambda stem: (stems.count(stem), len(stem)))
-    return f"{often}*" if stems.count(often) > 1 else "*"

@@ -1,12 +1,9 @@
 """The units of a lot as a table: filtered, sorted and paged in SQL, and exported as a whole."""
 
-from dataclasses import replace
-
 import streamlit as st
 
-from softcal.app.files.spreadsheet import excel_bytes
 from softcal.app.texts.reasons import all_said
-from softcal.app.ui.actions import csv_of, download
+from softcal.app.ui.actions import csv_of, download, excel_of
 from softcal.app.ui.desk import errors_in_words, in_one_language, named, registry, say
 from softcal.app.ui.panels import go_to, table_to_choose
 from softcal.core.lot import Lot
@@ -25,9 +22,20 @@ Serials = tuple[str, ...] | None
 
 @st.fragment
 @errors_in_words()
-def unit_table(lot: Lot, serials: Serials = None) -> None:
+def unit_table(lot: Lot, serials: Serials) -> None:
     """Draw the table of a lot, or of some serials, so that filters draw nothing else."""
-    wanted = replace(_filter(lot.id), serials=serials)
+    verdicts = st.pills(
+        say("column.verdict"),
+        WORDS,
+        selection_mode="multi",
+        format_func=named("verdict"),
+        key=f"units-verdicts-{lot.id}",
+    )
+    middle, right = st.columns([3, 2], vertical_alignment="bottom")
+    text = middle.text_input(say("unit.find"), key=f"units-find-{lot.id}", icon=":material/search:")
+    sort = right.selectbox(say("lot.table.sort"), SORTS, format_func=named("sort"), key=f"units-sort-{lot.id}")
+    is_falling = sort in ("predicted_rmse", "after_rmse", "made_at")
+    wanted = UnitFilter(tuple(verdicts), str(text or "").strip(), sort, is_falling, serials)
     place = f"units-page-{lot.id}"
     page = registry().pages.unit_page(lot.id, wanted, int(st.session_state.get(place, 1)), SIZE)
     if page.total and not page.units:
@@ -48,7 +56,7 @@ def unit_table(lot: Lot, serials: Serials = None) -> None:
         st.caption(say("lot.table.count", shown=len(units), count=page.total))
     with right, st.container(horizontal=True, horizontal_alignment="right"):
         download(say("lot.export.csv"), f"{lot.id}.csv", lambda: csv_of(_table(lot, serials)), "export.csv")
-        download(say("lot.export.xlsx"), f"{lot.id}.xlsx", lambda: _excel(_table(lot, serials)), "export.xlsx")
+        download(say("lot.export.xlsx"), f"{lot.id}.xlsx", lambda: excel_of(_table(lot, serials)), "export.xlsx")
     if chosen is not None:
         go_to("unit", unit=units[chosen].serial)
 
@@ -65,21 +73,6 @@ def row(unit: UnitEntry) -> dict[str, object]:
     }
 
 
-def _filter(lot_id: str) -> UnitFilter:
-    verdicts = st.pills(
-        say("column.verdict"),
-        WORDS,
-        selection_mode="multi",
-        format_func=named("verdict"),
-        key=f"units-verdicts-{lot_id}",
-    )
-    middle, right = st.columns([3, 2], vertical_alignment="bottom")
-    text = middle.text_input(say("unit.find"), key=f"units-find-{lot_id}", icon=":material/search:")
-    sort = right.selectbox(say("lot.table.sort"), SORTS, format_func=named("sort"), key=f"units-sort-{lot_id}")
-    is_falling = sort in ("predicted_rmse", "after_rmse", "made_at")
-    return UnitFilter(tuple(verdicts), str(text or "").strip(), sort, is_falling)
-
-
 def _table(lot: Lot, serials: Serials) -> list[dict[str, object]]:
     """Return the whole table."""
     units = [unit for unit in registry().lots.units(lot.id) if unit.role == "target"]
@@ -88,7 +81,3 @@ def _table(lot: Lot, serials: Serials) -> list[dict[str, object]]:
         units = [unit for unit in units if unit.serial in chosen]
     with in_one_language():
         return [row(unit) for unit in units]
-
-
-def _excel(rows: list[dict[str, object]]) -> bytes:
-    return excel_bytes(list(rows[0]) if rows else [], [tuple(values.values()) for values in rows])
