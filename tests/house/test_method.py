@@ -25,6 +25,7 @@ NO_DECISION = {
     "core/maps/synchrony.py": {"NONE"},  # zeros
     "core/use/adapter.py": {"STATE_FORMAT"},  # of the stored state
     "core/use/batches.py": {"MOST_UPDATES"},  # length of a queue for the caller
+    "core/use/cycles.py": {"MOST_KEPT"},  # samples of a buffer; a longer cycle is thinned
 }
 """Numbers outside the method that cannot change a map, an interval, a forecast or a verdict."""
 
@@ -60,6 +61,7 @@ EXPLAINED = {
         "12": "variance of a uniform variable over its squared width",
     },
     "core/use/activity.py": {"12": "one over the variance of a uniform index from -1/2 to 1/2"},
+    "core/use/adapter.py": {"300": "places of a table over three swings"},
     "core/maps/choose.py": {"5": "a third of a window"},
     "core/maps/paired.py": {"1.5": "exponent of the integral of a squared second difference"},
     "core/maps/synchrony.py": {"4": "bands of one recording in a cache"},
