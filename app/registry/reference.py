@@ -8,7 +8,6 @@ import numpy as np
 from softcal.app.registry.stated import state, stated
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.budget import Reference
-from softcal.core.unit.method import DecisionConfig
 from softcal.db.registry import Registry
 
 ENTITY = "lot_reference"
@@ -43,7 +42,7 @@ def reference_expanded(registry: Registry, lot_id: str) -> float:
     facts = stated(registry, ENTITY, (lot_id,))
     if facts is None:
         return 0.0
-    return Reference.of(facts["reference"]).expanded(facts["source_rms"], DecisionConfig().coverage_factor)
+    return Reference.of(facts["reference"]).expanded(facts["source_rms"])
 
 
 def _completed(registry: Registry, lot_id: str, given: Reference) -> Reference:

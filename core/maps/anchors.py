@@ -72,18 +72,22 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, kind: str) 
     little.
 
     Args:
-        kind: how its loads are known: `paired`, `stage` or anything else (`core/unit/knowledge.py`).
+        kind: how its loads are known: `paired`, `stage`, or empty for anything else (`core/unit/knowledge.py`).
     """
     config, output = problem.config.anchors, problem.source.unlabelled.output
     low, high = np.quantile(output, problem.config.crossing.robust_range)
-    rest, spread = float(low if problem.source.direction > 0 else high), config.gain_spread
-    firm = {"paired": config.firm_paired, "stage": config.firm_stage}.get(kind)
-    level = (config.level_spread if firm is None else config.firm_level) * float(high - low)
-    prior = np.array([spread if firm is None else firm, level])
+    rest = float(low if problem.source.direction > 0 else high)
+    spreads = {known: (gain, level) for known, gain, level in config.spread}
+    spread, (own, share) = spreads[""][0], spreads[kind]
+    level = share * float(high - low)
+    prior = np.array([own, level])
     mapped = unit_map.apply(resting(np.asarray(anchors.output, np.float64))).mean(axis=1)
     wanted, sigma = np.array([source_level(problem.source, load, config) for load in anchors.reference]).T
-    if firm is not None:
-        sigma = np.hypot(sigma, _model_error(problem))
+    if kind:
+        # The error of f on its source, carried to the source's output.
+        rows = np.linspace(0, len(problem.source.windows) - 1, problem.config.pairs.pairs // 2).astype(np.int64)
+        read = problem.network.evaluate(problem.source.windows[rows])
+        sigma = np.hypot(sigma, rmse(read, problem.source.window_reference[rows]) * _mean_slope(problem.source))
     taken = 1.0 - wanted.size / max(float(np.sum(((wanted - mapped) / sigma) ** 2)), wanted.size)
     # In standard deviations of the prior, whose own residual is then the unknown itself. Pairs pressed with another
     # load than the source's know the gain no better than the output alone does.
@@ -99,14 +103,6 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, kind: str) 
     covariance = now @ np.linalg.inv(normal) @ now.T * max(misfit, 1.0) ** 2
     error = np.sqrt(taken * np.diag(covariance) + (1.0 - taken) * prior**2)
     return Anchoring(AnchoredMap(unit_map, gain, offset), float(error[0]), float(error[1]), misfit)
-
-
-def _model_error(problem: FitProblem) -> float:
-    """Return the error of f on its source, carried to the source's output."""
-    source = problem.source
-    rows = np.linspace(0, len(source.windows) - 1, problem.config.anchors.model_rows).astype(np.int64)
-    error = rmse(problem.network.evaluate(source.windows[rows]), source.window_reference[rows])
-    return error * _mean_slope(source)
 
 
 def _mean_slope(source: LabelledRecording) -> float:
@@ -160,7 +156,7 @@ class SourceLevels:
 def source_bend(source: LabelledRecording, config: MapConfig) -> float:
     """Return how far the source's output over load is from a straight line, RMS, as a share of its rise."""
     low, high = np.quantile(source.reference, config.curve.shares)
-    loads = np.linspace(float(low), float(high), config.anchors.bend_levels)
+    loads = np.linspace(float(low), float(high), config.anchors.levels // 2 + 1)
     levels = np.array([source_level(source, float(load), config.anchors)[0] for load in loads])
     chord = levels[0] + (levels[-1] - levels[0]) * (loads - low) / (high - low)
     return rms((levels - chord)[1:-1]) / max(abs(float(levels[-1] - levels[0])), 1e-12)

@@ -19,15 +19,13 @@ class CrossingConfig:
         threshold: smallest swing that counts, as a share of the robust range: noise and ripple make no turning points.
         averages: lengths of the moving mean that are tried, shortest first, in samples.
         press_share: the median swing of presses spans at least this share of the robust range.
-        robust_range: quantiles between the level at rest and the level of the hardest presses.
-        looks: turning points are looked for so many times per length of the moving mean.
+        robust_range: quantiles that stand for the level at rest and the level of the hardest presses.
     """
 
     threshold: float = setting(0.1)
     averages: tuple[int, ...] = setting((1, 3, 5, 9, 15, 27, 51))
     press_share: float = setting(0.3)
     robust_range: tuple[float, float] = setting((0.02, 0.99))
-    looks: int = setting(3)
 
 
 @dataclass(frozen=True)
@@ -39,21 +37,17 @@ class EndConfig:
             far from the top lies the peak of a recording in pieces, which has no path, and a curve's last quantile.
         peak_shares: shares of the path whose mean level stands for the hardest presses, however short those were.
         patch: a recording in pieces shorter than this many samples shows levels but no presses.
-        patch_average: samples that are averaged in such pieces.
-        stretches: stretches of the source that are looked at.
+        stretches: of the source that are held beside a unit, or beside the rest of the source.
         enough_swings: a recording as long as the source takes for this many swings has seen its hardest press.
-        clear_of_noise: a swing below this many standard deviations of the noise is none.
-        rounding: averages of one and the same value differ by rounding; a swing below this share of the output is none.
+        clear_of_noise: a swing below this many standard deviations of the noise is none; a flat stretch is as wide.
     """
 
     rest_share: float = setting(0.005)
     peak_shares: tuple[float, ...] = setting((0.99, 0.995, 1.0))
     patch: int = setting(150)
-    patch_average: int = setting(5)
     stretches: int = setting(8)
     enough_swings: float = setting(10.0)
     clear_of_noise: float = setting(6.0)
-    rounding: float = setting(1e-9)
 
 
 @dataclass(frozen=True)
@@ -63,13 +57,11 @@ class CurveConfig:
     Args:
         gain_prior: units of one kind differ in gain by about this much (standard deviation of its logarithm).
             The slope of a curve changes as freely over a range that was not seen.
-        far: the far knots of a continued curve lie this many spans beyond its ends.
         knots: of a curve between two distributions.
         shares: quantiles between which the shapes of two outputs, or a source and a straight line, are compared.
     """
 
     gain_prior: float = setting(0.5)
-    far: float = setting(10.0)
     knots: int = setting(33)
     shares: tuple[float, float] = setting((0.02, 0.98))
 
@@ -80,56 +72,40 @@ class SynchronyConfig:
 
     Args:
         min_rank_correlation: of the outputs at equal time, from which pairing in time is supported.
-        rank_average: ranks are averaged over this many samples first: noise and spikes of a readout are not load.
         parted: loads part after an opening that leaves this many times less of the ranks unexplained than what follows.
         min_detail, min_sigma: a lag is believed where the fine structure correlates at least so well, and so many
             standard deviations better than at all other lags.
         same_curve: outputs under one load lie on one curve within this share of the source's range ...
-        settled_s: ... averaged over so long, or ...
-        off_curve: ... within so many times what the opening itself shows: lags and loops differ from unit to unit.
-        guard_s: loads that part slowly are alike for a while: so much of the opening's end is not used.
+        settled_s: ... averaged over so long: what is left is creep, drift or another load, neither noise nor timing.
+            Loads that part slowly are alike for a while: twice as much of the opening's end is not used.
+        off_curve: or within so many times what the opening itself shows: lags and loops differ from unit to unit.
         least_swings: up and down three times alike is no chance; two slow rises are.
-        swing, least_span: a swing of an opening, and the whole of it, as shares of the source's robust range.
-        most_steps: rounds in which an opening is lengthened.
+        swing: of an opening, as a share of the source's robust range.
+        covered_share: of the source's range that an opening, or a whole recording, must reach over.
         longest_lag_s: clocks further apart are not looked for.
         clear_gain: slow loads leave the peak of the correlation flat: lag 0 is kept where it reaches this share.
-        scales: fine structure is what a mean over this many samples keeps and one over ten times as many does not.
-        min_pairs: fewer windows at equal times fix no map.
-        least_length: recordings shorter than so many times the smallest scale are not compared.
-        same_rate: sample rates differ by no more than this share.
+        scales: fine structure is what a mean over this many samples keeps and one over `apart` times as many does not.
+        apart: lags beyond so many scales are unrelated. A recording is long enough for a scale from twice as many on,
+            and leaves unrelated lags alone from four times as many on.
         shown_share: quantile of the opening's own distances from one curve that stands for them.
-        same_instant: samples within this share of a sample period were taken at once; just over half of one.
-        reach: lags are looked for up to one part in so many of the common time.
-        slow: how much longer the second moving mean of `scales` is.
-        unrelated, long_enough: lags beyond so many scales are unrelated, where the recordings are so many scales long.
         chance: the largest agreement at unrelated lags counts beyond so many standard deviations.
     """
 
     min_rank_correlation: float = setting(0.95)
-    rank_average: int = setting(15)
     parted: float = setting(10.0)
     min_detail: float = setting(0.1)
     min_sigma: float = setting(2.5)
     same_curve: float = setting(0.06)
     settled_s: float = setting(1.0)
     off_curve: float = setting(3.0)
-    guard_s: float = setting(2.0)
     least_swings: int = setting(6)
     swing: float = setting(0.2)
-    least_span: float = setting(0.75)
-    most_steps: int = setting(20)
+    covered_share: float = setting(0.75)
     longest_lag_s: float = setting(1.0)
     clear_gain: float = setting(0.9)
     scales: tuple[int, ...] = setting((5, 25, 50))
-    min_pairs: int = setting(12)
-    least_length: int = setting(20)
-    same_rate: float = setting(0.02)
+    apart: int = setting(10)
     shown_share: float = setting(0.9)
-    same_instant: float = setting(0.51)
-    reach: int = setting(4)
-    slow: int = setting(10)
-    unrelated: int = setting(10)
-    long_enough: int = setting(40)
     chance: float = setting(4.0)
 
 
@@ -139,28 +115,17 @@ class LagConfig:
 
     Args:
         least_s: a lag below it is lost in a window.
-        ratio, below, above: time constants that are tried: `least_s` times powers of the ratio, so many below, so many
-            above; a lag below the least is found, too, so that it is not taken for a longer one.
         explained: a lag is told where a low-pass leaves so many times less unexplained than any delay or none. Creep
             that a unit has beyond its source reaches 1.4 there, a source that is read with spikes 1.8.
         averaged: outputs are averaged over this many samples first: a low-pass takes noise of the source away as well,
             and that is no lag.
-        every: of these means, since neighbours share nearly all their samples.
-        memory: a low-pass looks back so many time constants; beyond, a sample counts by less than a thousandth.
         slowed_s: lag of the source behind which a load at equal time is looked for where none is seen without.
-        least_samples: a shorter common stretch shows no lag.
     """
 
     least_s: float = setting(0.1)
-    ratio: float = setting(1.4142)
-    below: int = setting(4)
-    above: int = setting(7)
     explained: float = setting(2.5, "simulated lots 2-7, insole; tested on lots 40-56")
     averaged: int = setting(50)
-    every: int = setting(10)
-    memory: float = setting(7.0)
     slowed_s: float = setting(0.5)
-    least_samples: int = setting(500)
 
 
 @dataclass(frozen=True)
@@ -168,16 +133,13 @@ class PhaseConfig:
     """Pairs at equal stage position (`paired.py`).
 
     Args:
-        history: samples back at which the stage must have stood alike: position, direction, speed, what creep keeps.
-        history_weight: of each of them in the distance between two histories.
+        look_back: samples back at which the stage must have stood alike (position, direction, speed, what creep keeps),
+            and the weight of each in the distance between two histories.
         near_share: two stage histories are alike within this share of the travel.
-        min_pairs: fewer windows fix no curve; so few fix little more than gain and offset.
     """
 
-    history: tuple[int, ...] = setting((0, 4, 14, 45, 150))
-    history_weight: tuple[float, ...] = setting((1.0, 1.0, 0.5, 0.15, 0.05))
+    look_back: tuple[tuple[int, float], ...] = setting(((0, 1.0), (4, 1.0), (14, 0.5), (45, 0.15), (150, 0.05)))
     near_share: float = setting(0.04)
-    min_pairs: int = setting(4)
 
 
 @dataclass(frozen=True)
@@ -185,45 +147,39 @@ class PairConfig:
     """The regression on pairs (`paired.py`).
 
     Args:
-        knots, fewest_knots, pairs_per_knot: of the curve.
-        pairs: used at most, spread over the recording: the cost of a fit does not grow with its length.
+        knots, pairs_per_knot: of the curve: so many at most, and so many pairs to each.
+        pairs: used at most, spread over the recording: the cost of a fit does not grow with its length. A forecast
+            reads twice as many windows, and half as many show what noise or f itself misreads.
+        fewest: fewer windows fix no map; so few fix little more than gain and offset.
         stiffness: weight of the squared bend of f's answer along the curve, integrated over the unit's range (taken as
             1): a unit answers smoothly to load, while its curve into the source's output must follow every jump of the
             source's.
         curve_stiffness: the same for the curve itself: it holds where f does not answer at all.
         tether: weight of the squared change of the window's shapes.
-        steps, attempts: of the descent at most, and of the damping within one.
-        damping, least_damping: Marquardt's, at the start and at least.
+        damping: Marquardt's, at the start.
         settled, idle_steps: the descent ends after so many steps in a row that leave more than this share of the cost:
             f is made of flat pieces, and a step across an edge of them gains little before the next gains much.
-        more_damping, less_damping: factors on the damping after a step that failed, and after one that did not.
-        blocks, every: stretches of which every fourth is held out to judge the window shapes by.
+        blocks, every: stretches of which every fourth is held out to judge the window shapes by; with less than a
+            window in each of them they hold out too little. Of an opening, too, every fourth part is held out.
         knot_range: quantiles of the unit's output between which the knots lie.
-        enough_for_dynamics: fewer pairs hold out too little to judge a dynamic part by.
         shapes: orthonormal window shapes a map may be made of (level; slope, curvature and two more; all), and the
             share of the held-out error so far that it must stay below to be taken. Windows as they are come first;
             their level alone is taken where it is as good: what a slow load leaves to see in a window is noise.
     """
 
     knots: int = setting(24, PAIRS_CHOSEN)
-    fewest_knots: int = setting(3)
     pairs_per_knot: int = setting(10)
     pairs: int = setting(4000)
+    fewest: int = setting(4)
     stiffness: float = setting(2e-5, PAIRS_CHOSEN)
     curve_stiffness: float = setting(7e-8, PAIRS_CHOSEN)
     tether: float = setting(1e-3)
-    steps: int = setting(40)
-    attempts: int = setting(14)
     damping: float = setting(1e-3)
-    least_damping: float = setting(1e-6)
     settled: float = setting(0.99)
     idle_steps: int = setting(3)
-    more_damping: float = setting(4)
-    less_damping: float = setting(10)
     blocks: int = setting(32)
     every: int = setting(4)
     knot_range: tuple[float, float] = setting((0.001, 0.999))
-    enough_for_dynamics: int = setting(480)
     shapes: tuple[tuple[int, float], ...] = setting(((1, 1.02), (5, 0.99), (15, 0.97)), PAIRS_CHOSEN)
 
 
@@ -236,19 +192,14 @@ class PlanConfig:
         neighbours: stored windows that an unseen one moves with.
         joint_windows: the same for the joint problem, which solves several plans.
         joint_rounds: of the block coordinate descent at most.
-        joint_settled: the descent ends when a round gains less than this share of the cost.
-        label_weight: of the labels in the joint cost.
-        ridge, ridge_windows: of the kernel ridge regression, per so many windows.
+        ridge_per_window: of the kernel ridge regression.
     """
 
     most_windows: int = setting(1500)
     neighbours: int = setting(8)
     joint_windows: int = setting(1000)
     joint_rounds: int = setting(5)
-    joint_settled: float = setting(1e-4)
-    label_weight: float = setting(1.0)
-    ridge: float = setting(1e-2)
-    ridge_windows: int = setting(100)
+    ridge_per_window: float = setting(1e-4)
 
 
 @dataclass(frozen=True)
@@ -256,42 +207,33 @@ class AnchorConfig:
     """A few known loads (`anchors.py`).
 
     Args:
-        gain_spread: how far the gain of a map that rests on distributions may be off before any anchor is seen (one
-            standard deviation).
-        level_spread: the same for its level at rest, as a share of the source's output range.
-        firm_paired, firm_stage: gain spread of a map from pairs in time, or by stage position.
-        firm_level: level spread of such a map.
+        spread: how far a map may be off before any anchor is seen, by how its loads are known: one standard deviation
+            of its gain, and of its level at rest as a share of the source's output range.
         load_error: of a known load, as a share of the source's range.
         near: samples of the source within this share of its range around a load show its output under it.
         least_near: so many of them at least.
-        model_rows: windows of the source that the error of f is taken from.
         most_misfit: loads that lie further from the source's levels than so many standard uncertainties, whatever the
             gain and offset, contradict one another.
         beyond: a known load may lie beyond the source's range by this share of it.
         same_load: loads nearer than this share of the source's range are one load stated twice.
         straight: beside two known loads a source that is bent by less than this share of its rise leaves its units a
             line: they are of its kind, and a curve would take another dwell for a bend.
-        bend_levels: loads at which the bend is taken.
         levels: of the source that a straight line behind a map goes by, over its range; with two more at each end they
-            reach a tenth of the range beyond it, as `beyond` allows.
+            reach a tenth of the range beyond it, as `beyond` allows. The bend is taken at every other.
     """
 
-    gain_spread: float = setting(0.3)
-    level_spread: float = setting(0.1)
-    firm_paired: float = setting(0.02)
-    firm_stage: float = setting(0.05)
-    firm_level: float = setting(0.03)
+    spread: tuple[tuple[str, float, float], ...] = setting(
+        (("paired", 0.02, 0.03), ("stage", 0.05, 0.03), ("", 0.3, 0.1))
+    )
     load_error: float = setting(0.003)
     near: float = setting(0.05)
     least_near: int = setting(30)
-    model_rows: int = setting(2000)
     most_misfit: float = setting(10.0)
     beyond: float = setting(0.1)
     same_load: float = setting(0.01)
     straight: float = setting(
         0.1, "set between simulated sources (0.05 to 0.1, units are lines) and the skin (0.12 to 0.21)"
     )
-    bend_levels: int = setting(11)
     levels: int = setting(21, "docs/format.md")
 
 

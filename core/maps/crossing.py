@@ -58,7 +58,7 @@ def level_path(recording: OutputRecording, average: int, config: CrossingConfig)
     # A share of the range: no unit, gain or readout changes what counts as a swing.
     threshold = config.threshold * _range(recording, config)
     # Neighbours of an average share most of their samples: a third of its length loses no turning point.
-    step, levels, turns = max(1, average // config.looks), [], []
+    step, levels, turns = max(1, average // 3), [], []
     for part in recording.segments:
         signal = moving_mean(recording.output[part], average)[::step]
         points = turning_points(signal, threshold)

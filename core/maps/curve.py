@@ -75,9 +75,11 @@ def continued(curve: CurveMap, source_span: float, config: CurveConfig) -> Curve
     # Local slopes at the ends are noise; held near the whole gain they cannot run away beyond the recording.
     outer = np.clip(np.array([thirds[1] - thirds[0], thirds[3] - thirds[2]]) * 3 / span, gain / 2, gain * 2)
     # Trust scales the logarithm: no trust gives a gain of 1, whole trust the slope that was seen.
-    below, above = np.exp(trust * np.log(outer)) * config.far * span
+    # Any two places fix a straight line: the far knots lie ten spans away.
+    away = 10 * span
+    below, above = np.exp(trust * np.log(outer)) * away
     return CurveMap(
-        np.concatenate([[knots[0] - config.far * span], knots, [knots[-1] + config.far * span]]),
+        np.concatenate([[knots[0] - away], knots, [knots[-1] + away]]),
         np.concatenate([[values[0] - below], values, [values[-1] + above]]),
         curve.family,
     )

@@ -9,6 +9,7 @@ from softcal.core.errors import UnitRefused
 from softcal.core.maps.config import MapConfig
 from softcal.core.maps.crossing import KEPT, LevelPath, averaging_length, level_path, moving_mean
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.windows import TAPS
 from softcal.core.words.reason import reason
 
 
@@ -56,14 +57,15 @@ def match_ends(source: LabelledRecording, target: OutputRecording, config: MapCo
     ends, lengths = config.ends, [segment.stop - segment.start for segment in target.segments]
     is_patchy = len(lengths) > 1 and float(np.median(lengths)) < ends.patch
     if is_patchy:
-        average = ends.patch_average
+        average = TAPS // 3
         shown = _patch_ends([sign * _smoothed(target, average)], config)
     else:
         # The same average on both: it lowers peaks, and must lower them alike.
         average = max(averaging_length(recording, config.crossing) for recording in (known, target))
         shown = _stretch_ends(target, average, sign, [(0, len(target))], config)
     noise = output_noise(target)
-    if not shown.span[0] > max(ends.clear_of_noise * noise, ends.rounding * float(np.abs(target.output).max())):
+    # Averages of one and the same value differ by rounding.
+    if not shown.span[0] > max(ends.clear_of_noise * noise, 1e-9 * float(np.abs(target.output).max())):
         raise UnitRefused(reason("no_swing"))
     if is_patchy:
         stretches = others = _patches(known, target, average, sign, config)

@@ -82,12 +82,12 @@ def window_shapes(count: int) -> Array:
 
 def fit_synchronous(problem: FitProblem) -> PairedMap:
     """Pair windows taken at the same time, under one load, and regress the source's on the target's."""
-    synchrony, config = problem.synchrony, problem.config.synchrony
+    synchrony = problem.synchrony
     if not synchrony.is_synchronous:
         raise UnitRefused(reason("not_synchronous", correlation=synchrony.rank_correlation))
-    source_rows, target_rows = paired_rows(problem.source.unlabelled, problem.target, synchrony, config)
-    if len(target_rows) < config.min_pairs:
-        raise UnitRefused(reason("few.times", windows=len(target_rows), enough=config.min_pairs))
+    source_rows, target_rows = paired_rows(problem.source.unlabelled, problem.target, synchrony)
+    if len(target_rows) < (enough := problem.config.pairs.fewest):
+        raise UnitRefused(reason("few.times", windows=len(target_rows), enough=enough))
     return fit_pairs(problem, source_rows, target_rows, SYNCHRONOUS)
 
 
@@ -103,30 +103,27 @@ def fit_phase(problem: FitProblem) -> PairedMap:
 def fit_pairs(problem: FitProblem, source_rows: Indices, target_rows: Indices, family: str) -> PairedMap:
     """Fit a map to pairs of windows under equal load, in time order.
 
-    A dynamic part is kept only where it lowers the error on held-out blocks.
+    The number of window polynomials is chosen by blocked cross-validation: a dynamic part is kept only where it lowers
+    the error on held-out blocks.
     """
-    rows = evenly(len(target_rows), problem.config.pairs.pairs)
-    fitted = _fit(_Pairs(problem, source_rows[rows], target_rows[rows], family))
+    config = problem.config.pairs
+    rows = evenly(len(target_rows), config.pairs)
+    pairs = _Pairs(problem, source_rows[rows], target_rows[rows], family)
+    everything, shapes = np.arange(pairs.count), 0
+    if pairs.count >= config.blocks * TAPS:
+        # Whole blocks of time are held out: neighbouring windows share samples, so single rows would be no test.
+        is_held = everything * config.blocks // pairs.count % config.every == 1
+        held, known = everything[is_held], everything[~is_held]
+        least = pairs.error(pairs.fit(known, 0), held)
+        for more, needed in config.shapes:
+            error = pairs.error(pairs.fit(known, more), held)
+            if error < needed * least:
+                shapes, least = more, error
+    fitted = pairs.fit(everything, shapes)
     span = robust_range(problem.source.unlabelled.output, problem.config.crossing)
     if isinstance(fitted, DynamicMap):
         return DynamicMap(continued(fitted.curve, span, problem.config.curve), fitted.mix, family)
     return continued(fitted, span, problem.config.curve)
-
-
-def _fit(pairs: "_Pairs") -> PairedMap:
-    """Choose the number of window polynomials by blocked cross-validation, then fit to all pairs."""
-    everything, config = np.arange(pairs.count), pairs.config
-    if pairs.count < config.enough_for_dynamics:
-        return pairs.fit(everything, 0)
-    # Whole blocks of time are held out: neighbouring windows share samples, so single rows would be no test.
-    block = everything * config.blocks // pairs.count
-    held, fitted = np.flatnonzero(block % config.every == 1), np.flatnonzero(block % config.every != 1)
-    shapes, least = 0, pairs.error(pairs.fit(fitted, 0), held)
-    for more, needed in config.shapes:
-        error = pairs.error(pairs.fit(fitted, more), held)
-        if error < needed * least:
-            shapes, least = more, error
-    return pairs.fit(everything, shapes)
 
 
 class _Pairs:
@@ -143,7 +140,8 @@ class _Pairs:
         label = (network.evaluate(source) + problem.source.window_reference[source_rows]) / 2
         self._label = label / network.reference_scale
         low, high = np.quantile(target, self.config.knot_range)
-        count = np.clip(len(target) // self.config.pairs_per_knot, self.config.fewest_knots, self.config.knots)
+        # A curve needs three knots to bend.
+        count = np.clip(len(target) // self.config.pairs_per_knot, 3, self.config.knots)
         self._knots = np.linspace(low, high, int(count))
         if self._knots[-1] <= self._knots[0]:
             level, unit = self._knots[0], problem.target.output_unit
@@ -163,10 +161,10 @@ class _Pairs:
 
         theta, config, count = np.concatenate([self._start, np.eye(shapes).ravel()]), self.config, len(self._knots)
         cost, damping, idle = self._cost(theta, rows, shapes), config.damping, 0
-        for _ in range(config.steps):
+        for _ in range(40):
             hessian, descent = self._normal_equations(theta, rows, shapes)
             tried_first = damping
-            for _ in range(config.attempts):
+            for _ in range(14):
                 damped = hessian + damping * np.diag(np.diag(hessian) + 1e-9)
                 trial = theta + np.linalg.solve(damped, descent)
                 # Projection onto monotone curves: the cost is not convex anyway, and the projection is exact.
@@ -174,13 +172,12 @@ class _Pairs:
                 trial_cost = self._cost(trial, rows, shapes)
                 if trial_cost < cost:
                     break
-                damping *= config.more_damping
+                damping *= 4
             else:
                 break
             idle = idle + 1 if trial_cost > config.settled * cost else 0
             theta, cost = trial, trial_cost
-            easing = config.less_damping if damping == tried_first else config.more_damping
-            damping = max(damping / easing, config.least_damping)
+            damping = max(damping / (10 if damping == tried_first else 4), 1e-6)
             if idle == config.idle_steps:
                 break
         return self._map(theta, shapes)
@@ -297,16 +294,16 @@ def paired_by_stage(source: OutputRecording, target: OutputRecording, config: Ma
         distance_mm[group], nearest[group] = tree.query(asked[rows[group], :entries])
     # A share of the travel, so that one number serves strokes of 1 mm and of 20 mm.
     alike = distance_mm <= phase.near_share * travel_mm
-    if travel_mm <= 0 or alike.sum() < phase.min_pairs:
-        raise UnitRefused(reason("few.positions", windows=int(alike.sum()), enough=phase.min_pairs))
+    if travel_mm <= 0 or alike.sum() < config.pairs.fewest:
+        raise UnitRefused(reason("few.positions", windows=int(alike.sum()), enough=config.pairs.fewest))
     return nearest[alike].astype(np.int64), rows[alike]
 
 
 def stage_histories(recording: OutputRecording, stage_mm: Array, config: PhaseConfig) -> Array:
-    """Return where the stage stood now and before each full window, weighted: (m, len(config.history)) in mm."""
-    ago_s = np.array(config.history) / recording.sample_rate_Hz
-    asked_s = recording.t_s[recording.window_rows][:, None] - ago_s[None, :]
-    return np.asarray(np.interp(asked_s, recording.t_s, stage_mm) * np.array(config.history_weight))
+    """Return where the stage stood now and before each full window, weighted: (m, len(config.look_back)) in mm."""
+    ago, weight = np.array(config.look_back).T
+    asked_s = recording.t_s[recording.window_rows][:, None] - ago / recording.sample_rate_Hz
+    return np.asarray(np.interp(asked_s, recording.t_s, stage_mm) * weight)
 
 
 def _seen_entries(recording: OutputRecording, config: PhaseConfig) -> Indices:
@@ -317,7 +314,7 @@ def _seen_entries(recording: OutputRecording, config: PhaseConfig) -> Indices:
     begins_s = np.concatenate([np.full(s.stop - s.start, recording.t_s[s.start]) for s in recording.segments])
     # Nothing moved before the first sample; only gaps inside hide movements.
     begins_s[recording.segments[0]] = -np.inf
-    ago_s = np.array(config.history) / recording.sample_rate_Hz
+    ago_s = np.array(config.look_back)[:, 0] / recording.sample_rate_Hz
     # Half a sample of slack: times are kept in floating point.
     is_seen = recording.t_s[:, None] - ago_s >= begins_s[:, None] - 0.5 / recording.sample_rate_Hz
     return np.asarray(is_seen[recording.window_rows].sum(axis=1))

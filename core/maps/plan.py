@@ -97,7 +97,7 @@ def fit_exact(problem: FitProblem) -> TransportMap:
 def fit_joint(problem: FitProblem) -> TransportMap:
     """Transport windows and labels together (Courty et al. 2017; Kim et al. 2020, eq. 5).
 
-    min over plan and f_t of sum plan_ij (|x_i - y_j|^2 / s^2 + a (f_t(x_i) - r_j)^2 / s_r^2) + ridge |f_t|^2, by block
+    min over plan and f_t of sum plan_ij (|x_i - y_j|^2 / s^2 + (f_t(x_i) - r_j)^2 / s_r^2) + ridge |f_t|^2, by block
     coordinate descent: the plan for fixed f_t is a transport problem; f_t for a fixed plan is kernel ridge regression
     on the labels the plan carries over, as in the authors' own implementation. Each round lowers the objective or
     stops. The lot shares one f, so the f_t of this unit is only a tool: what is kept is the plan, as a map into the
@@ -114,14 +114,14 @@ def fit_joint(problem: FitProblem) -> TransportMap:
     # The problem has many local minima: descent starts where means and scales already agree.
     matched = (target - target.mean()) / max(float(target.std()), 1e-12) * source.std() + source.mean()
     estimate = problem.network.evaluate(matched) / problem.network.reference_scale
-    smoother = _smoother(target, config.ridge * len(target) / config.ridge_windows)
+    smoother = _smoother(target, config.ridge_per_window * len(target))
     plan, best = np.empty((0, 0)), np.inf
     for _ in range(config.joint_rounds):
-        cost = distance + config.label_weight * (estimate[:, None] - label[None, :]) ** 2
+        cost = distance + (estimate[:, None] - label[None, :]) ** 2
         trial = solve_exact(cost)
         total = float(np.sum(trial * cost))
         # Each step lowers the objective; below a ten-thousandth it only trades rounding.
-        if total >= best * (1 - config.joint_settled):
+        if total >= best * (1 - 1e-4):
             break
         plan, best = trial, total
         carried = barycentric(plan, label[:, None])[:, 0]

@@ -39,22 +39,20 @@ def find_readout_lag(
     slowed source as well. Loads that change slowly show no lag, and suffer from none.
     """
     config = maps.lag
-    shared = (
-        synchrony
-        if synchrony.is_synchronous
-        else find_synchrony(_slowed(source, config.slowed_s, config.memory), target, maps)
-    )
+    shared = synchrony if synchrony.is_synchronous else find_synchrony(_slowed(source, config.slowed_s), target, maps)
     if not shared.is_synchronous:
         return None
     time_s = common_time(source, target, until_s=shared.until_s)
-    if len(time_s) < config.least_samples:
+    # Ten means that share no sample: fewer show no lag.
+    if len(time_s) < 10 * config.averaged:
         return None
     unit = _ranks(_at(target, time_s), config)
     prompt = _unexplained(_at(source, time_s), unit, config)
-    if _unexplained(_at(_slowed(source, config.least_s, config.memory), time_s), unit, config) >= prompt:
+    if _unexplained(_at(_slowed(source, config.least_s), time_s), unit, config) >= prompt:
         return None  # Nearly every unit ends here: what follows slower is met at least a little by the shortest lag.
-    tried = [config.least_s * config.ratio**k for k in range(-config.below, config.above + 1)]
-    slow = [_unexplained(_at(_slowed(source, lag_s, config.memory), time_s), unit, config) for lag_s in tried]
+    # A lag below the least is looked for, too, so that it is not taken for a longer one.
+    tried = config.least_s * 2.0 ** (np.arange(-4, 8) / 2)
+    slow = [_unexplained(_at(_slowed(source, lag_s), time_s), unit, config) for lag_s in tried]
     best = int(np.argmin(slow))
     late = min(prompt, *(_unexplained(_at(source, time_s - lag_s), unit, config) for lag_s in tried))
     explained = late / max(slow[best], 1e-12)
@@ -64,13 +62,14 @@ def find_readout_lag(
 
 
 @lru_cache(maxsize=KEPT)
-def _slowed(recording: OutputRecording, lag_s: float, memory: float) -> OutputRecording:
+def _slowed(recording: OutputRecording, lag_s: float) -> OutputRecording:
     """Return the recording behind a first-order low-pass that stood at its first value before.
 
     Every unit of a lot is compared with one and the same source.
     """
     keep = np.exp(-1 / (recording.sample_rate_Hz * lag_s))
-    kernel = (1 - keep) * keep ** np.arange(int(np.ceil(memory * lag_s * recording.sample_rate_Hz)) + 1)
+    # Beyond seven time constants a sample counts by less than a thousandth.
+    kernel = (1 - keep) * keep ** np.arange(int(np.ceil(7 * lag_s * recording.sample_rate_Hz)) + 1)
     first = float(recording.output[0])
     moved = np.convolve(recording.output - first, kernel)[: len(recording.output)]
     return replace(recording, output=first + moved)
@@ -86,5 +85,5 @@ def _unexplained(source: Array, unit_ranks: Array, config: LagConfig) -> float:
 
 
 def _ranks(output: Array, config: LagConfig) -> Array:
-    # Neighbouring means share nearly all their samples: a few of them hold what all do.
-    return ranks(moving_mean(output, config.averaged)[:: config.every])
+    # Neighbouring means share nearly all their samples: five to a length hold what all do.
+    return ranks(moving_mean(output, config.averaged)[:: config.averaged // 5])

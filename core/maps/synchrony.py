@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from softcal.core.maps.config import MapConfig, SynchronyConfig
 from softcal.core.maps.crossing import KEPT, moving_mean, robust_range, turning_points
-from softcal.core.recording import Array, Indices, Mask, OutputRecording
+from softcal.core.recording import RATE_TOLERANCE, Array, Indices, Mask, OutputRecording
+from softcal.core.windows import TAPS
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ def find_synchrony(source: OutputRecording, target: OutputRecording, config: Map
         return opening if opening.is_synchronous else whole
     if opening.rank_correlation <= whole.rank_correlation:
         return whole
-    after = _compared(source, target, config.synchrony, from_s=until_s + config.synchrony.guard_s)
+    after = _compared(source, target, config.synchrony, from_s=until_s + 2 * config.synchrony.settled_s)
     # NONE: too little follows to decide.
     if after is NONE or after.is_synchronous:
         return whole
@@ -71,9 +72,9 @@ def _compared(
     until_s: float = np.inf,
 ) -> Synchrony:
     rate_Hz = source.sample_rate_Hz
-    is_other_rate = abs(target.sample_rate_Hz / rate_Hz - 1) > config.same_rate
+    is_other_rate = abs(target.sample_rate_Hz / rate_Hz - 1) > RATE_TOLERANCE
     time_s = _both_running(source, target, from_s, until_s)
-    if len(time_s) < config.least_length * min(config.scales) or is_other_rate:
+    if len(time_s) < 2 * config.apart * min(config.scales) or is_other_rate:
         return NONE
     # What one recording missed the other must not show either: both are read at the same instants.
     seen = time_s[_covered(source, time_s) & _covered(target, time_s)]
@@ -84,17 +85,18 @@ def _compared(
     a, b = (_ranks_at(*key) for key in keys)
     if np.ptp(a) == 0 or np.ptp(b) == 0:
         return NONE
-    # One scale would miss slow loads or drown in noise; a scale needs twenty of its lengths to judge.
-    scales = [scale for scale in config.scales if config.least_length * scale <= len(time_s)]
+    # One scale would miss slow loads or drown in noise.
+    scales = [scale for scale in config.scales if 2 * config.apart * scale <= len(time_s)]
     looks = []
     for scale in scales:
-        band, other = (_band_of(*key, scale, config.slow) for key in keys)
+        band, other = (_band_of(*key, scale, config.apart) for key in keys)
         looks.append(_detail(band, other, scale, rate_Hz, config))
     detail, sigma, lag = max(looks, key=lambda item: item[1])
     stands_out = detail >= config.min_detail and sigma >= config.min_sigma
     # A lag that does not stand out is chance. A wrong lag pairs foreign loads; no lag at worst pairs none.
     lag = lag if stands_out else 0
-    a, b = (moving_mean(each, config.rank_average) for each in (a, np.roll(b, lag)))
+    # Noise and spikes of a readout are no load: over a window they average out.
+    a, b = (moving_mean(each, TAPS) for each in (a, np.roll(b, lag)))
     correlation = float(np.corrcoef(a, b)[0, 1])
     is_synchronous = correlation >= config.min_rank_correlation
     return Synchrony(-lag / rate_Hz, correlation, detail, sigma, until_s, is_synchronous)
@@ -117,9 +119,9 @@ def _ranks_at(recording: OutputRecording, time_s: bytes, seen: bytes) -> Array:
 
 
 @lru_cache(maxsize=4 * KEPT)
-def _band_of(recording: OutputRecording, time_s: bytes, seen: bytes, scale: int, slow: int) -> _Band:
+def _band_of(recording: OutputRecording, time_s: bytes, seen: bytes, scale: int, apart: int) -> _Band:
     values = _ranks_at(recording, time_s, seen)
-    slower, faster = moving_mean(values, slow * scale), moving_mean(values, scale)
+    slower, faster = moving_mean(values, apart * scale), moving_mean(values, scale)
     offset = (len(faster) - len(slower)) // 2
     band = faster[offset : offset + len(slower)] - slower
     band = band - band.mean()
@@ -143,16 +145,16 @@ def _opening_end(source: OutputRecording, target: OutputRecording, maps: MapConf
     """
     config, rate_Hz = maps.synchrony, source.sample_rate_Hz
     time_s = _both_running(source, target)
-    if len(time_s) <= config.rank_average or np.ptp(target.output) == 0:
+    if len(time_s) <= TAPS or np.ptp(target.output) == 0:
         return None
-    a, b = (moving_mean(np.interp(time_s, r.t_s, r.output), config.rank_average) for r in (source, target))
+    a, b = (moving_mean(np.interp(time_s, r.t_s, r.output), TAPS) for r in (source, target))
     span, settled = robust_range(source.output, maps.crossing), round(config.settled_s * rate_Hz)
     turns = turning_points(a, config.swing * span)
     if len(turns) <= config.least_swings:
         return None
     first = known = int(turns[config.least_swings])
     # The curve of a longer opening differs from that of a shorter one, so its end is sought again until it stays.
-    for _ in range(config.most_steps):
+    for _ in range(20):
         off = np.abs(moving_mean(_off_curve(a, b, known), settled)) / span
         # What the opening itself leaves of the curve (noise, hysteresis) is no sign of its end. Not the maximum: one
         # outlier inside must not let foreign loads in.
@@ -164,8 +166,8 @@ def _opening_end(source: OutputRecording, target: OutputRecording, maps: MapConf
             break
         known = end
     # The loads part before the outputs do: averages and hysteresis still hold the old ones.
-    end = known - round(config.guard_s * rate_Hz)
-    if end < first or robust_range(a[:end], maps.crossing) < config.least_span * span:
+    end = known - round(2 * config.settled_s * rate_Hz)
+    if end < first or robust_range(a[:end], maps.crossing) < config.covered_share * span:
         return None
     return float(time_s[end])
 
@@ -185,9 +187,7 @@ def _off_curve(source: Array, target: Array, known: int) -> Array:
     return np.where(is_judged, source - np.interp(target, seen[order], curve), 0.0)
 
 
-def paired_rows(
-    source: OutputRecording, target: OutputRecording, synchrony: Synchrony, config: SynchronyConfig
-) -> tuple[Indices, Indices]:
+def paired_rows(source: OutputRecording, target: OutputRecording, synchrony: Synchrony) -> tuple[Indices, Indices]:
     """Return the windows of both recordings whose newest samples were taken at the same time.
 
     Returns:
@@ -198,7 +198,7 @@ def paired_rows(
     # A boolean as 0 or 1: one place to the left where the earlier sample is the closer one.
     nearest = right - (target_s - source_s[right - 1] < source_s[right] - target_s)
     # Half a sample and a little rounding: no instant is paired across a gap.
-    close = np.abs(source_s[nearest] - target_s) <= config.same_instant / source.sample_rate_Hz
+    close = np.abs(source_s[nearest] - target_s) <= 0.51 / source.sample_rate_Hz
     close &= target_s <= synchrony.until_s
     return nearest[close].astype(np.int64), np.flatnonzero(close).astype(np.int64)
 
@@ -229,14 +229,14 @@ def _detail(x: _Band, y: _Band, scale: int, rate_Hz: float, config: SynchronyCon
     spectrum = x.spectrum * np.conj(y.spectrum)
     # All lags at once by the correlation theorem; its ends wrap around, which is why only a quarter is searched.
     every = np.fft.irfft(spectrum, x.length) / (x.spread * y.spread * x.length + 1e-300)
-    reach = min(x.length // config.reach, round(config.longest_lag_s * rate_Hz))
+    reach = min(x.length // 4, round(config.longest_lag_s * rate_Hz))
     near = np.concatenate([every[: reach + 1], every[-reach:]])
     # Slow loads leave the peak flat: without a clear gain the clocks are taken as equal.
     best = 0 if near[0] >= config.clear_gain * near.max() else int(np.argmax(near))
     lag = best if best <= reach else best - len(near)
     # Unrelated lags say what chance alone gives on this very recording: no assumption on its noise is needed.
-    edge = config.unrelated * scale
-    far = every[edge:-edge] if len(every) > config.long_enough * scale else every
+    edge = config.apart * scale
+    far = every[edge:-edge] if len(every) > 4 * edge else every
     # Periodic presses agree again one period later; the largest agreement elsewhere counts as much as the usual one.
     spread = max(float(np.std(far)), 1e-12)
     elsewhere = max(0.0, float(far.max()) - config.chance * spread)

@@ -9,7 +9,7 @@ from softcal.core.unit.audit_reading import line_of, read_audit, score_map
 from softcal.core.unit.calibration import AUDIT_GAIN, AUDIT_ZERO, Calibration, CalibrationRecord
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.judging import TRIM_BARS, UNREADABLE, MeasuredError, limit_evidence
-from softcal.core.unit.method import DecisionConfig, Method
+from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import Limit
 
 
@@ -18,7 +18,7 @@ def with_audit(
 ) -> Calibration:
     """Return the calibration with what an audit says beside the error; `recording` is the one it was made from."""
     estimates = estimate(network, calibration, audit.unlabelled)
-    half, rest = estimates.upper - estimates.estimate, (calibration.method or Method()).forecast.rest_level
+    half, rest = estimates.upper - estimates.estimate, (calibration.method or Method()).map.crossing.robust_range[0]
     reading = read_audit(estimates.estimate, half, audit, recording, rest)
     return replace(
         calibration,
@@ -53,7 +53,7 @@ def measured(
         measured=MeasuredError(scores, len(audit.windows)),
         bars=tuple(why for why in grounds.bars if not is_newer or why.code not in (*TRIM_BARS, UNREADABLE)),
     )
-    decision = grounds.decide(limit, config)
+    decision = grounds.decide(limit)
     scored = with_audit(
         network, replace(calibration, scores=scores, grounds=grounds, decision=decision), audit, recording
     )
@@ -77,7 +77,7 @@ def judged(record: CalibrationRecord, limit: Limit) -> CalibrationRecord | None:
     grounds = record.grounds
     if grounds is None or grounds.rules:
         return None
-    decision = grounds.decide(limit, (record.method.decision if record.method else DecisionConfig()))
+    decision = grounds.decide(limit)
     return replace(
         record,
         settings={**record.settings, "decision": decision.to_json()},

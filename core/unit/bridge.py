@@ -14,7 +14,7 @@ from softcal.core.maps.affine_map import AffineMap
 from softcal.core.metrics import rmse
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, Indices, LabelledRecording, OutputRecording
-from softcal.core.unit.method import BridgeConfig
+from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.windows import evenly
 
@@ -55,7 +55,7 @@ def make_bridge(model: SourceModel, run: OutputRecording | LabelledRecording) ->
         InputError: it is of another unit, is the source's own recording, or f cannot read it.
     """
     recording = run.unlabelled if isinstance(run, LabelledRecording) else run
-    source, config = model.source, model.method.bridge
+    source, method = model.source, model.method
     if recording.serial != source.serial:
         raise InputError(
             f"golden run of {recording.serial}: the golden unit of this lot is its source {source.serial}; nothing was "
@@ -71,18 +71,26 @@ def make_bridge(model: SourceModel, run: OutputRecording | LabelledRecording) ->
         read = np.interp(np.arange(len(recording)), recording.window_rows, model.network.evaluate(recording.windows))
         golden = LabelledRecording(recording, read, source.reference_unit)
         return Bridge(golden, SAME_DAY, 0.0, model.held_out_rmse, is_measured=False)
-    day_map = _fit_day(model.network, run, config)
+    day_map = _fit_day(model.network, run, method)
     corrected = replace(recording, output=day_map.gain * recording.output + day_map.offset)
     before, after = (model.network.evaluate(r.windows) for r in (recording, corrected))
-    _check_read(run, after, day_map, config)
+    # No day explains another unit, or loads in another unit of measurement.
+    load, gain, most = run.window_reference, day_map.gain, method.bridge.most_gain
+    error = rmse(after, load)
+    if error > method.bridge.most_misread * float(np.std(load)) or not 1 / most <= gain <= most:
+        unit = run.reference_unit
+        raise InputError(
+            f"golden run of {run.serial}: with the best gain for its day, {gain:.3g}, its loads are misread by "
+            f"{error:.3g} {unit} RMS; is it another unit, or its reference not in {unit}? nothing was fitted"
+        )
     return Bridge(replace(run, unlabelled=corrected), day_map, rmse(before, after), 0.0, is_measured=True)
 
 
-def _fit_day(network: Network, run: LabelledRecording, config: BridgeConfig) -> AffineMap:
+def _fit_day(network: Network, run: LabelledRecording, method: Method) -> AffineMap:
     """Fit gain and zero of a day by least squares on f; the same day where that reads held-out stretches no better."""
-    rows = evenly(len(run.windows), config.rows)
+    rows = evenly(len(run.windows), method.map.pairs.pairs)
     # Whole stretches of time are held out: neighbouring windows share samples.
-    is_held = np.arange(len(rows)) * config.stretches // len(rows) % 2 == 1
+    is_held = np.arange(len(rows)) * method.bridge.stretches // len(rows) % 2 == 1
     held, fitted = rows[is_held], rows[~is_held]
     trial = _least_squares(network, run, fitted)
     if _misread(network, run, trial, held) >= _misread(network, run, SAME_DAY, held):
@@ -106,16 +114,3 @@ def _least_squares(network: Network, run: LabelledRecording, rows: Indices) -> A
 
 def _misread(network: Network, run: LabelledRecording, day_map: AffineMap, rows: Indices) -> float:
     return rmse(network.evaluate(day_map.apply(np.asarray(run.windows[rows]))), run.window_reference[rows])
-
-
-def _check_read(run: LabelledRecording, estimate: Array, day_map: AffineMap, config: BridgeConfig) -> None:
-    """Refuse a run that no day explains: another unit, or loads in another unit of measurement."""
-    load, gain, most = run.window_reference, day_map.gain, config.most_gain
-    error = rmse(estimate, load)
-    if error <= config.most_misread * float(np.std(load)) and 1 / most <= gain <= most:
-        return
-    unit = run.reference_unit
-    raise InputError(
-        f"golden run of {run.serial}: with the best gain for its day, {gain:.3g}, its loads are misread by {error:.3g} "
-        f"{unit} RMS; is it another unit, or its reference not in {unit}? nothing was fitted"
-    )

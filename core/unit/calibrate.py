@@ -81,7 +81,7 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
         interval=model.interval.widened(variance_table(model, evidence) + problem.reference_variance()),
         output_limits=limits,
         forecast=forecast,
-        decision=grounds.decide(limit, method.decision),
+        decision=grounds.decide(limit),
         grounds=grounds,
         knowledge=evidence.knowledge,
         evidence=_numbers(problem, chosen, evidence, findings, lag),
@@ -101,7 +101,7 @@ def _numbers(
 ) -> Mapping[str, float | str | None]:
     model, target = problem.source, problem.recording
     own = own_terms(model, target, chosen.unit_map, evidence)
-    rest = model.method.forecast.rest_level
+    rest = model.method.map.crossing.robust_range[0]
     level = output_level(target, is_rising=model.interval.slope_limit > 0, rest=rest)
     return {
         **{f"map_{name}": value for name, value in chosen.evidence.items()},

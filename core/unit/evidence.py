@@ -113,7 +113,7 @@ class OtherMaps:
 
 def other_maps(fit: FitProblem, chosen: ChosenMap, method: Method, floor: float) -> OtherMaps:
     """Return what the chosen map is tried by; `floor` is the RMS error of the reference beside paired windows."""
-    trials = _trials(fit, chosen, method.forecast.opening_parts, floor) if chosen.family == SYNCHRONOUS else []
+    trials = _trials(fit, chosen, method.map.pairs.every, floor) if chosen.family == SYNCHRONOUS else []
     # Where the stage position or a common load is known, that tells more than leaving shares out.
     is_measured = bool(trials) or chosen.family == PHASE
     gain_error = float(chosen.evidence.get("gain_error", 0.0))
@@ -136,7 +136,7 @@ def _trials(fit: FitProblem, chosen: ChosenMap, parts: int, floor: float) -> lis
     An opening holds few presses, which the map has been bent to: there, each map has not seen the windows it is
     judged by.
     """
-    source_rows, target_rows = paired_rows(fit.source.unlabelled, fit.target, fit.synchrony, fit.config.synchrony)
+    source_rows, target_rows = paired_rows(fit.source.unlabelled, fit.target, fit.synchrony)
     if not np.isfinite(fit.synchrony.until_s):
         return [Trial(chosen.unit_map, fit.source, source_rows, target_rows, floor)]
     part = np.arange(len(target_rows)) * parts // len(target_rows)
@@ -179,7 +179,7 @@ def gather_evidence(
     """
     config, network, interval, known = model.method.forecast, model.network, model.interval, _known_use(model)
     # Evenly spaced rows: every statistic below costs the same however long the recording is.
-    rows = evenly(len(target.windows), config.rows)
+    rows = evenly(len(target.windows), 2 * model.method.map.pairs.pairs)
     raw, mapped = target.windows[rows], _mapped(unit_map, target, rows)
     estimate, shape = network.evaluate(mapped), interval.support.shape(mapped)
     distance = interval.support.distance(shape)
@@ -191,7 +191,7 @@ def gather_evidence(
         unbent = _mapped(straight, target, rows)
         seen_load = by_others[id(straight)] if id(straight) in by_others else network.evaluate(unbent)
         seen_shape = interval.support.shape(unbent)
-    rest, span = _rest_level(estimate, config), interval.high - interval.low
+    rest, span = _rest_level(model, estimate), interval.high - interval.low
     load_rms = rms(estimate - rest)
     overlap, speed = _use_overlap(known, seen_shape), _fast(shape, config) / known.fast
     sharpness = _sharpness(shape, config)
@@ -274,12 +274,12 @@ def _known_use(model: SourceModel) -> _KnownUse:
     config, shape, estimate = model.method.forecast, model.shape, model.estimate
     low, high = np.quantile(shape.level, config.reach)
     # A coarse grid: with finer cells two short recordings of one programme would seem to differ.
-    levels = np.linspace(low, high, config.overlap_levels)
-    slopes = np.linspace(-1, 1, config.overlap_slopes) * np.quantile(np.abs(shape.slope), config.overlap_slope)
+    levels = np.linspace(low, high, config.overlap_edges[0])
+    slopes = np.linspace(-1, 1, config.overlap_edges[1]) * np.quantile(np.abs(shape.slope), config.overlap_slope)
     return _KnownUse(
         loads=np.quantile(estimate, _load_shares(config)),
         rest_spread=_spread_at_rest(model, estimate, shape),
-        rms_load=rms_load(estimate, config),
+        rms_load=rms_load(model, estimate),
         fast=_fast(shape, config),
         sharpness=_sharpness(shape, config),
         levels=levels,
@@ -300,10 +300,9 @@ def _spread(estimate: Array, others: Sequence[Array]) -> Array:
 
 def rest_rows(model: SourceModel, estimate: Array, shape: WindowShape) -> Mask:
     """Mark the windows at rest: output still, load among the unit's own lowest."""
-    config = model.method.forecast
-    low = _rest_level(estimate, config)
+    band = model.method.forecast.rest_band * (model.interval.high - model.interval.low)
     still = model.interval.direction(shape) == 1
-    return np.asarray(still & (estimate < low + config.rest_band * (model.interval.high - model.interval.low)))
+    return np.asarray(still & (estimate < _rest_level(model, estimate) + band))
 
 
 def _spread_at_rest(model: SourceModel, estimate: Array, shape: WindowShape) -> float:
@@ -319,13 +318,13 @@ def _resolution(model: SourceModel, target: OutputRecording, gain: float) -> flo
     return model.interval.sensitivity * float(np.sqrt(excess / 12))
 
 
-def rms_load(estimate: Array, config: ForecastConfig) -> float:
+def rms_load(model: SourceModel, estimate: Array) -> float:
     """Return the RMS load above rest: the sensitivity to a gain error."""
-    return rms(estimate - _rest_level(estimate, config))
+    return rms(estimate - _rest_level(model, estimate))
 
 
-def _rest_level(estimate: Array, config: ForecastConfig) -> float:
-    return float(np.quantile(estimate, config.rest_level))
+def _rest_level(model: SourceModel, estimate: Array) -> float:
+    return float(np.quantile(estimate, model.method.map.crossing.robust_range[0]))
 
 
 def _stage_terms(
@@ -343,15 +342,15 @@ def _stage_terms(
     difference = unit_difference(model.source, target, estimate, model.method)
     if difference is None:
         return {}
-    excess, config = difference.beyond(model.stage_floor), model.method.forecast
-    ratio = _known_use(model).rms_load / max(rms_load(estimate, config), 1e-12)
-    growth = float(np.clip(ratio, 1.0, config.most_growth))
+    excess = difference.beyond(model.stage_floor)
+    ratio = _known_use(model).rms_load / max(rms_load(model, estimate), 1e-12)
+    growth = float(np.clip(ratio, 1.0, model.method.forecast.most_growth))
     return {"stage": growth * excess.rms, "slow": growth * excess.slow_rms}
 
 
 def _misread(model: SourceModel, target: OutputRecording, trial: Trial) -> Array:
     """Return the differences of the unit's estimates from the source's reference at the same instants."""
-    spread = evenly(len(trial.source_rows), model.method.forecast.rows)
+    spread = evenly(len(trial.source_rows), 2 * model.method.map.pairs.pairs)
     estimate = model.network.evaluate(trial.unit_map.apply(target.windows[trial.target_rows[spread]]))
     return np.asarray(estimate - trial.source.window_reference[trial.source_rows[spread]])
 

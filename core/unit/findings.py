@@ -62,7 +62,7 @@ def contradictions(
         return (Finding(reason("other_speed", times=times), Verdict.RETEST),)
     (low, high), (least, most) = (_reach(recording.output, method.health.span) for recording in (target, source))
     apart = max(low - most, least - high)
-    if apart > max(config.apart_spans * max(high - low, most - least), config.apart_level * abs(least + most) / 2):
+    if apart > config.apart * max(high - low, most - least, abs(least + most) / 2):
         said = reason("elsewhere", low=low, high=high, least=least, most=most, unit=target.output_unit)
         return (Finding(said, Verdict.RETEST),)
     return ()
@@ -98,7 +98,7 @@ def _uncovered(model: SourceModel, target: OutputRecording, evidence: MapEvidenc
         what, unit = "part.loaded", model.network.reference_unit
         reach, whole = _reach(evidence.estimate, shares), (model.interval.low, model.interval.high)
     share = (min(reach[1], whole[1]) - max(reach[0], whole[0])) / (whole[1] - whole[0])
-    if share >= model.method.findings.covered_share:
+    if share >= model.method.map.synchrony.covered_share:
         return None
     return Finding(
         reason(
@@ -129,8 +129,8 @@ def _other_use(evidence: MapEvidence, config: FindingConfig) -> Finding | None:
     is_alike = 1 / config.speed_factor <= evidence.speed <= config.speed_factor
     if not best or (evidence.overlap >= config.enough_overlap and is_alike):
         return None
-    furthest = config.meaningless_speed
-    if evidence.overlap >= config.meaningless_overlap and 1 / furthest <= evidence.speed <= furthest:
+    furthest = config.speed_factor**2
+    if evidence.overlap >= config.enough_overlap**2 and 1 / furthest <= evidence.speed <= furthest:
         # The forecast has terms for a mix that differs: it is wider for it, and still says something.
         best = min(Verdict(best), Verdict.CONDITIONAL, key=lambda verdict: verdict.severity)
     return Finding(reason("wrong_programme", share=evidence.overlap, speed=evidence.speed), Verdict(best))
@@ -159,7 +159,7 @@ def _misread(model: SourceModel, evidence: MapEvidence) -> Finding | None:
     """Return a finding where the unit reads other loads than the source did at equal stage histories, for long."""
     # Where unit and source were pressed by one load at once, equal positions say nothing more.
     slow = evidence.budget.get("slow", 0.0) if "slow" in evidence.knowledge.sensitivity else 0.0
-    if slow <= model.method.findings.misread_factor * model.held_out_rmse:
+    if slow <= model.method.findings.harmless * model.held_out_rmse:
         return None
     return Finding(reason("misread", slow=slow, unit=model.network.reference_unit))
 
@@ -180,7 +180,7 @@ def _restless(model: SourceModel, target: OutputRecording, evidence: MapEvidence
         return Finding(reason("drift", moved=float(trend * (t_s[-1] - t_s[0])), unit=unit))
     # Slow holds at low loads count as rest too, and recordings hold more or fewer of them.
     at_rest = rest_rows(model, model.estimate, model.shape)
-    if spread < config.creep_factor * float(np.std(model.estimate[at_rest])):
+    if spread < float(np.std(model.estimate[at_rest])):
         return None
     return Finding(reason("creep", spread=spread, unit=unit))
 
@@ -242,7 +242,7 @@ def _not_better(model: SourceModel, evidence: MapEvidence) -> Finding | None:
     """
     config, unit = model.method.findings, model.network.reference_unit
     doubt, correction = float(np.sqrt(map_variance(evidence.budget, evidence.knowledge))), evidence.correction_rms
-    harmless = config.blind_correction * evidence.budget["model"]
+    harmless = config.harmless * evidence.budget["model"]
     is_blind = not evidence.knowledge.is_placed and correction > harmless
     gained = evidence.overlap - evidence.unmapped_overlap
     if doubt > max(correction, harmless):

@@ -106,7 +106,7 @@ def own_terms(
     - `excess`: the forecast error beyond the network's. Part of it is creep, lag and hysteresis that a window does not
       show; no network that reads windows could do better.
     """
-    network, budget, rows = model.network, evidence.budget, model.method.forecast.own_rows
+    network, budget, rows = model.network, evidence.budget, model.method.map.pairs.pairs // 2
     # Variances subtract: f was trained with the source's noise, so that much is in `floor` already.
     of_source = _source_noise_error(network, model.source.unlabelled, rows)
     estimate = evidence.estimate if len(evidence.rows) == len(target.windows) else None

@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from softcal.core.errors import InputError, UnitRefused
+from softcal.core.maps.config import EndConfig
 from softcal.core.maps.crossing import KEPT
 from softcal.core.recording import RATE_TOLERANCE, Array, Indices, OutputRecording
 from softcal.core.unit.method import HealthConfig
@@ -86,8 +87,9 @@ def noise_band(recording: OutputRecording, config: HealthConfig) -> float:
     The noise comes from second differences, which a slow signal leaves small (median absolute value / 0.6745 / √6).
     """
     noise = float(np.median(np.abs(np.diff(recording.output, 2)))) / 0.6745 / np.sqrt(6)
-    least = config.least_band * float(np.ptp(recording.output))
-    return float(max(config.noise_steps * noise, config.adc_steps * recording.step, least))
+    # A simulated recording may have neither noise nor steps.
+    least = 1e-3 * float(np.ptp(recording.output))
+    return float(max(EndConfig.clear_of_noise * noise, config.adc_steps * recording.step, least))
 
 
 def check_alive(target: OutputRecording, source: OutputRecording, config: HealthConfig) -> None:
@@ -144,8 +146,17 @@ def health_findings(
     target: OutputRecording, source: OutputRecording, limits: OutputLimits, config: HealthConfig
 ) -> tuple[Finding, ...]:
     """Say in words what is wrong with the raw output, if anything."""
-    findings = _clipped(target, limits, config)
-    longest, allowed = (_longest_inner_run(recording, config.inner) for recording in (target, source))
+    findings, unit = [], target.output_unit
+    if share := clipped_share(target.output, limits):
+        rails = [level for level in (limits.rail_low, limits.rail_high) if np.isfinite(level)]
+        level = (
+            reason("part.level", level=rails[0], unit=unit)
+            if len(rails) == 1
+            else reason("part.levels", low=rails[0], high=rails[1], unit=unit)
+        )
+        best = Verdict.FAIL if share > config.failing_share else Verdict.CONDITIONAL
+        findings.append(Finding(reason("saturated", level=level, share=share), best))
+    longest, allowed = (_longest_inner_run(recording, config.near_rail) for recording in (target, source))
     if longest > max(config.stuck_factor * allowed, config.stuck_s * target.sample_rate_Hz):
         findings.append(Finding(reason("stuck", seconds=longest / target.sample_rate_Hz), Verdict.RETEST))
     windows, presses = len(target.window_rows), count_presses(target, config)
@@ -156,20 +167,6 @@ def health_findings(
         too_little = reason("too_little_data", **seen, enough_windows=config.few_windows, enough_presses=enough)
         findings.append(Finding(too_little))
     return tuple(findings)
-
-
-def _clipped(target: OutputRecording, limits: OutputLimits, config: HealthConfig) -> list[Finding]:
-    share = clipped_share(target.output, limits)
-    if share == 0:
-        return []
-    rails, unit = [level for level in (limits.rail_low, limits.rail_high) if np.isfinite(level)], target.output_unit
-    level = (
-        reason("part.level", level=rails[0], unit=unit)
-        if len(rails) == 1
-        else reason("part.levels", low=rails[0], high=rails[1], unit=unit)
-    )
-    best = Verdict.FAIL if share > config.failing_share else Verdict.CONDITIONAL
-    return [Finding(reason("saturated", level=level, share=share), best)]
 
 
 @lru_cache(maxsize=KEPT)

@@ -5,7 +5,6 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from softcal.core.unit.audit_reading import Scores
-from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Decision, Finding, Limit, Verdict, decide, decide_audited, worst_of
 from softcal.core.words.reason import Reason
@@ -45,14 +44,14 @@ class Grounds:
         found = (*self.findings, *self.held)
         return worst_of([Verdict.PASS, *(one.best for one in found)]).severity <= Verdict.CONDITIONAL.severity
 
-    def decide(self, limit: Limit, config: DecisionConfig) -> Decision:
+    def decide(self, limit: Limit) -> Decision:
         """Decide against a limit in the unit of the errors."""
         predicted = decide(self.forecast, limit, (*self.findings, *self.held))
         predicted = replace(predicted, reasons=(*predicted.reasons, *self.told))
         if self.measured is None:
             return Decision(predicted, bars=self.bars)
         before, after, windows = self.measured.scores.before, self.measured.scores.after, self.measured.windows
-        return Decision(predicted, decide_audited(before, after, windows, limit, config, self.held), bars=self.bars)
+        return Decision(predicted, decide_audited(before, after, windows, limit, self.held), bars=self.bars)
 
     def to_json(self) -> dict[str, object]:
         measured = self.measured

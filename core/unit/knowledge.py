@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 from softcal.core.settings import SET, setting, table
 
@@ -20,32 +21,32 @@ class KnowledgeConfig:
     """What one kind of knowledge of the loads is worth.
 
     Args:
-        base_term: term of the budget that the forecast starts from: `model`, the error of f on its source, or `paired`,
-            the difference from the source's reference at the same instants, which holds the model's error already.
         base_factor: a map errs this much more on loads it was not fitted to than on its own pairs.
         sensitivity: coefficients c_i of the budget's other terms u_i (GUM, JCGM 100:2008, eq. 10).
         log_error: 2.5 % and 97.5 % quantiles of log(true / forecast RMSE): the forecast's own uncertainty.
         interval_share: share of the map's variance that widens the interval so that it covers 90 % of the samples.
         own: coefficients of `own_terms`: the error of a calibration of the unit's own.
+        base_term: term of the budget that the forecast starts from: `model`, the error of f on its source, or `paired`,
+            the difference from the source's reference at the same instants, which holds the model's error already.
         other_use: best verdict of a unit whose loads and speeds are not the source's; empty where they need not be.
         is_placed: whether the loads are known otherwise than by how they are distributed.
     """
 
-    base_term: str
     sensitivity: tuple[tuple[str, float], ...]
     log_error: tuple[float, float]
     interval_share: float
     own: tuple[tuple[str, float], ...]
-    other_use: str
-    is_placed: bool
-    base_factor: float = 1.0
+    base_factor: float = setting(1.0)
+    base_term: ClassVar[str] = "model"
+    other_use: ClassVar[str] = ""
+    is_placed: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
 class PairedConfig(KnowledgeConfig):
     """Unit and source were pressed by one load at once: the source's reference has measured the rest."""
 
-    base_term: str = setting("paired")
+    base_term: ClassVar[str] = "paired"
     base_factor: float = setting(1.1)
     sensitivity: tuple[tuple[str, float], ...] = table({"clipping": 0.84, "extrapolation": 0.16}, FITTED)
     log_error: tuple[float, float] = setting(
@@ -55,16 +56,13 @@ class PairedConfig(KnowledgeConfig):
     own: tuple[tuple[str, float], ...] = table(
         {"floor": 1.15, "clipping": 2.0, "rest": 0.48, "noise": 0.65, "excess": 0.51}, FITTED_OWN
     )
-    other_use: str = setting("")
-    is_placed: bool = setting(True)
 
 
 @dataclass(frozen=True)
 class StageKnowledge(KnowledgeConfig):
     """Source and unit carry the stage position: the load over position says more than all the rest."""
 
-    base_term: str = setting("model")
-    base_factor: float = setting(1.0)
+    other_use: ClassVar[str] = "conditional"
     sensitivity: tuple[tuple[str, float], ...] = table(
         {
             "stage": 0.59,
@@ -82,8 +80,6 @@ class StageKnowledge(KnowledgeConfig):
     own: tuple[tuple[str, float], ...] = table(
         {"floor": 1.17, "clipping": 1.6, "rest": 0.2, "noise": 2.0, "excess": 0.42}, FITTED_OWN
     )
-    other_use: str = setting("conditional")
-    is_placed: bool = setting(True)
 
 
 @dataclass(frozen=True)
@@ -93,8 +89,8 @@ class BlindConfig(KnowledgeConfig):
     The gain is a guess there: noise and excess say more of the map than of the unit, so `own` leaves them out.
     """
 
-    base_term: str = setting("model")
-    base_factor: float = setting(1.0)
+    other_use: ClassVar[str] = "retest"
+    is_placed: ClassVar[bool] = False
     sensitivity: tuple[tuple[str, float], ...] = table(
         {
             "disagreement": 0.07,
@@ -117,8 +113,6 @@ class BlindConfig(KnowledgeConfig):
     )
     interval_share: float = setting(1.1, COVERAGE)
     own: tuple[tuple[str, float], ...] = table({"floor": 1.31, "clipping": 2.0, "rest": 0.37}, FITTED_OWN)
-    other_use: str = setting("retest")
-    is_placed: bool = setting(False)
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,7 @@ class SeenGains:
 
 def seen_gains(gains: Sequence[float]) -> SeenGains | None:
     """Return mean and spread of gains; None where they are too few, or one is not positive."""
-    if len(gains) < ReleaseConfig.least_gains or min(gains) <= 0:
+    if len(gains) < ReleaseConfig.least_others or min(gains) <= 0:
         return None
     logs = np.log(gains)
     return SeenGains(len(gains), float(np.exp(logs.mean())), float(np.std(logs, ddof=1)))

@@ -25,19 +25,16 @@ class SourceConfig:
     """What is taken from the source: where its windows lie, and how well f reads them.
 
     Args:
-        level_cells, slope_cells: of the grid over level and slope.
+        cells: of the grid over level and slope.
         margin: the grid reaches this share of the source's span beyond it on every side.
         slack_cells: neighbouring presses leave gaps between their traces: so many cells are still inside.
         tail, tail_factor: bend and roughness beyond this quantile of the source, times this, are unfamiliar.
         bands: load bands over which the residuals of f are tabulated.
         cell_prior: a cell of band and direction with this many windows counts half, the whole recording the other half.
         slope_quantile, slope_share: holding still is less than this share of this quantile of the source's slopes.
-        step: shift of a whole window, in standard deviations, over which the sensitivity of f is taken.
-        least_share: no cell of the residual table is below this share of the whole.
     """
 
-    level_cells: int = setting(96)
-    slope_cells: int = setting(64)
+    cells: tuple[int, int] = setting((96, 64))
     margin: float = setting(0.5)
     slack_cells: float = setting(2.0)
     tail: float = setting(0.999)
@@ -46,24 +43,6 @@ class SourceConfig:
     cell_prior: float = setting(50.0)
     slope_quantile: float = setting(0.9)
     slope_share: float = setting(0.15)
-    step: float = setting(0.05)
-    least_share: float = setting(1e-3)
-
-
-@dataclass(frozen=True)
-class StageCheckConfig:
-    """A unit beside the source's load cell at equal stage position (`source_model.py`).
-
-    Args:
-        blocks: parts of the source that are compared with the rest of it.
-        apart_s: the source is compared with itself at least this long before and after.
-        slow_s: differences that survive a mean over this long are creep, drift or a wrong curve, neither noise nor
-            timing.
-    """
-
-    blocks: int = setting(8)
-    apart_s: float = setting(2.0)
-    slow_s: float = setting(1.0)
 
 
 @dataclass(frozen=True)
@@ -75,8 +54,7 @@ class HealthConfig:
         pile: samples of a press at the rail over its samples beside it; a triangle leaves about as many in both.
         visits: share of presses that end at a rail, beyond what the source shows at the same end, that is clipping.
         failing_share: more clipped samples than this and the unit fails.
-        noise_steps, adc_steps, least_band: width of a flat stretch in standard deviations of the noise, in steps of the
-            converter and as a share of the span. The widest counts.
+        adc_steps: a flat stretch is at least so many steps of the converter wide.
         stuck_s: a reading that does not move for less than this is never called stuck.
         stuck_factor: nor one that the source shows a `stuck_factor`th of.
         noise_ratio: variance of the steps over twice the variance of the samples: 1 for white noise, near 0 for a
@@ -84,8 +62,7 @@ class HealthConfig:
         dead_share: so is one that moves by less than this share of the source's span.
         few_windows, few_presses: less than this is no firm verdict, and fewer presses at a rail are no clipping.
         span: quantiles between which an output is said to move.
-        near_rail: a press reaches within this share of the range of its end.
-        inner: this share of the range at either end is left out where a stuck reading is looked for.
+        near_rail: a press reaches within this share of the range of its end; a stuck reading does not.
         press_band: hysteresis thresholds of a press, as shares of the span.
     """
 
@@ -93,9 +70,7 @@ class HealthConfig:
     pile: float = setting(3.0)
     visits: float = setting(0.2)
     failing_share: float = setting(0.05)
-    noise_steps: float = setting(6.0)
     adc_steps: float = setting(1.5)
-    least_band: float = setting(1e-3)
     stuck_s: float = setting(2.0)
     stuck_factor: float = setting(10.0)
     noise_ratio: float = setting(0.5)
@@ -104,7 +79,6 @@ class HealthConfig:
     few_presses: int = setting(3)
     span: tuple[float, float] = setting((0.01, 0.99))
     near_rail: float = setting(0.1)
-    inner: float = setting(0.1)
     press_band: tuple[float, float] = setting((0.4, 0.6))
 
 
@@ -113,39 +87,30 @@ class ForecastConfig:
     """The error budget of one unit (`evidence.py`, `forecast.py`).
 
     Args:
-        rows: windows looked at per unit, evenly spaced: enough for every number, whatever the recording's length.
         reach: quantiles between which a recording is said to reach.
         quantiles: number of quantiles at which two distributions are compared.
         most_growth: no more than this is made of what a lightly pressed unit would misread under the source's loads.
         parts: shares of the recording left out in turn while the chosen family is fitted again.
         stretches: per left-out share.
-        opening_parts: parts of an opening, each left out once.
-        own_rows: windows the noise is carried through.
-        rest_level: quantile of the estimates, and of an output, that stands for the lowest load.
-        rest_band: windows within this share of the source's range above it are at rest.
+        rest_band: windows within this share of the source's range above the level at rest are at rest.
         clipped_part: a clipped load is anywhere in this part of the range: the upper third.
         smooth: load levels over which the disagreement of maps is averaged.
         cell_prior: so many windows of even disagreement are added to each cell of its table.
-        overlap_levels, overlap_slopes: edges of the grid on which loads and speeds are compared.
+        overlap_edges: of the grid of levels and slopes on which loads and speeds are compared.
         overlap_slope: quantile of the source's slopes at the edge of that grid.
         fast, sharp: quantiles of slope and of bend that stand for fast movements and sharp turns.
     """
 
-    rows: int = setting(8_000)
     reach: tuple[float, float] = setting((0.005, 0.995))
     quantiles: int = setting(100)
     most_growth: float = setting(3.0)
     parts: int = setting(3)
     stretches: int = setting(4)
-    opening_parts: int = setting(4)
-    own_rows: int = setting(2_000)
-    rest_level: float = setting(0.02)
     rest_band: float = setting(0.1)
     clipped_part: int = setting(3)
     smooth: int = setting(9)
     cell_prior: float = setting(5.0)
-    overlap_levels: int = setting(11)
-    overlap_slopes: int = setting(8)
+    overlap_edges: tuple[int, int] = setting((11, 8))
     overlap_slope: float = setting(0.98)
     fast: float = setting(0.95)
     sharp: float = setting(0.99)
@@ -169,13 +134,11 @@ class BridgeConfig:
     """What a golden run is believed (`bridge.py`).
 
     Args:
-        rows: windows that gain and zero of its day are fitted to, evenly spaced.
         stretches: of time, every other of which tests whether that day differs at all.
         most_misread: share of the SD of its loads that f may misread it by once gain and zero are taken out.
         most_gain: a day that changes the gain by more than this factor is another unit.
     """
 
-    rows: int = setting(4_000)
     stretches: int = setting(16)
     most_misread: float = setting(0.3)
     most_gain: float = setting(1.5)
@@ -187,53 +150,51 @@ class FindingConfig:
 
     Args:
         unfamiliar_share, failing_share: of the mapped windows outside the source's support: a finding, a failure.
-        covered_share: of the source's range that a unit must be pressed over.
-        enough_overlap, speed_factor: of the unit's loads and speeds with the source's.
-        meaningless_overlap, meaningless_speed: beyond these no forecast rests on them; nearer it is only wider.
+        enough_overlap, speed_factor: of the unit's loads and speeds with the source's. Beyond their squares no forecast
+            rests on them; nearer it is only wider.
         stretch: units of one kind do not differ by this factor in what they answer; loads can. An audit whose gain
             differs so from the others' is doubtful.
         blind_stretch: where nothing but the output's distribution speaks for the loads, a factor of this is as likely
-            a press that ends at half the range; nothing firm can be said.
-        said_stretch: from this factor on the doubt is said, and widens the forecast.
+            a press that ends at half the range; nothing firm can be said. From a tenth below it on the doubt is said,
+            and widens the forecast.
         overlap_gain: where before < after in simulated lots without positions, the map had raised the overlap by less.
         drift_factor: estimates at rest that move or scatter by so many times the source's own error are worth a word.
         drift_explained: share of that scatter a straight line must explain to be called a drift.
-        misread_factor: estimates off the source's loads for a second, at equal histories, by so many times its error.
-        creep_factor: scatter at rest beyond so many times the source's own.
+        harmless: this share of f's own error is worth no word: of loads misread for a second at equal histories, or of
+            a correction.
         along_stage: correlation of output and stage position from which the direction is sure.
         upside_down: an output is the wrong way round where its levels lie nearer to the source's when mirrored, by this
             share of the span over the square root of the presses.
         clipped_likeness: one that seems to clip is the wrong way round only where mirroring leaves this part of it.
-        apart_spans, apart_level: an output is none of this kind where its range and the source's are apart by so many
-            spans and by this share of the source's level.
+        apart: an output is none of this kind where its range and the source's are apart by so many spans and by this
+            share of the source's level.
         late_s: units of one kind, started alike, follow each other within this; a third of a window is beyond it.
-        blind_correction: share of the model's error below which a correction does no harm either way.
     """
 
     unfamiliar_share: float = setting(0.05)
     failing_share: float = setting(0.3)
-    covered_share: float = setting(0.75)
     enough_overlap: float = setting(0.6)
     speed_factor: float = setting(1.7)
-    meaningless_overlap: float = setting(0.35)
-    meaningless_speed: float = setting(3.0)
     stretch: float = setting(3.0, "taxels of the insole differ by 2.7 at most; units pressed below half: 4 and more")
     blind_stretch: float = setting(2.0, f"{SET}: half of the source's range")
-    said_stretch: float = setting(1.8, f"{SET}: a tenth short of blind_stretch")
     overlap_gain: float = setting(0.14, "benchmarks/verdict.py on seeds 1000-1040 (simulated lots)")
     drift_factor: float = setting(2.0)
     drift_explained: float = setting(0.5)
-    misread_factor: float = setting(0.5)
-    creep_factor: float = setting(1.0)
+    harmless: float = setting(0.5)
     along_stage: float = setting(0.3)
     upside_down: float = setting(
         0.15, "between eGaIn, where a mirrored unit shows 0.20 or more, and the insole, whose good ones reach 0.10"
     )
     clipped_likeness: float = setting(0.5)
-    apart_spans: float = setting(0.5, f"{SET}: ranges of good units overlap, in eGaIn and insole throughout")
-    apart_level: float = setting(0.5, f"{SET}: rest resistance differs by tens of per cent between units of a kind")
+    apart: float = setting(
+        0.5,
+        f"{SET}: ranges of good units overlap throughout; rest resistance differs by tens of per cent between units",
+    )
     late_s: float = setting(0.05)
-    blind_correction: float = setting(0.5)
+
+    @property
+    def said_stretch(self) -> float:
+        return 0.9 * self.blind_stretch
 
 
 @dataclass(frozen=True)
@@ -242,13 +203,11 @@ class DecisionConfig:
 
     Args:
         default_factor: a lot that states no limit gets this factor times the source's own held-out RMSE.
-        coverage_factor: k of the guard band around a measured error.
         test_share: last share of an audit by time that is tested; own calibration trains on what comes before it.
         least_own_windows: with fewer training windows a network of one's own says little and is left out.
     """
 
     default_factor: float = setting(3.0)
-    coverage_factor: float = setting(2.0, "95 % of a normal distribution, ILAC-G8:09/2019")
     test_share: float = setting(0.25, "Kim et al. 2020, Table 1")
     least_own_windows: int = setting(400)
 
@@ -271,8 +230,8 @@ class ReleaseConfig:
         most_audits: audited units that the scale of the intervals is made of.
         least_coverage, most_units: an interval covers at least the first share of the samples of all but the second
             share of the units (`widening.py`).
-        least_gains: fewer audited units or golden runs than this show no spread of a line or its days.
-        least_others: an audit is out of line with at least so many others.
+        least_others: an audit is out of line with at least so many others. Fewer audited units or golden runs show no
+            spread of a line or its days.
         exchanged, least_rest: two audits look exchanged where each rests nearer to the other unit than to its own by so
             many standard deviations of what the other audits of the lot moved, or of this share of the span.
         stranger_rest, stranger_factor: an audit is of another unit where its rest moved by more than the first share
@@ -292,7 +251,6 @@ class ReleaseConfig:
     most_audits: int = setting(40)
     least_coverage: float = setting(0.80)
     most_units: float = setting(0.10)
-    least_gains: int = setting(3)
     least_others: int = setting(3)
     exchanged: float = setting(4.0, f"{SET}: by chance one pair of audits in millions")
     least_rest: float = setting(0.005)
@@ -309,7 +267,7 @@ class Method(NumberedMethod):
         version: raised when the code computes otherwise from the same numbers.
         taps, levels, confidence: of windows and intervals.
         range_margin: an estimate further than this share of the source's range beyond it is out of range.
-        map, source, stage_check, health, forecast, knowledge, line, bridge, findings, decision, release: a
+        map, source, health, forecast, knowledge, line, bridge, findings, decision, release: a
             section a module.
     """
 
@@ -320,7 +278,6 @@ class Method(NumberedMethod):
     range_margin: float = setting(0.05)
     map: MapConfig = field(default_factory=MapConfig)
     source: SourceConfig = field(default_factory=SourceConfig)
-    stage_check: StageCheckConfig = field(default_factory=StageCheckConfig)
     health: HealthConfig = field(default_factory=HealthConfig)
     forecast: ForecastConfig = field(default_factory=ForecastConfig)
     knowledge: KnowledgeTable = field(default_factory=KnowledgeTable)

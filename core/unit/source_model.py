@@ -19,7 +19,7 @@ from softcal.core.unit.uncertainty import DIRECTIONS, Interval, Support, WindowS
 @dataclass(frozen=True)
 class StageDifference:
     """RMS of estimates less the source's reference at equal stage histories, and of its means over a second or so
-    (`StageCheckConfig.slow_s`), in the reference unit.
+    (`SynchronyConfig.settled_s`), in the reference unit.
     """
 
     rms: float
@@ -100,8 +100,10 @@ def source_residuals(
         np.zeros((len(DIRECTIONS), LEVELS)),
         float(reference.min()),
         float(reference.max()),
-        slope_limit=_slope_limit(shape, reference, config),
-        sensitivity=_sensitivity(network, windows, config.step),
+        # On a sensor that falls under load a falling output is loading.
+        slope_limit=(1.0 if np.corrcoef(shape.level, reference)[0, 1] >= 0 else -1.0)
+        * max(config.slope_share * float(np.quantile(np.abs(shape.slope), config.slope_quantile)), 1e-9),
+        sensitivity=_sensitivity(network, windows),
         familiar_distance=float(support.step.max()),
     )
     cells = blank.direction(shape), blank.column(estimate)
@@ -122,7 +124,7 @@ def fit_support(windows: Array, output_mean: float, output_scale: float, config:
     shape = blank.shape(windows)
     position = np.stack([shape.level, shape.slope], axis=1)
     low, span = position.min(axis=0), np.maximum(np.ptp(position, axis=0), 1e-6)
-    origin, cells = low - config.margin * span, np.array([config.level_cells, config.slope_cells])
+    origin, cells = low - config.margin * span, np.array(config.cells)
     step = (1 + 2 * config.margin) * span / cells
     index = ((position - origin) / step).astype(np.int64)
     empty = np.ones(cells, dtype=bool)
@@ -145,15 +147,10 @@ def conformal_quantile(scores: Array) -> float:
     return float(np.sort(scores)[rank - 1])
 
 
-def _slope_limit(shape: WindowShape, reference: Array, config: SourceConfig) -> float:
-    # On a sensor that falls under load a falling output is loading.
-    sign = 1.0 if np.corrcoef(shape.level, reference)[0, 1] >= 0 else -1.0
-    return sign * max(config.slope_share * float(np.quantile(np.abs(shape.slope), config.slope_quantile)), 1e-9)
-
-
-def _sensitivity(network: Network, windows: Array, share: float) -> float:
-    step = share * network.output_scale
+def _sensitivity(network: Network, windows: Array) -> float:
     # A finite step: the slope of a ReLU network at a point says nothing of its neighbourhood.
+    share = 0.05
+    step = share * network.output_scale
     rise = network.evaluate(windows + step) - network.evaluate(windows - step)
     return rms(rise / (2 * share))
 
@@ -173,7 +170,8 @@ def _tabulate(
         for d in range(len(DIRECTIONS)):
             table[d, b] = _shrunk(values[in_band & (direction == d)], level, statistic, prior)
     centres = (np.arange(bands) + 0.5) * LEVELS / bands
-    table = np.maximum(table, config.least_share * whole + 1e-12)
+    # Residuals are divided by the table: no cell of it is 0.
+    table = np.maximum(table, 1e-3 * whole + 1e-12)
     return np.stack([np.interp(np.arange(LEVELS) + 0.5, centres, row) for row in table])
 
 
@@ -192,12 +190,12 @@ def unit_difference(
     except UnitRefused:
         return None
     difference = estimate[target_rows] - source.window_reference[source_rows]
-    return _summed_up(difference, target.t_s[target.window_rows[target_rows]], method.stage_check.slow_s)
+    return _summed_up(difference, target.t_s[target.window_rows[target_rows]], method.map.synchrony.settled_s)
 
 
 def source_difference(source: LabelledRecording, estimate: Array, method: Method) -> StageDifference | None:
     """Compare (n,) estimates of the source with itself at other times: what is left is no fault of a unit."""
-    recording, config = source.unlabelled, method.stage_check
+    recording, slow_s = source.unlabelled, method.map.synchrony.settled_s
     if recording.stage_mm is None or np.ptp(recording.stage_mm) == 0:
         return None
     # Most lots have no stage: they need not load it.
@@ -207,9 +205,9 @@ def source_difference(source: LabelledRecording, estimate: Array, method: Method
     t_s = recording.t_s[recording.window_rows]
     near = method.map.phase.near_share * float(np.ptp(recording.stage_mm))
     differences, times = [], []
-    for block in np.array_split(np.arange(len(t_s)), config.blocks):
+    for block in np.array_split(np.arange(len(t_s)), method.map.ends.stretches):
         # A window must not be compared with itself or its neighbours: they agree whatever the source repeats.
-        first_s, last_s = t_s[block[0]] - config.apart_s, t_s[block[-1]] + config.apart_s
+        first_s, last_s = t_s[block[0]] - 2 * slow_s, t_s[block[-1]] + 2 * slow_s
         others = np.flatnonzero((t_s < first_s) | (t_s > last_s))
         if not len(others):
             continue
@@ -219,7 +217,7 @@ def source_difference(source: LabelledRecording, estimate: Array, method: Method
         times.append(t_s[block][alike])
     if not sum(map(len, differences)):
         return None
-    return _summed_up(np.concatenate(differences), np.concatenate(times), config.slow_s)
+    return _summed_up(np.concatenate(differences), np.concatenate(times), slow_s)
 
 
 def _summed_up(difference: Array, t_s: Array, slow_s: float) -> StageDifference:

@@ -109,7 +109,7 @@ class UnitProblem:
         if self.reference is None:
             return limit
         load = rms(self.source.source.reference)
-        return replace(limit, reference_expanded=self.reference.expanded(load, config.coverage_factor))
+        return replace(limit, reference_expanded=self.reference.expanded(load))
 
     def reference_variance(self) -> Array:
         """Return the squared standard uncertainty of the reference at each load level; 0 where nobody stated it."""

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from softcal.core.errors import InputError
+from softcal.core.unit.budget import COVERAGE
 from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.windows import TAPS
@@ -273,7 +274,6 @@ def decide_audited(
     after: float,
     windows: int,
     limit: Limit,
-    config: DecisionConfig = DecisionConfig(),  # noqa: B008 - frozen
     held: tuple[Finding, ...] = (),
 ) -> Judgement:
     """Decide on a unit by the RMSE of f `before` and `after` its map against the reference, in the limit's unit.
@@ -281,7 +281,7 @@ def decide_audited(
     The standard deviation of an RMSE from n independent errors is RMSE / sqrt(2 n); errors of neighbouring windows are
     alike, so n is the number of windows that do not overlap.
     """
-    guard = config.coverage_factor * after / float(np.sqrt(2 * max(windows / TAPS, 1.0)))
+    guard = COVERAGE * after / float(np.sqrt(2 * max(windows / TAPS, 1.0)))
     measured = ErrorForecast(after, after - guard, after + guard)
     harm = reason("harmful", after=after, before=before, unit=limit.unit)
     findings = (Finding(harm, Verdict.FAIL),) if after > before else ()

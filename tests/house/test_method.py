@@ -53,25 +53,53 @@ GUARD = 1e-6
 """A number this small keeps a division or a logarithm finite; what it changes is rounding."""
 
 EXPLAINED = {
-    "core/maps/crossing.py": {"2048": "places of an axis over the whole range"},
-    "core/maps/curve.py": {"3": "thirds of a curve"},
+    "core/maps/crossing.py": {
+        "2048": "places of an axis over the whole range",
+        "3": "samples shared by neighbouring means",
+    },
+    "core/maps/curve.py": {"3": "thirds of a curve", "10": "any two places fix a straight line"},
     "core/maps/ends.py": {
         "0.6745": "median of the magnitude of a standard normal variable",
         "6": "variance of a second difference over that of the samples",
         "12": "variance of a uniform variable over its squared width",
+        "3": "a third of a window",
     },
     "core/use/activity.py": {"12": "one over the variance of a uniform index from -1/2 to 1/2"},
     "core/use/adapter.py": {"300": "places of a table over three swings"},
     "core/maps/choose.py": {"5": "a third of a window"},
-    "core/maps/paired.py": {"1.5": "exponent of the integral of a squared second difference"},
-    "core/maps/synchrony.py": {"4": "bands of one recording in a cache"},
-    "core/maps/plan.py": {"2000000": "iterations of the exact solver: it refuses beyond them, nothing else changes"},
+    "core/maps/paired.py": {
+        "1.5": "exponent of the integral of a squared second difference",
+        "3": "knots that a bend needs",
+        "40": "steps of the descent at most",
+        "14": "attempts of a step at most",
+        "4": "Marquardt's factor on the damping after a step that failed",
+        "10": "the same after one that did not",
+    },
+    "core/maps/readout_lag.py": {
+        "10": "means that share no sample",
+        "4": "half octaves below the least lag",
+        "8": "half octaves above it",
+        "7": "time constants after which a thousandth is left",
+        "5": "means that share most samples, to a length",
+    },
+    "core/maps/synchrony.py": {
+        "4": "bands of one recording in a cache; a quarter of a circular correlation",
+        "20": "rounds of a search at most",
+        "0.51": "half a sample and its rounding",
+    },
+    "core/maps/plan.py": {
+        "2000000": "iterations of the exact solver: it refuses beyond them, nothing else changes",
+        "0.0001": "gain of a round that is rounding",
+    },
     "core/unit/estimate.py": {"3": "columns: estimate and both limits", "12": "letters of a name in a message"},
     "core/unit/evidence.py": {"12": "variance of a uniform variable over its squared width"},
     "core/unit/health.py": {
         "0.6745": "median of the magnitude of a standard normal variable",
         "6": "variance of a second difference over that of the samples",
+        "0.001": "width of a flat stretch without noise or steps",
     },
+    "core/unit/method.py": {"0.9": "a tenth below another number"},
+    "core/unit/source_model.py": {"0.05": "a finite step of a slope", "0.001": "floor of a divisor"},
     "core/unit/uncertainty.py": {"3": "terms of a parabola", "4": "features of a window"},
 }
 """Numbers inside functions that nobody chose, with what they are."""
