@@ -119,11 +119,11 @@ def trim(
     left = (offset + gain * read - wanted) / rise / error
     worst = int(np.argmax(np.abs(left)))
     # Twice what nine loads in ten are misread by.
-    most = 2 * NORMAL_90
-    if abs(left[worst]) > most:
+    most_misfit = 2 * NORMAL_90
+    if abs(left[worst]) > most_misfit:
         raise InputError(
             f"load {worst + 1} is still misread by {abs(left[worst] * error[worst]):.3g} {unit} after the trim, "
-            f"{most * error[worst]:.3g} {unit} at most was expected; the loads contradict one another; "
+            f"{most_misfit * error[worst]:.3g} {unit} at most was expected; the loads contradict one another; "
             f"{NOTHING}; read them again"
         )
     anchored = AnchoredMap(unit_map, gain, offset)
