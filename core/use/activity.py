@@ -160,7 +160,7 @@ def learn_activity(
     # that scatters is the measurement noise of the filter.
     drifts = np.array([blank.drift_of(cycle, rest_is_low) for cycle in cycles])
     noise = _covariance(drifts, config.least_scatter)
-    pivots = blank.pivots if curve is None else _pivots(blank, rest_is_low, curve)
+    pivots = blank.pivots if curve is None else _pivots(blank, rest_is_low, curve, config.uses)
     activity = replace(blank, bias=drifts.mean(axis=0), noise=noise, doubt=noise / len(cycles), pivots=pivots)
     # Of a least squares slope over an index from -1/2 to 1/2.
     return Lesson(activity, "", trend, scatter * np.sqrt(12 / len(cycles)))
@@ -177,7 +177,7 @@ def _covariance(values: Array, least_scatter: float) -> Array:
     return np.asarray(scatter + least_scatter**2 * np.eye(len(scatter)))
 
 
-def _pivots(activity: Activity, rest_is_low: bool, curve: RestCurve) -> Array:
+def _pivots(activity: Activity, rest_is_low: bool, curve: RestCurve, shares: tuple[float, ...]) -> Array:
     """Return the log gains that a change of the loads shows, rising, and the level each leaves where it was."""
     usual = activity.level + np.exp(activity.log_scale) * activity.shape
 
@@ -185,8 +185,6 @@ def _pivots(activity: Activity, rest_is_low: bool, curve: RestCurve) -> Array:
         cycle = Cycle(output.mean(), output.std(), output[0], output[-1], activity.shape, 1.0, 1.0, 0.0, True)
         return activity.drift_of(cycle, rest_is_low)
 
-    # From a third of the loads to three times as much.
-    shares = np.exp(np.linspace(-1, 1, len(activity.shape)))
     shifts, log_gains = np.array([drift_of(curve.pressed(usual, share)) - drift_of(usual) for share in shares]).T
     # Beyond its range a sensor saturates, and more load does not show.
     is_seen = np.concatenate([[True], np.diff(log_gains) > 0]) & (np.sign(log_gains) == np.sign(np.log(shares)))

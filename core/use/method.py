@@ -70,6 +70,7 @@ class ActivityConfig:
         machine_cycles: of a use learnt in use, so many cycles at least show a machine; of six cycles of a person whose
             times scatter by 4 %, one set in a hundred does by chance. One of so many may be an outlier. The latest are
             no longer timed by one where they scatter by twice `least_scatter`: one set in a thousand does by chance.
+        uses: loads in shares of an activity's own, for which it is worked out what a change of use does to the output.
     """
 
     min_cycles: int = setting(4)
@@ -78,6 +79,7 @@ class ActivityConfig:
     tolerance_sigmas: float = setting(3.0)
     least_scatter: float = setting(0.01)
     machine_cycles: int = setting(10, "chance, of a chi-square with 8 degrees of freedom: one in ten thousand")
+    uses: tuple[float, ...] = setting((0.4, 0.6, 0.8, 0.9, 1.1, 1.25, 1.5, 2.0), "the range of docs/long-term.md")
 
 
 @dataclass(frozen=True)
