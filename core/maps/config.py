@@ -34,7 +34,7 @@ class EndConfig:
 
     Args:
         rest_share: quantile of the samples that stands for the level at rest: robust to a few outlying samples. As
-            far from the top lies the peak of a recording in pieces, which has no path, and a curve's last quantile.
+            far from the top lies the other end of what a recording is said to reach, and the peak of one in pieces.
         peak_shares: shares of the path whose mean level stands for the hardest presses, however short those were.
         patch: a recording in pieces shorter than this many samples shows levels but no presses.
         stretches: of the source that are held beside a unit, or beside the rest of the source.
@@ -48,6 +48,11 @@ class EndConfig:
     stretches: int = setting(8)
     enough_swings: float = setting(10.0)
     clear_of_noise: float = setting(6.0)
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Quantiles between which a recording is said to reach."""
+        return self.rest_share, 1 - self.rest_share
 
 
 @dataclass(frozen=True)

@@ -170,6 +170,5 @@ def _patches(source: OutputRecording, target: OutputRecording, average: int, sig
 
 
 def _patch_ends(levels: list[Array], config: MapConfig) -> Ends:
-    shares = config.ends.rest_share, 1 - config.ends.rest_share
-    ends = np.array([np.quantile(level, shares) for level in levels])
+    ends = np.array([np.quantile(level, config.ends.reach) for level in levels])
     return Ends(ends[:, 0], ends[:, 1])

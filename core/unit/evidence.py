@@ -202,13 +202,13 @@ def gather_evidence(
         "disagreement": rms(disagreement),
         "stability": rms(stability),
         "support": interval.sensitivity * rms(distance),
-        "shift": rms(np.quantile(seen_load, _load_shares(config)) - known.loads),
+        "shift": rms(np.quantile(seen_load, known.shares) - known.loads),
         # The scatter of estimates at rest beyond the source's own: drift, creep, a loose mount.
         "rest": float(np.sqrt(max(_spread_at_rest(model, estimate, shape) ** 2 - known.rest_spread**2, 0.0))),
         "resolution": _resolution(model, target, float(np.std(mapped) / np.std(raw))),
         # The load of a clipped sample is uniform over the upper part of the range.
         "clipping": float(np.sqrt(clipped_share(target.output, limits) / 12)) * span / config.clipped_part,
-        "extrapolation": rms(beyond(model.estimate, estimate, config.reach)),
+        "extrapolation": rms(beyond(model.estimate, estimate, model.method.map.ends.reach)),
         "overlap": (1 - overlap) ** 2 * span,
         "speed": float(np.log(speed)) ** 2 * span,
         # A lagging sensor rounds the corners of its signal; one that turns more sharply than the source does not.
@@ -253,12 +253,13 @@ class _KnownUse:
     """How the source was pressed, as each of its units is compared with it.
 
     Args:
-        loads: quantiles of f on the source, in the reference unit.
+        shares, loads: quantiles of f on the source, in the reference unit.
         rest_spread: standard deviation of f at rest, in the reference unit.
         levels, slopes: edges of the grid that uses are compared on.
         use: share of the source's windows in each cell of it.
     """
 
+    shares: Array
     loads: Array
     rest_spread: float
     rms_load: float
@@ -272,12 +273,14 @@ class _KnownUse:
 @lru_cache(maxsize=KEPT)
 def _known_use(model: SourceModel) -> _KnownUse:
     config, shape, estimate = model.method.forecast, model.shape, model.estimate
-    low, high = np.quantile(shape.level, config.reach)
+    shares = np.linspace(*model.method.map.ends.reach, config.quantiles)
+    low, high = np.quantile(shape.level, model.method.map.ends.reach)
     # A coarse grid: with finer cells two short recordings of one programme would seem to differ.
     levels = np.linspace(low, high, config.overlap_edges[0])
     slopes = np.linspace(-1, 1, config.overlap_edges[1]) * np.quantile(np.abs(shape.slope), config.overlap_slope)
     return _KnownUse(
-        loads=np.quantile(estimate, _load_shares(config)),
+        shares=shares,
+        loads=np.quantile(estimate, shares),
         rest_spread=_spread_at_rest(model, estimate, shape),
         rms_load=rms_load(model, estimate),
         fast=_fast(shape, config),
@@ -286,10 +289,6 @@ def _known_use(model: SourceModel) -> _KnownUse:
         slopes=slopes,
         use=_use(shape, levels, slopes),
     )
-
-
-def _load_shares(config: ForecastConfig) -> Array:
-    return np.linspace(*config.reach, config.quantiles)
 
 
 def _spread(estimate: Array, others: Sequence[Array]) -> Array:

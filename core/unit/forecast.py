@@ -61,7 +61,7 @@ def variance_table(model: SourceModel, evidence: MapEvidence) -> Array:
     pattern = 0.5 + 0.5 * _disagreement_pattern(model, evidence)
     if not knowledge.is_placed and budget["gain"]:
         pattern = 0.5 * pattern + 0.5 * _load_pattern(model, evidence)
-    reach = model.method.forecast.reach
+    reach = model.method.map.ends.reach
     unshown = unseen * beyond(model.interval.levels, evidence.estimate, reach)
     spread_out = map_variance(budget, knowledge) - (unseen * budget["extrapolation"]) ** 2
     line = budget.get(LINE, 0.0) ** 2 * _load_pattern(model, evidence)

@@ -87,7 +87,6 @@ class ForecastConfig:
     """The error budget of one unit (`evidence.py`, `forecast.py`).
 
     Args:
-        reach: quantiles between which a recording is said to reach.
         quantiles: number of quantiles at which two distributions are compared.
         most_growth: no more than this is made of what a lightly pressed unit would misread under the source's loads.
         parts: shares of the recording left out in turn while the chosen family is fitted again.
@@ -101,7 +100,6 @@ class ForecastConfig:
         fast, sharp: quantiles of slope and of bend that stand for fast movements and sharp turns.
     """
 
-    reach: tuple[float, float] = setting((0.005, 0.995))
     quantiles: int = setting(100)
     most_growth: float = setting(3.0)
     parts: int = setting(3)
@@ -160,14 +158,10 @@ class FindingConfig:
         overlap_gain: where before < after in simulated lots without positions, the map had raised the overlap by less.
         drift_factor: estimates at rest that move or scatter by so many times the source's own error are worth a word.
         drift_explained: share of that scatter a straight line must explain to be called a drift.
-        harmless: this share of f's own error is worth no word: of loads misread for a second at equal histories, or of
-            a correction.
         along_stage: correlation of output and stage position from which the direction is sure.
         upside_down: an output is the wrong way round where its levels lie nearer to the source's when mirrored, by this
             share of the span over the square root of the presses.
         clipped_likeness: one that seems to clip is the wrong way round only where mirroring leaves this part of it.
-        apart: an output is none of this kind where its range and the source's are apart by so many spans and by this
-            share of the source's level.
         late_s: units of one kind, started alike, follow each other within this; a third of a window is beyond it.
     """
 
@@ -180,16 +174,11 @@ class FindingConfig:
     overlap_gain: float = setting(0.14, "benchmarks/verdict.py on seeds 1000-1040 (simulated lots)")
     drift_factor: float = setting(2.0)
     drift_explained: float = setting(0.5)
-    harmless: float = setting(0.5)
     along_stage: float = setting(0.3)
     upside_down: float = setting(
         0.15, "between eGaIn, where a mirrored unit shows 0.20 or more, and the insole, whose good ones reach 0.10"
     )
     clipped_likeness: float = setting(0.5)
-    apart: float = setting(
-        0.5,
-        f"{SET}: ranges of good units overlap throughout; rest resistance differs by tens of per cent between units",
-    )
     late_s: float = setting(0.05)
 
     @property
