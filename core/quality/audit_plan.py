@@ -113,18 +113,15 @@ def judge_lot(
     word = "fail" if failed else "pass" if upper <= allowed else "conditional"
     ratios = [measured[serial] / forecasts[serial] for serial in plan.serials]
     ratio = float(np.sqrt(np.mean(np.square(ratios)))) if ratios else float("nan")
-    text = _statement(plan, len(failed), upper - random_failed, limit)
+    most, unchecked = upper - random_failed, plan.population - len(plan.random)
+    bound = f"{limit.maximum_rmse:.3g} {limit.unit}"
+    text = f"units checked: {len(plan.serials)}, of these beyond {bound}: {len(failed)}; " + (
+        f"accepted units not checked: {unchecked}, of these beyond it: {most} at most (95 % confidence)"
+        if unchecked
+        else "no accepted unit is left unchecked"
+    )
     process = failing_share(len(plan.random), random_failed, CONFIDENCE)
-    return LotStatement(word, failed, upper - random_failed, process, ratio, text)
-
-
-def _statement(plan: AuditPlan, failed: int, most: int, limit: Limit) -> str:
-    """Say what was checked and what that leaves open, in words that are right for every count."""
-    bound, unchecked = f"{limit.maximum_rmse:.3g} {limit.unit}", plan.population - len(plan.random)
-    checked = f"units checked: {len(plan.serials)}, of these beyond {bound}: {failed}"
-    if not unchecked:
-        return f"{checked}; no accepted unit is left unchecked"
-    return f"{checked}; accepted units not checked: {unchecked}, of these beyond it: {most} at most (95 % confidence)"
+    return LotStatement(word, failed, most, process, ratio, text)
 
 
 def nonconforming_upper(population: int, checked: int, failed: int) -> int:

@@ -67,12 +67,11 @@ class GaugeStudy:
         return 600.0 * self.grr / tolerance
 
 
-def study_by_anova(measured: Array, pooling_alpha: float = POOLING_ALPHA) -> GaugeStudy:
+def study_by_anova(measured: Array) -> GaugeStudy:
     """Split the variance of a crossed study by two-way ANOVA with interaction.
 
     Args:
         measured: (parts, appraisers, trials), at least two of each.
-        pooling_alpha: an interaction with a larger p-value is pooled with the repeatability.
 
     Raises:
         InputError: too few of something, a value that is not finite, or no variation at all.
@@ -91,7 +90,7 @@ def study_by_anova(measured: Array, pooling_alpha: float = POOLING_ALPHA) -> Gau
     ms_interaction, ms_error = ss_interaction / df_interaction, ss_error / df_error
     p = float(fdtrc(df_interaction, df_error, ms_interaction / ms_error)) if ms_error > 0 else 0.0
     # What cannot be told from repeatability is counted there: kept apart it would only make both less certain.
-    if p > pooling_alpha:
+    if p > POOLING_ALPHA:
         ms_error = (ss_interaction + ss_error) / (df_interaction + df_error)
         ms_interaction, interaction = ms_error, 0.0
     else:

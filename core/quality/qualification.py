@@ -81,10 +81,17 @@ def qualify(
         audits = (*here, *(audit.unit for audit in standing))
         seen = reason("part.of_lots", audits=len(standing), lots=len(lots))
         return Qualification(EARLIER_LOTS, audits, 0, seen, tuple(here))
-    return _none(here, _why(past, same, fresh, standing), units)
+    failing = (
+        (not past, reason("part.no_lot")),
+        (not same, reason("part.other_method")),
+        (not fresh, reason("part.old_audits", days=ReleaseConfig.lasts_days)),
+        (len(standing) < len(fresh), reason("part.withdrawn")),
+        (True, reason("part.few_lots", audits=len(standing), lots=len(lots), least=ReleaseConfig.least_lots)),
+    )
+    return _none(here, next(why for is_so, why in failing if is_so), units)
 
 
-def small_lot(units: int) -> Reason | None:  # noqa: B008 - frozen
+def small_lot(units: int) -> Reason | None:
     """Say what a lot is to do that has no unit left once enough are audited; None for a larger one."""
     wanted = least_units(ReleaseConfig.risk)
     if units > wanted:
@@ -99,18 +106,3 @@ def _none(here: Sequence[AuditedUnit], why: Reason, units: int | None) -> Qualif
         return Qualification(NONE, (), missing, said, tuple(here))
     said = reason("part.unqualified_small", audits=len(here), why=why, small=small)
     return Qualification(NONE, (), max(units - len(here), 0), said, tuple(here))
-
-
-def _why(
-    past: Sequence[PastAudit], same: Sequence[PastAudit], fresh: Sequence[PastAudit], standing: Sequence[PastAudit]
-) -> Reason:
-    if not past:
-        return reason("part.no_lot")
-    if not same:
-        return reason("part.other_method")
-    if not fresh:
-        return reason("part.old_audits", days=ReleaseConfig.lasts_days)
-    if len(standing) < len(fresh):
-        return reason("part.withdrawn")
-    lots = len({audit.unit.lot_id for audit in standing})
-    return reason("part.few_lots", audits=len(standing), lots=lots, least=ReleaseConfig.least_lots)

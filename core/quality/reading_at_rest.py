@@ -22,16 +22,15 @@ class ReadingConfig:
     Args:
         settle_s: after the key, before the reading begins: a hand leaves the weight.
         reading_s: length of the reading; its mean is the level.
-        drift: change from the first to the second half of the reading, as a share of the unit's output range.
+        drift: change from the first to the second half of the reading, as a share of the unit's output range. A load
+            must change the output by twice as much.
         restless: standard deviation of the samples, as a share of that range.
-        change: a load must change the output by this share of that range.
     """
 
     settle_s: float = setting(2.0)
     reading_s: float = setting(3.0)
     drift: float = setting(0.01)
     restless: float = setting(0.03)
-    change: float = setting(0.02)
 
 
 def level_at_rest(
@@ -52,7 +51,7 @@ def level_at_rest(
     drift, spread = abs(float(np.mean(second) - np.mean(first))), float(np.std(output))
     if drift > config.drift * span or spread > config.restless * span:
         raise InputError(reason("load.unsteady", drift=drift / span, spread=spread / span))
-    level, least = float(np.mean(output)), config.change * span
+    level, least = float(np.mean(output)), 2 * config.drift * span
     if load.value > 0 and abs(level - float(np.median(recorded[: max(1, len(recorded) // 100)]))) < least:
         raise InputError(reason("load.unloaded", level=level))
     if any(abs(level - other) < least for other in before):

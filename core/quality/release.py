@@ -12,7 +12,6 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.quality.acceptance import Promise, least_risk, share_beyond, tolerance_factor
-from softcal.core.recording import Array
 from softcal.core.unit.method import ReleaseConfig
 from softcal.core.unit.verdict import Limit
 
@@ -118,17 +117,13 @@ def audited_ratios(audits: Sequence[AuditedUnit]) -> Ratios:
         (group,) = groups
         spread = float(np.std(group, ddof=1))
         return Ratios(len(group), 1, float(group.mean()), spread, largest, len(group), len(group) - 1)
-    return _over_lots(groups, largest, ReleaseConfig.least_spread)
-
-
-def _over_lots(groups: Sequence[Array], largest: float, least_spread: float) -> Ratios:
     sizes, means = np.array([len(group) for group in groups]), np.array([group.mean() for group in groups])
     free = float(np.sum(sizes - 1))
     # Each lot about its own mean: a lot whose forecasts are all out by one factor is not a scattered one.
     squares = sum(float(np.sum((group - group.mean()) ** 2)) for group in groups)
     within = squares / free * (1 - float(np.mean(1 / sizes))) if free else 0.0
     # Lots that agree by luck must not prove that lots are alike.
-    between = max(float(np.var(means, ddof=1)), least_spread**2 / len(groups))
+    between = max(float(np.var(means, ddof=1)), ReleaseConfig.least_spread**2 / len(groups))
     whole = between + within
     degrees = whole**2 / (between**2 / (len(groups) - 1) + (within**2 / free if free else 0.0))
     count = len(groups) * whole / between
@@ -178,19 +173,17 @@ def release(
         factor = ratios.bound(replace(promise, risk=promise.risk * count / considered))
     if count < least:
         return PromisedRelease((), factor, ratios, 1.0, 1.0)
-    said = _any_form(ratios, count / considered, promise) if count else (1.0, 1.0)
-    return PromisedRelease(tuple(ordered[:count]), factor, ratios, *said)
+    share = risk = 1.0
+    if count and ratios.lots > 1:
+        # Lots are exchangeable as wholes only: the bound is the largest of that many lots.
+        risk = min(1 / (ratios.lots + 1) / (count / considered), 1.0)
+    elif count:
+        one = least_risk(ratios.audits)
+        beyond = share_beyond(ratios.audits, one, promise.confidence)
+        share, risk = (min(value / (count / considered), 1.0) for value in (beyond, one))
+    return PromisedRelease(tuple(ordered[:count]), factor, ratios, share, risk)
 
 
 def least_passing(units: int, held: int) -> float:
     """Return how many unmeasured units must pass so that half of a lot does, of which `held` were measured."""
     return ReleaseConfig.least_part * units - held
-
-
-def _any_form(ratios: Ratios, part: float, promise: Promise) -> tuple[float, float]:
-    if ratios.lots > 1:
-        # Lots are exchangeable as wholes only: the bound is the largest of that many lots.
-        return 1.0, min(1 / (ratios.lots + 1) / part, 1.0)
-    risk = least_risk(ratios.audits)
-    share = share_beyond(ratios.audits, risk, promise.confidence)
-    return min(share / part, 1.0), min(risk / part, 1.0)

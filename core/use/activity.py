@@ -114,22 +114,18 @@ class RestCurve:
         return np.asarray(np.interp(share * np.interp(output, self.output, load), load, self.output))
 
 
-def no_pivots() -> Array:
-    """Return those of a sensor whose characteristic is not known."""
-    return np.zeros((2, 0))
-
-
 def learn_activity(
-    cycles: Sequence[Cycle], rest_is_low: bool, config: ActivityConfig, curve: RestCurve | None = None
+    cycles: Sequence[Cycle], rest_is_low: bool, method: UseMethod, curve: RestCurve | None = None
 ) -> Lesson:
     """Describe the activity of consecutive complete cycles, in scales of the calibrated use."""
+    config = method.activity
     if len(cycles) < config.min_cycles:
         reason = f"{len(cycles)} cycles of use, {config.min_cycles} are needed to compare with"
         return Lesson(None, reason, np.zeros(2))
     rests = np.array([c.rest(rest_is_low) for c in cycles])
     position = np.array([[c.level, np.log(c.scale)] for c in cycles])
     trend, scatter = _trend(position)
-    if scatter.max() > config.steady_scatter or np.abs(trend).max() > config.steady_trend:
+    if scatter.max() > config.steady or np.abs(trend).max() > config.tolerance_sigmas * config.steady:
         reason = f"use is not steady: cycles scatter by {scatter.max():.2g} and wander by {np.abs(trend).max():.2g}"
         return Lesson(None, reason, trend)
     shapes = np.array([c.shape for c in cycles])
@@ -138,10 +134,9 @@ def learn_activity(
     spread = np.array([np.sqrt(np.mean((shapes - shape) ** 2)), speed.std(), duration.std()])
     least = np.array(config.tolerance)
     tolerance = np.maximum(least, config.tolerance_sigmas * spread)
-    if np.any(tolerance > config.loosest * least):
+    if np.any(tolerance > config.tolerance_sigmas * least):
         return Lesson(None, "the cycles differ too much from one another to be told from another use", trend)
     rest_scatter = float(_trend(rests[:, None])[1][0])
-    floor = np.array(config.noise_floor)
     blank = Activity(
         level=float(position[:, 0].mean()),
         log_scale=float(position[:, 1].mean()),
@@ -151,33 +146,35 @@ def learn_activity(
         log_duration=float(duration.mean()),
         rest=float(rests.mean()),
         rest_scatter=rest_scatter,
-        has_rest=rest_scatter <= config.rest_scatter,
-        features=_covariance(np.column_stack([rests, position]), config.few) + np.diag(floor**2),
+        has_rest=rest_scatter <= method.trust.step,
+        features=_covariance(np.column_stack([rests, position]), config.least_scatter),
         bias=np.zeros(2),
         noise=np.zeros((2, 2)),
         tolerance=tolerance,
         doubt=np.zeros((2, 2)),
-        is_imposed=timing_scatter(duration, config) < config.machine_timing,
-        pivots=no_pivots(),
-        least_gain=config.least_gain,
+        is_imposed=timing_scatter(duration, config) < config.least_scatter,
+        pivots=np.zeros((2, 0)),
+        least_gain=1e-6,
     )
     # The estimator is not linear in the gain: what it finds in the activity's own cycles is its bias, and how much
     # that scatters is the measurement noise of the filter.
     drifts = np.array([blank.drift_of(cycle, rest_is_low) for cycle in cycles])
-    noise = _covariance(drifts, config.few) + np.diag(floor[:2] ** 2)
-    pivots = no_pivots() if curve is None else _pivots(blank, rest_is_low, curve, config.uses)
+    noise = _covariance(drifts, config.least_scatter)
+    pivots = blank.pivots if curve is None else _pivots(blank, rest_is_low, curve, config.uses)
     activity = replace(blank, bias=drifts.mean(axis=0), noise=noise, doubt=noise / len(cycles), pivots=pivots)
     # Of a least squares slope over an index from -1/2 to 1/2.
     return Lesson(activity, "", trend, scatter * np.sqrt(12 / len(cycles)))
 
 
-def _covariance(values: Array, few: float) -> Array:
+def _covariance(values: Array, least_scatter: float) -> Array:
     """Return the (k, k) covariance of (n, k) values about a straight line over their index: a drift is no noise."""
     slope, _ = _trend(values)
     time = np.linspace(-0.5, 0.5, len(values))
     left = values - values.mean(axis=0) - np.outer(time, slope)
     # Two degrees of freedom went to the line. Few cycles may differ by less than usual by chance: widened for that.
-    return np.asarray(left.T @ left / (len(values) - 2) * (1 + few / (len(values) - 2)))
+    free = len(values) - 2
+    scatter = left.T @ left / free * (1 + 2 / free)
+    return np.asarray(scatter + least_scatter**2 * np.eye(len(scatter)))
 
 
 def _pivots(activity: Activity, rest_is_low: bool, curve: RestCurve, shares: tuple[float, ...]) -> Array:
@@ -198,7 +195,7 @@ def _pivots(activity: Activity, rest_is_low: bool, curve: RestCurve, shares: tup
 def timing_scatter(log_durations: Array, config: ActivityConfig) -> float:
     """Return the standard deviation of (n,) log durations without the few that are furthest from the median."""
     distance = np.abs(log_durations - np.median(log_durations))
-    nearest = np.argsort(distance, kind="stable")[: len(distance) - max(1, len(distance) // config.outliers)]
+    nearest = np.argsort(distance, kind="stable")[: len(distance) - max(1, len(distance) // config.machine_cycles)]
     return float(log_durations[nearest].std())
 
 
@@ -247,7 +244,8 @@ def learn_use(
     Its output at zero load and its characteristic, in its own unit, are None where they are not known.
     """
     low, high = (float(v) for v in np.quantile(recording.output, method.cycle.swing))
-    longest = max(1, int(method.cycle.longest * len(recording)))
+    # A cycle that takes longer is not seen twice.
+    longest = max(1, len(recording) // 2)
     cutter = CycleCutter(low, high, longest, longest, method.cycle)
     cycles = []
     for segment in recording.segments:
@@ -256,7 +254,7 @@ def learn_use(
         for start in range(segment.start, segment.stop, method.intake.batch):
             piece = slice(start, min(start + method.intake.batch, segment.stop))
             cycles += [c for c in cutter.advance(recording.t_s[piece], recording.output[piece]) if c.is_complete]
-    is_covered = sum(c.duration_s for c in cycles) > method.activity.covered * float(np.ptp(recording.t_s))
+    is_covered = sum(c.duration_s for c in cycles) > 0.5 * float(np.ptp(recording.t_s))
     mean, scale = float(recording.output.mean()), max(float(recording.output.std()), 1e-300)
     if len(cycles) >= method.activity.min_cycles and is_covered:
         # Means over cycles, not over samples: long rests before and after the presses are no use.
@@ -264,7 +262,7 @@ def learn_use(
         scale = float(np.exp(np.mean([np.log(c.scale) for c in cycles])))
     if curve is not None:
         curve = RestCurve((curve.output - mean) / scale, curve.load)
-    lesson = learn_activity([c.standardised(mean, scale) for c in cycles], rest_is_low, method.activity, curve)
+    lesson = learn_activity([c.standardised(mean, scale) for c in cycles], rest_is_low, method, curve)
     if not is_covered:
         lesson = Lesson(None, "the calibration recording is no sequence of cycles", np.zeros(2))
     usual_s = float(np.median([c.duration_s for c in cycles])) if cycles else longest / recording.sample_rate_Hz

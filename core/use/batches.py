@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 
 from softcal.core.errors import InputError
+from softcal.core.metrics import rms
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, Mask, OutputRecording
 from softcal.core.unit.calibration import Calibration
-from softcal.core.unit.estimate import SATURATED, STUCK, Estimate, EstimateRow, Flags, check_fits, judge
+from softcal.core.unit.estimate import SATURATED, STUCK, Estimate, EstimateRow, check_fits, judge
 from softcal.core.unit.uncertainty import NORMAL_90
 from softcal.core.use.intake import WRONG_RATE, Intake, Taken
 from softcal.core.use.method import UseMethod
 from softcal.core.use.observation import FOLLOWED, HELD, UNWATCHED
-from softcal.core.use.sensitivity import calibrated_rmse
 from softcal.core.use.state_json import restored
 
 START = "start"
@@ -83,6 +83,7 @@ class Batches(ABC):
         calibration: of the unit, from the registry: f∘γ₀ and its interval.
         recording: the unit's own output at calibration.
         state_format: of what `state` returns; another one whenever a state kept before could not be gone on from.
+        is_watched: whether rows say the state of the map: not where it is left as it is.
 
     Raises:
         InputError: the calibration belongs to another network, or the recording has another physical unit.
@@ -95,11 +96,15 @@ class Batches(ABC):
         recording: OutputRecording,
         method: UseMethod,
         state_format: int | str,
+        is_watched: bool = True,
     ) -> None:
         check_fits(network, calibration, recording.output_unit)
         self._network, self._calibration, self._method, self._format = network, calibration, method, state_format
+        self._is_watched = is_watched
         self._sample_rate_Hz, self._blank = recording.sample_rate_Hz, float(recording.output.mean())
-        self._calibrated_rmse = calibrated_rmse(calibration)
+        # The error the calibration promises, in the reference unit.
+        promised, half = calibration.predicted_rmse, calibration.interval.half_width
+        self._calibrated_rmse = rms(half) / NORMAL_90 if promised is None else promised
         self._row, self._silent_batches, self._is_silent, self._doubt = 0, 0, True, 0.0
         self._intake = self._fresh_intake()
 
@@ -146,9 +151,27 @@ class Batches(ABC):
         flag = np.empty(n, dtype=FLAGS_TYPE)
         start, batch = 0, self._method.intake.batch
         while start < n:
-            stop = min(n, start + batch - self._row % batch)
-            piece = slice(start, stop)
-            value[piece], lower[piece], upper[piece], flag[piece] = self._estimate(t_s[piece], output[piece])
+            first = self._row % batch
+            stop = min(n, start + batch - first)
+            piece, rows = slice(start, stop), slice(first, first + stop - start)
+            taken = self._intake.take(t_s[piece], output[piece], first)
+            mapped, newest = self._mapped(taken.windows), taken.windows[:, -1]
+            estimate, low, high, seen = judge(self._network, self._calibration, mapped, newest, taken.run)
+            # Rows without a full window went through the network with the others; their numbers mean nothing.
+            value[piece] = np.where(taken.is_full, estimate, np.nan)[rows]
+            # Independent errors add in squares: those of the calibration's interval and of the drift.
+            half = np.sqrt((0.5 * (high - low)) ** 2 + (NORMAL_90 * self._doubt) ** 2)[rows]
+            lower[piece], upper[piece] = value[piece] - half, value[piece] + half
+            flags = np.where(taken.flag != "", taken.flag, seen)[rows].astype(FLAGS_TYPE)
+            is_evidence = ~np.isin(flags, NOT_EVIDENCE)
+            self._is_silent = self._is_silent and not (taken.is_valid[rows] & is_evidence).any()
+            self._gather(t_s[piece], output[piece], taken, rows, is_evidence)
+            doubtful = UNSETTLED if self._is_doubtful else ""
+            flags[flags == ""] = RECALIBRATE if self._current.alarm else doubtful
+            if self._is_watched:
+                state = state_of_map(self._current.verdict)
+                flags = np.where(flags == "", state, np.char.add(np.char.add(flags, BETWEEN), state))
+            flag[piece] = flags
             self._row += stop - start
             if self._row % batch == 0:
                 self._silent_batches = self._silent_batches + 1 if self._is_silent else 0
@@ -157,32 +180,10 @@ class Batches(ABC):
             start = stop
         return Estimate(t_s, value, lower, upper, flag, self._network.reference_unit)
 
-    def _estimate(self, t_s: Array, output: Array) -> tuple[Array, Array, Array, Flags]:
-        """Return estimate, lower, upper and flag of rows that lie in one batch."""
-        first = self._row % self._method.intake.batch
-        rows = slice(first, first + len(output))
-        taken = self._intake.take(t_s, output, first)
-        mapped = self._mapped(taken.windows)
-        value, lower, upper, flag = judge(self._network, self._calibration, mapped, taken.windows[:, -1], taken.run)
-        # Independent errors add in squares: those of the calibration's interval and of the drift.
-        half = np.sqrt((0.5 * (upper - lower)) ** 2 + (NORMAL_90 * self._doubt) ** 2)[rows]
-        # Rows without a full window went through the network with the others; their numbers mean nothing.
-        value = np.where(taken.is_full, value, np.nan)[rows]
-        flag = np.where(taken.flag != "", taken.flag, flag)[rows].astype(FLAGS_TYPE)
-        is_evidence = ~np.isin(flag, NOT_EVIDENCE)
-        self._is_silent = self._is_silent and not (taken.is_valid[rows] & is_evidence).any()
-        self._gather(t_s, output, taken, rows, is_evidence)
-        flag[flag == ""] = self._trouble()
-        return value, value - half, value + half, self._with_state(flag)
-
-    def _with_state(self, flag: Flags) -> Flags:
-        """Return the flags with the state of the map."""
-        state = state_of_map(self._current.verdict)
-        return np.where(flag == "", state, np.char.add(np.char.add(flag, BETWEEN), state))
-
-    def _trouble(self) -> str:
-        """Return why a row is not to be trusted that nothing else speaks against; empty where nothing does."""
-        return RECALIBRATE if self._current.alarm else ""
+    @property
+    def _is_doubtful(self) -> bool:
+        """Whether the map in force may be far off for now, although no alarm stands."""
+        return False
 
     @abstractmethod
     def _gather(self, t_s: Array, output: Array, taken: Taken, rows: slice, is_evidence: Mask) -> None:
@@ -190,7 +191,7 @@ class Batches(ABC):
 
     def _alarm(self) -> str:
         """Return the alarm of a sensor that has been silent for long; empty where it is not."""
-        if self._silent_batches < self._method.intake.silent_batches:
+        if self._silent_batches * self._method.intake.batch < self._method.intake.settling:
             return ""
         return "the sensor gives no usable samples; check sensor and cable"
 

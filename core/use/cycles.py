@@ -15,6 +15,9 @@ from softcal.core.use.method import CycleConfig
 from softcal.core.use.state_json import array, restored, state_of
 from softcal.core.windows import TAPS
 
+MOST_KEPT = 512
+"""Samples kept of the cycle under way; of a longer one every second, fourth, ..."""
+
 
 @dataclass(frozen=True, eq=False)
 class Cycle:
@@ -49,6 +52,11 @@ class Cycle:
         """Return the cycle of the output (output - mean) / scale, scale > 0."""
         moved = {name: (getattr(self, name) - mean) / scale for name in ("level", "low", "high")}
         return replace(self, scale=self.scale / scale, **moved)
+
+
+def end_spread(shape: Array, is_low: bool) -> float:
+    """Return how far standardised quantiles spread at the lower or the upper end: a rest of one level spreads least."""
+    return float(np.ptp(shape[:2] if is_low else shape[-2:]))
 
 
 @dataclass
@@ -99,10 +107,12 @@ class CycleCutter:
 
     def __init__(self, low: float, high: float, usual: float, longest: int, config: CycleConfig) -> None:
         self._longest, self._config = longest, config
-        self._patience = config.overdue * max(usual, config.min_samples)
-        self._least_swing = config.least_swing * (high - low)
+        # Shorter cycles are joined until a change over a window means something.
+        least = 2 * TAPS
+        self._patience = config.overdue * max(usual, least)
+        self._least_swing = config.band[0] * (high - low)
         self._levels = (np.arange(config.quantiles) + 0.5) / config.quantiles
-        self._now = CutterState(low, high, usual, config.min_samples)
+        self._now = CutterState(low, high, usual, least)
 
     def restart(self) -> None:
         """Forget the cycle under way, after a gap or a fault: it ends in no `Cycle`."""
@@ -136,20 +146,16 @@ class CycleCutter:
         if now.count >= max(self._longest, 2 * now.least):
             ended.append(self._finish(is_complete=False))
         elif now.silent > wait:
-            self._take_swing()
+            # The turning points of the samples since the last turn.
+            recent = now.kept[-max(1, now.silent // now.stride) :]
+            low, high = (float(v) for v in np.quantile(recent, self._config.swing))
+            now.silent = 0
+            # Noise at rest also has a swing. Cut with it, a pause would give cycles of its own.
+            if high - low >= self._least_swing:
+                now.low, now.high = low, high
+                now.was_low, now.has_start = False, False
+                now.waits += 1
         return ended
-
-    def _take_swing(self) -> None:
-        """Estimate the turning points anew from the samples since the last turn."""
-        now = self._now
-        recent = now.kept[-max(1, now.silent // now.stride) :]
-        now.silent = 0
-        low, high = (float(v) for v in np.quantile(recent, self._config.swing))
-        # Noise at rest also has a swing. Cut with it, a pause would give cycles of its own.
-        if high - low >= self._least_swing:
-            now.low, now.high = low, high
-            now.was_low, now.has_start = False, False
-            now.waits += 1
 
     def _turns(self, output: Array) -> list[int]:
         """Return the positions where a new cycle begins."""
@@ -187,7 +193,7 @@ class CycleCutter:
         first = -now.count % now.stride
         now.kept.extend(output[first :: now.stride].tolist())
         # Halving keeps the samples evenly spaced however long the cycle becomes; a reservoir would need random numbers.
-        while len(now.kept) > self._config.kept:
+        while len(now.kept) > MOST_KEPT:
             now.kept, now.stride = now.kept[::2], 2 * now.stride
         now.count += len(output)
         joined = np.concatenate([now.tail, output])
@@ -201,7 +207,7 @@ class CycleCutter:
         values = np.sort(now.kept)
         level, scale = float(values.mean()), float(values.std())
         # Means of many samples: single extremes would follow the noise.
-        part = max(1, len(values) // config.turning_parts)
+        part = max(1, len(values) // config.quantiles)
         low, high = float(values[:part].mean()), float(values[-part:].mean())
         quantiles = np.interp(self._levels, (np.arange(len(values)) + 0.5) / len(values), values)
         speed = np.sqrt(now.squared_changes / max(1, now.changes)) / max(scale, 1e-300)

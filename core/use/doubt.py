@@ -33,10 +33,8 @@ class Evidence:
         chance: variance of the estimated drift.
         walked: variance that may have come since the last cycle.
         moved: how far the rest has gone in all.
-        use_share: prior probability that a change of amplitude is use.
-        use_doubt: expected square of the error of a gain that may have been use.
-        preload_doubt: the same of a shift that may have been a preload.
-        unseen: use that could not be compared, in lengths of the calibration recording, 1 at most.
+        use_doubt: expected square of the error of a gain that may have been use, and of a shift, a preload.
+        unseen: drift that may have come in use that could not be compared.
         is_learning: whether that is the unit's first use, which is still being learnt.
         unresolved: size of an unexplained jump.
         missed: how far level or scale moved while the first use was learnt.
@@ -50,9 +48,7 @@ class Evidence:
     chance: float
     walked: float
     moved: float
-    use_share: float
     use_doubt: float
-    preload_doubt: float
     unseen: float
     is_learning: bool
     unresolved: float
@@ -102,15 +98,15 @@ def doubt(seen: Evidence, config: DoubtConfig) -> Doubt:
     """
     # What was not applied cannot be wrong by chance: the variance counts as far as the correction goes.
     share = min(1.0, seen.size / max(float(seen.drift @ seen.drift), 1e-24))
-    known = share * seen.chance + config.correction**2 * seen.size
-    known += (config.way * seen.moved) ** 2 + seen.use_doubt + seen.preload_doubt + seen.walked + share * seen.lag**2
+    known = share * (seen.chance + seen.lag**2) + config.correction**2 * (seen.size + seen.moved**2)
+    known += seen.use_doubt + seen.walked
     open_ends = seen.unresolved**2 + seen.missed**2 + seen.stray**2
-    unseen = (config.unseen * seen.unseen) ** 2
+    unseen = seen.unseen**2
     counted = 0.0 if seen.is_learning else unseen
     beyond = max(0.0, seen.left - seen.chance)
     return Doubt(
         widening=float(np.sqrt(known + unseen + open_ends + seen.left + 2 * seen.away**2)),
-        growth=float(np.sqrt(known + counted + open_ends + (1 - seen.use_share) * beyond)),
+        growth=float(np.sqrt(known + counted + open_ends + 0.5 * beyond)),
         of_use={
             UNCOMPARED: counted,
             MISSED: seen.missed**2,

@@ -57,9 +57,8 @@ class DriftFilter:
 
     def with_independent(self, variance: Array) -> "DriftFilter":
         """Return the filter with one activity more, whose bias is independent of the drift."""
-        n = len(self.mean)
-        covariance = np.zeros((n + 2, n + 2))
-        covariance[:n, :n], covariance[n:, n:] = self.covariance, variance
+        covariance = np.pad(self.covariance, (0, 2))
+        covariance[-2:, -2:] = variance
         return DriftFilter(np.append(self.mean, [0.0, 0.0]), covariance)
 
     def with_learnt(self, variance: Array) -> "DriftFilter":

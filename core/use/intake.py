@@ -1,5 +1,6 @@
 """Rows of a live stream into windows: gaps, faults, repeated and backward times, changes of rate; constant memory."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -81,44 +82,41 @@ class Intake:
             run=np.ones(batch, dtype=np.int64),
             flag=np.full(batch, "", dtype=FLAG_TYPE),
         )
-        for place, (time, value) in enumerate(zip(t_s.tolist(), output.tolist(), strict=True), start=first):
-            self._take_row(taken, place, time, value)
+        kept = self._kept
+        for place, (time_s, value) in enumerate(zip(t_s.tolist(), output.tolist(), strict=True), start=first):
+            if not (math.isfinite(time_s) and math.isfinite(value)) or self._is_late(time_s):
+                taken.flag[place] = INVALID
+                continue
+            step_s = 0.0 if kept.last_s is None else time_s - kept.last_s
+            taken.is_valid[place] = True
+            # Two thresholds: any gap breaks the window, but one of a window leaves the cycle of use as it is.
+            taken.is_restart[place] = step_s < 0 or step_s > TAPS * self._period_s
+            if step_s < 0 or step_s > GAP_FACTOR * self._period_s:
+                kept.filled, kept.run, kept.waiting_for = 0, 0, GAP
+            kept.run = kept.run + 1 if kept.run and value == kept.output[-1] else 1
+            kept.output = [*kept.output[1:], value]
+            kept.times_s = [*kept.times_s[1:], time_s]
+            kept.filled = min(kept.filled + 1, TAPS)
+            kept.last_s = time_s
+            if kept.filled < TAPS:
+                taken.flag[place] = kept.waiting_for
+                continue
+            taken.windows[place], taken.is_full[place], taken.run[place] = kept.output, True, kept.run
+            # Over a whole window the jitter of single time stamps cancels.
+            seen_s = (time_s - kept.times_s[0]) / (TAPS - 1)
+            if abs(seen_s / self._period_s - 1) > self._config.rate_tolerance:
+                taken.flag[place] = WRONG_RATE
         return taken
 
-    def _take_row(self, taken: Taken, place: int, t_s: float, output: float) -> None:
-        if not (np.isfinite(t_s) and np.isfinite(output)) or self._is_late(t_s):
-            taken.flag[place] = INVALID
-            return
-        kept = self._kept
-        step_s = 0.0 if kept.last_s is None else t_s - kept.last_s
-        taken.is_valid[place] = True
-        # Two thresholds: any gap breaks the window, but a short one leaves the cycle of use as it is.
-        taken.is_restart[place] = step_s < 0 or step_s > self._config.short_gap * self._period_s
-        if step_s < 0 or step_s > GAP_FACTOR * self._period_s:
-            kept.filled, kept.run, kept.waiting_for = 0, 0, GAP
-        kept.run = kept.run + 1 if kept.run and output == kept.output[-1] else 1
-        kept.output = [*kept.output[1:], output]
-        kept.times_s = [*kept.times_s[1:], t_s]
-        kept.filled = min(kept.filled + 1, TAPS)
-        kept.last_s = t_s
-        if kept.filled < TAPS:
-            taken.flag[place] = kept.waiting_for
-            return
-        taken.windows[place], taken.is_full[place], taken.run[place] = kept.output, True, kept.run
-        # Over a whole window the jitter of single time stamps cancels.
-        seen_s = (t_s - kept.times_s[0]) / (TAPS - 1)
-        if abs(seen_s / self._period_s - 1) > self._config.rate_tolerance:
-            taken.flag[place] = WRONG_RATE
-
     def _is_late(self, t_s: float) -> bool:
-        """Return whether a time repeats or goes backward, unless a clock that restarted has gone on for long."""
+        """Return whether a time repeats or goes backward, unless a clock that restarted has gone on for a window."""
         kept = self._kept
         if kept.last_s is None or t_s > kept.last_s:
             kept.late_rows = 0
             return False
         kept.late_rows = kept.late_rows + 1 if kept.late_rows and t_s > kept.late_s else 1
         kept.late_s = t_s
-        if kept.late_rows < self._config.clock_rows:
+        if kept.late_rows < TAPS:
             return True
         kept.late_rows = 0
         return False

@@ -108,7 +108,8 @@ class QueuedTransport(Batches):
     def _chance(self) -> float:
         """How far maps of single queues of the calibration recording are off the calibrated one (RMS)."""
         last = max(0, len(self._known) - self._queue)
-        starts = sorted(set(np.linspace(0, last, self._method.online.pieces).astype(int).tolist()))
+        # The first, a middle and the last one.
+        starts = sorted({0, last // 2, last})
         pieces = [self._known[start : start + self._queue] for start in starts]
         source = self._given or self._as_calibrated(pieces[0])
         moved = [self._moved_by(self._mapped_onto(source, piece), piece) for piece in pieces]

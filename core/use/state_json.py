@@ -40,7 +40,18 @@ def not_kept(default: Any) -> Any:
 
 def state_of(value: Any) -> dict[str, object]:
     """Return the declared fields of a dataclass as JSON values, nothing of them shared with it."""
-    return {one.name: _written(one, getattr(value, one.name)) for one in _declared(value)}
+    state: dict[str, object] = {}
+    for one in _declared(value):
+        own = getattr(value, one.name)
+        if "shape" in one.metadata:
+            own = own.tolist()
+        elif "kind" in one.metadata:
+            own = state_of(own)
+        elif "kinds" in one.metadata:
+            own = [state_of(each) for each in own]
+        # A copy: the stream goes on while the state is written by another thread.
+        state[one.name] = list(own) if isinstance(own, list) else own
+    return state
 
 
 def restored(kind: type[Value], state: Mapping[str, Any], **given: Any) -> Value:
@@ -58,33 +69,21 @@ def restored(kind: type[Value], state: Mapping[str, Any], **given: Any) -> Value
     if wrong:
         raise InputError(f"its state does not fit this version: {kind.__name__}.{min(wrong)} is missing or unknown")
     lengths: dict[str, int] = {}
-    values = {one.name: _read(kind, one, state[one.name], lengths) for one in declared}
+    values = {}
+    for one in declared:
+        own = state[one.name]
+        if "shape" in one.metadata:
+            own = _array(f"{kind.__name__}.{one.name}", one.metadata["shape"], own, lengths)
+        elif "kind" in one.metadata:
+            own = restored(one.metadata["kind"], own)
+        elif "kinds" in one.metadata:
+            own = [restored(one.metadata["kinds"], each) for each in own]
+        values[one.name] = list(own) if isinstance(own, list) else own
     return kind(**values, **given)
 
 
 def _declared(kind: Any) -> "list[Field[Any]]":
     return [one for one in fields(kind) if one.metadata.get("is_kept", True)]
-
-
-def _written(one: "Field[Any]", value: Any) -> object:
-    if "shape" in one.metadata:
-        return value.tolist()
-    if "kind" in one.metadata:
-        return state_of(value)
-    if "kinds" in one.metadata:
-        return [state_of(each) for each in value]
-    # A copy: the stream goes on while the state is written by another thread.
-    return list(value) if isinstance(value, list) else value
-
-
-def _read(kind: type, one: "Field[Any]", value: Any, lengths: dict[str, int]) -> Any:
-    if "shape" in one.metadata:
-        return _array(f"{kind.__name__}.{one.name}", one.metadata["shape"], value, lengths)
-    if "kind" in one.metadata:
-        return restored(one.metadata["kind"], value)
-    if "kinds" in one.metadata:
-        return [restored(one.metadata["kinds"], each) for each in value]
-    return list(value) if isinstance(value, list) else value
 
 
 def _array(name: str, shape: tuple[int | str, ...], value: Any, lengths: dict[str, int]) -> Array:

@@ -22,11 +22,10 @@ import numpy as np
 
 from softcal.core.recording import Array
 from softcal.core.use.activity import CalibratedUse, timing_scatter
+from softcal.core.use.changes import Changes
 from softcal.core.use.cycles import Cycle
 from softcal.core.use.doubt import Doubt, Evidence, doubt
 from softcal.core.use.filter import DriftFilter
-from softcal.core.use.jumps import SuddenChanges
-from softcal.core.use.learning import UseLearner
 from softcal.core.use.method import UseMethod
 from softcal.core.use.observation import (
     FOLLOWED,
@@ -58,7 +57,6 @@ class DriftTracker:
         method: UseMethod = UseMethod(),  # noqa: B008 - frozen
     ) -> None:
         self._use, self._is_improved, self._method = use, is_improved, method
-        self._learner = UseLearner(use, method)
         known, drift = use.lesson.activity, method.drift
         # Without a calibrated activity the drift is counted from the first one learnt.
         state = DriftFilter.start(np.array(drift.start_doubt) * (known is not None))
@@ -68,9 +66,8 @@ class DriftTracker:
         spread = np.array(drift.prior) ** 2 + use.lesson.trend**2 * (known is not None)
         self._walk = np.diag(spread) / use.duration_s
         self._overdue_s = method.cycle.overdue * use.usual_s
-        self._memory = max(drift.memory_cycles, drift.memory_samples / use.usual)
-        self._jumps = SuddenChanges(use, method, self._memory, self._learner if is_improved else None)
-        self._settling = max(1, math.ceil(drift.settling_samples / use.usual))
+        self._changes = Changes(use, method, is_improved)
+        self._settling = max(1, math.ceil(method.intake.settling / use.usual))
         self._now = TrackerState(
             filter=state,
             trust=Trust(use.zero, config=method.trust),
@@ -117,13 +114,16 @@ class DriftTracker:
             now.was_known = False
             return self._held(cycle, "no cycle of use was completed in the longest time one may take")
         standard = cycle.standardised(self._use.mean, self._use.scale)
-        index = self._recognise(standard)
-        if index < 0:
+        candidates = [k for k, activity in enumerate(now.activities) if activity.strangeness(standard) <= 1]
+        if not candidates:
             return self._meet_stranger(standard)
         now.strangers.clear()
         now.stray, now.away = now.stray_before, 0.0
         now.was_known = True
-        return self._compare(standard, index, walked)
+        # Use goes on as it was more often than it changes: of several that fit the latest, unless only another does.
+        candidates.sort(key=lambda k: k != now.latest)
+        fitting = [k for k in candidates if not self._changes.is_jump(now, standard, k)]
+        return self._compare(standard, (fitting or candidates)[0], walked)
 
     def start(self) -> Observation:
         return self._observation(0.0, HELD, "", -1)
@@ -156,6 +156,15 @@ class DriftTracker:
         """Return how wrong the corrected output may be at a time."""
         now = self._now
         drift, applied = now.filter.drift, now.applied
+        lengths = min(1.0, now.unseen_s / self._use.duration_s)
+        unseen = self._method.jump.sigmas * self._method.drift.unseen * lengths
+        lag = 0.0
+        if now.activities:
+            # The larger mean innovation beyond chance: how far the filter is behind a drift.
+            weight = np.array(self._method.drift.trend_weight)
+            expected = float(np.trace(now.filter.seen_by(now.latest)[1] + now.activities[now.latest].noise))
+            chance = self._method.doubt.certain * expected * weight / (2 - weight)
+            lag = math.sqrt(max(0.0, float(np.max(np.sum(now.trend**2, axis=1) - chance))))
         return doubt(
             Evidence(
                 drift=drift,
@@ -163,29 +172,17 @@ class DriftTracker:
                 chance=float(np.trace(now.filter.doubt())),
                 walked=float(np.trace(self._walked(t_s))),
                 moved=now.trust.moved,
-                use_share=self._method.trust.use_share,
                 use_doubt=now.trust.use_doubt(drift, applied),
-                preload_doubt=now.trust.preload_doubt(drift, applied),
-                unseen=min(1.0, now.unseen_s / self._use.duration_s),
+                unseen=unseen,
                 is_learning=self._is_learning(t_s),
                 unresolved=now.unresolved,
                 missed=now.missed,
                 stray=now.stray,
                 away=now.away,
-                lag=self._lag(),
+                lag=lag,
             ),
             self._method.doubt,
         )
-
-    def _lag(self) -> float:
-        """Return the larger mean innovation beyond chance: how far the filter is behind a drift."""
-        now = self._now
-        if not now.activities:
-            return 0.0
-        weight = np.array(self._method.drift.trend_weight)
-        expected = float(np.trace(now.filter.seen_by(now.latest)[1] + now.activities[now.latest].noise))
-        beyond = np.sum(now.trend**2, axis=1) - self._method.doubt.certain * expected * weight / (2 - weight)
-        return math.sqrt(max(0.0, float(beyond.max())))
 
     def _is_learning(self, t_s: float) -> bool:
         """Return whether no use is known yet, and the time in which one may be learnt is not over."""
@@ -194,20 +191,11 @@ class DriftTracker:
             return False
         return t_s - now.first_s < self._method.learning.first_use_s
 
-    def _recognise(self, cycle: Cycle) -> int:
-        """Return the activity a cycle belongs to, -1 for none; of several the latest, unless only another fits."""
-        now = self._now
-        candidates = [k for k, activity in enumerate(now.activities) if activity.strangeness(cycle) <= 1]
-        # Use goes on as it was more often than it changes: of two activities that fit, the latest.
-        candidates.sort(key=lambda k: k != now.latest)
-        fitting = [k for k in candidates if not self._jumps.is_jump(now, cycle, k)]
-        return (fitting or candidates or [-1])[0]
-
     def _compare(self, cycle: Cycle, index: int, walked: Array) -> Observation:
         now = self._now
         activity = now.activities[index]
-        if self._jumps.is_jump(now, cycle, index) or self._jumps.is_like_jumps(now, cycle, index):
-            met = self._jumps.meet(now, cycle, index)
+        if self._changes.is_jump(now, cycle, index) or self._changes.is_like_jumps(now, cycle, index):
+            met = self._changes.meet(now, cycle, index)
             if met.verdict == HELD:
                 return self._held(cycle, met.reason, index)
             if met.measured is not None:
@@ -215,10 +203,10 @@ class DriftTracker:
             return self._observation(cycle.end_s, met.verdict, met.reason, index)
         # One cycle within reach of the old use does not end another: after several the others are forgotten.
         jumps = now.jumps[: len(now.jumps) // 2]
-        surprise, expected = self._jumps.surprise(now, cycle, index)
+        surprise, expected = self._changes.surprise(now, cycle, index)
         # Process noise R / n^2 makes the steady filter average over about n cycles.
         # Shift and log gain lag alike: where one lags more, a use that grows slowly reads as a sensor that drifts.
-        share = self._pace(surprise, expected) / self._memory**2
+        share = self._pace(surprise, expected) / self._method.drift.memory_cycles**2
         share += float(np.max(np.diag(walked) / np.diag(activity.noise)))
         moving = now.filter.moved(share * activity.noise - walked)
         measured = moving.measured(index, activity.drift_of(cycle, self._use.rest_is_low), activity.noise)
@@ -227,13 +215,13 @@ class DriftTracker:
             now.alarm = "the drift has left the range that is followed"
             return self._held(cycle, now.alarm, index)
         if self._is_improved:
-            now.activities[index] = activity.refreshed(cycle, self._method.learning.refresh)
+            now.activities[index] = activity.refreshed(cycle, 1 / self._method.drift.memory_cycles)
         # A person who has just put the sensor on presses otherwise for a while.
         now.to_settle = max(0, now.to_settle - 1)
         # The log gain of the last few cycles of one activity.
         before = now.recent if now.recent_of == index else []
         log_gain = float(now.activities[index].drift_of(cycle, self._use.rest_is_low)[1])
-        now.recent, now.recent_of = [*before[-self._method.jump.recent + 1 :], log_gain], index
+        now.recent, now.recent_of = [*before[-self._method.activity.min_cycles + 1 :], log_gain], index
         self._accept(measured, index)
         now.jumps = jumps
         if now.trust.is_use_as_likely(now.filter.drift, now.seen):
@@ -252,7 +240,7 @@ class DriftTracker:
         config = self._method.activity
         is_timed = (
             len(now.timing) >= config.min_cycles
-            and timing_scatter(np.array(now.timing), config) < config.still_timed * config.machine_timing
+            and timing_scatter(np.array(now.timing), config) < 2 * config.least_scatter
         )
         known = replace(activity, is_imposed=activity.is_imposed and is_timed)
         now.trust = now.trust.after(known, measured.drift, now.seen, 1 / self._settling)
@@ -267,7 +255,8 @@ class DriftTracker:
         # Variance of an exponential mean of independent values.
         chance = weight / (2 - weight)
         distance = np.sum(now.trend.T * np.linalg.solve(expected, now.trend.T), axis=0) / chance
-        return float(np.clip(distance.max() / config.pace, 1, config.fastest))
+        # At its fastest a filter of the usual memory averages over nothing.
+        return float(np.clip(distance.max() / config.pace, 1, config.memory_cycles**2))
 
     def _meet_stranger(self, cycle: Cycle) -> Observation:
         now = self._now
@@ -278,13 +267,13 @@ class DriftTracker:
         unseen = self._method.drift.unseen**2 * cycle.duration_s / self._use.duration_s
         now.filter = now.filter.moved(np.diag([unseen, 0.0]))
         # A sensor re-seated in the midst of a cycle gives it another shape.
-        if was_known and self._jumps.is_like_but_for_shape(now, cycle, now.latest):
-            if self._jumps.try_rest(now, cycle, now.latest):
+        if was_known and self._changes.is_like_but_for_shape(now, cycle, now.latest):
+            if self._changes.try_rest(now, cycle, now.latest):
                 now.unresolved = abs(now.trial)
                 return self._observation(cycle.end_s, TRIED, REST_MOVED, -1)
         if not self._is_improved:
             return self._held(cycle, "the use is not that of the calibration recording")
-        if not self._learner.take(now, cycle):
+        if not self._changes.take(now, cycle):
             return self._held(cycle, "the use is none of those known")
         learnt = self._held(cycle, "a new use was learnt from the estimates so far", len(now.activities) - 1)
         if len(now.activities) == 1:

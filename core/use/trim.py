@@ -85,7 +85,11 @@ def trim(
     output, load = (np.asarray(values, np.float64) for values in (loads.output, loads.reference))
     wanted = SourceLevels.of(source, problem.config.anchors).at(load)
     read = unit_map.apply(resting(output)).mean(axis=1)
-    error = _errors(problem, interval, load, wanted)
+    # The standard uncertainty of what is read under each load: of the calibration, of f at rest and of the load.
+    band = interval.half_width[:, interval.column(load)].max(axis=0)
+    misread = network.evaluate(resting(wanted)) - load
+    known = problem.config.anchors.load_error * float(np.ptp(source.reference))
+    error = np.hypot(np.hypot(band, misread) / NORMAL_90, known)
     first, last = int(np.argmin(load)), int(np.argmax(load))
     # The source's own rise between the outermost loads: outputs in the unit of the loads.
     rise = (wanted[last] - wanted[first]) / (load[last] - load[first])
@@ -114,10 +118,12 @@ def trim(
         )
     left = (offset + gain * read - wanted) / rise / error
     worst = int(np.argmax(np.abs(left)))
-    if abs(left[worst]) > config.most_misfit:
+    # Twice what nine loads in ten are misread by.
+    most_misfit = 2 * NORMAL_90
+    if abs(left[worst]) > most_misfit:
         raise InputError(
             f"load {worst + 1} is still misread by {abs(left[worst] * error[worst]):.3g} {unit} after the trim, "
-            f"{config.most_misfit * error[worst]:.3g} {unit} at most was expected; the loads contradict one another; "
+            f"{most_misfit * error[worst]:.3g} {unit} at most was expected; the loads contradict one another; "
             f"{NOTHING}; read them again"
         )
     anchored = AnchoredMap(unit_map, gain, offset)
@@ -148,11 +154,3 @@ def as_given_now(recording: OutputRecording, before: UnitMap, after: UnitMap) ->
     was, now = (one.apply(resting(raw)).mean(axis=1) for one in (before, after))
     order = np.argsort(now, kind="stable")
     return replace(recording, output=np.interp(np.interp(output, raw, was), now[order], raw[order]))
-
-
-def _errors(problem: FitProblem, interval: Interval, load: Array, wanted: Array) -> Array:
-    """Return the (k,) standard uncertainty of what is read under each load, in the reference unit."""
-    band = interval.half_width[:, interval.column(load)].max(axis=0)
-    misread = problem.network.evaluate(resting(wanted)) - load
-    known = problem.config.anchors.load_error * float(np.ptp(problem.source.reference))
-    return np.asarray(np.hypot(np.hypot(band, misread) / NORMAL_90, known))

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.use.activity import Activity, no_pivots
+from softcal.core.use.activity import Activity
 from softcal.core.use.method import TrustConfig
 from softcal.core.use.state_json import array, not_kept
 
@@ -34,7 +34,7 @@ class Trust:
 
     zero: float | None
     rest: float | None = None
-    pivots: Array = field(default_factory=no_pivots, metadata=array(2, "u"))
+    pivots: Array = field(default_factory=lambda: np.zeros((2, 0)), metadata=array(2, "u"))
     level: float = 0.0
     counted: float = 0.0
     moved: float = 0.0
@@ -163,7 +163,8 @@ class Trust:
 
     def creep(self, level: float, log_gain: float) -> float:
         """Return how far a rest at a level may follow use that grows by a log gain: the sensor's memory, no drift."""
-        moved = -level * float(np.expm1(log_gain)) * self.config.creep
+        # By half of what the mean load moves, and no further than what counts as a movement.
+        moved = -level * float(np.expm1(log_gain)) * 0.5
         return float(np.clip(moved, -self.config.step, self.config.step))
 
     def _sure(self, log_gain: float, covariance: Array) -> float:
@@ -177,28 +178,27 @@ class Trust:
         return self.zero is None or abs(self.rest - self.zero) > self.config.preload
 
     def use_doubt(self, drift: Array, applied: Array) -> float:
-        """Return the expected square, in scales, of the error of a correction whose log gain may have been use."""
-        level = self.standing_level(drift)
-        return 0.0 if level is None else self.config.use_share * float(applied[1]) ** 2 * (1 + level**2)
+        """Return the expected square, in scales, of the error of a correction that may have been use.
 
-    def preload_doubt(self, drift: Array, applied: Array) -> float:
-        """Return the same of a correction whose shift may have been a preload that changed."""
+        Its log gain may have been one, and its shift a preload that changed: each is as likely as not.
+        """
         level = self.standing_level(drift)
-        return (
-            self.config.use_share * movement(applied, level) ** 2 if self.may_be_preload and level is not None else 0.0
-        )
+        if level is None:
+            return 0.0
+        moved = movement(applied, level) if self.may_be_preload else 0.0
+        return 0.5 * (float(applied[1]) ** 2 * (1 + level**2) + moved**2)
 
     def is_use_as_likely(self, drift: Array, covariance: Array) -> bool:
-        """Return whether part of a sure log gain is not applied because use explains it as well."""
+        """Return whether most of a sure log gain is not applied because use explains it as well."""
         log_gain = self._sure(float(drift[1]), covariance)
-        return bool(abs(self.applied(drift, covariance)[1]) < self.config.open_share * abs(log_gain))
+        return bool(abs(self.applied(drift, covariance)[1]) < 0.5 * abs(log_gain))
 
     def gain_per_shift(self, level: float) -> float:
         """Return the log gain about a level that moves the mean of the calibrated use, 0, as far as a shift of 1.
 
-        A level close to the mean is no rest; it counts as `least_rest` away.
+        A level close to the mean is no rest; it counts as half a scale away.
         """
-        return 1 / max(abs(level), self.config.least_rest)
+        return 1 / max(abs(level), 0.5)
 
     def _sure_movement(self, drift: Array, covariance: Array, level: float) -> float:
         """Return the movement of a level, shrunk by the chance that there is none."""

@@ -405,8 +405,8 @@ def test_clock_that_restarts_goes_on_after_a_stated_number_of_rows(make_adapter:
 
     rows = make_adapter().advance(t_s, output_V)
 
-    assert set(why(rows.flag[1500 : 1500 + UseMethod().intake.clock_rows - 1])) == {INVALID}
-    assert why(rows.flag[1500 + UseMethod().intake.clock_rows + TAPS :])[0] == ""
+    assert set(why(rows.flag[1500 : 1500 + TAPS - 1])) == {INVALID}
+    assert why(rows.flag[1500 + TAPS + TAPS :])[0] == ""
 
 
 def test_every_row_says_whether_its_map_is_unwatched_held_or_followed(make_adapter: Callable[..., Adapter]) -> None:

@@ -26,8 +26,8 @@ def test_what_stands_still_is_its_mean():
         (1.5 + 1.1 * CONFIG.restless * SPAN * ALTERNATING, (), "load.unsteady"),
         (1.5 + np.repeat([0.0, 1.1 * CONFIG.drift * SPAN], 30), (), "load.unsteady"),
         (1.5 - np.repeat([0.0, 1.1 * CONFIG.drift * SPAN], 30), (), "load.unsteady"),
-        (np.full(60, 1.0 + 0.9 * CONFIG.change * SPAN), (), "load.unloaded"),
-        (np.full(60, 1.5), (1.5 - 0.9 * CONFIG.change * SPAN,), "load.same"),
+        (np.full(60, 1.0 + 1.8 * CONFIG.drift * SPAN), (), "load.unloaded"),
+        (np.full(60, 1.5), (1.5 - 1.8 * CONFIG.drift * SPAN,), "load.same"),
     ],
     ids=["restless", "rises", "falls", "no load on it", "the load before"],
 )

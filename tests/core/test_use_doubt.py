@@ -15,9 +15,7 @@ NOTHING = Evidence(
     chance=0.001,
     walked=0.0,
     moved=0.0,
-    use_share=0.5,
     use_doubt=0.0,
-    preload_doubt=0.0,
     unseen=0.0,
     is_learning=False,
     unresolved=0.0,
@@ -51,7 +49,7 @@ def test_a_correction_that_is_behind_is_doubted_by_how_far() -> None:
 @pytest.mark.parametrize(
     ("why", "change"),
     [
-        (UNCOMPARED, {"unseen": 1.0}),
+        (UNCOMPARED, {"unseen": 0.2}),
         (MISSED, {"missed": 0.3}),
         (STRAY, {"stray": 0.3}),
         (JUMP, {"unresolved": 0.3}),
@@ -71,9 +69,9 @@ def test_a_drift_within_chance_counts_nothing() -> None:
 
 
 def test_use_not_compared_widens_the_interval_but_counts_only_once_the_first_use_is_over() -> None:
-    learning = doubt(replace(NOTHING, unseen=1.0, is_learning=True), CONFIG)
-    later = doubt(replace(NOTHING, unseen=1.0), CONFIG)
+    learning = doubt(replace(NOTHING, unseen=0.2, is_learning=True), CONFIG)
+    later = doubt(replace(NOTHING, unseen=0.2), CONFIG)
 
-    assert learning.widening == later.widening >= CONFIG.unseen
+    assert learning.widening == later.widening >= 0.2
     assert (learning.growth, sum(learning.of_use.values())) == (0.0, 0.0)
-    assert later.growth == pytest.approx(CONFIG.unseen)
+    assert later.growth == pytest.approx(0.2)

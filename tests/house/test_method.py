@@ -47,6 +47,7 @@ NO_DECISION = {
     "core/gap/simulator_search.py": {"DRAWS", "FIRST_STEPS"},  # where a fit begins
     "core/gap/start.py": {"TRIMMED"},  # of an estimator
     "core/gap/transfer.py": {"NETWORK"},  # the same network for rig and twins
+    "core/use/cycles.py": {"MOST_KEPT"},  # samples of a buffer; a longer cycle is thinned
 }
 """Numbers outside the method that cannot change a map, an interval, a forecast or a verdict."""
 
@@ -86,6 +87,7 @@ EXPLAINED = {
         "3": "a third of a window",
     },
     "core/use/activity.py": {"12": "one over the variance of a uniform index from -1/2 to 1/2"},
+    "core/use/adapter.py": {"300": "places of a table over three swings"},
     "core/maps/choose.py": {"5": "a third of a window"},
     "core/maps/paired.py": {
         "1.5": "exponent of the integral of a squared second difference",
