@@ -2,6 +2,7 @@
 
 A number that decides stands here or in `maps/config.py` and `unit/knowledge.py`, nowhere else. The whole is kept with
 every calibration and is part of its identity: results of other numbers show as stale.
+A trim is no calibration of its own and has its number beside it, in `unit/trim.py`.
 """
 
 from dataclasses import dataclass, field
