@@ -71,10 +71,10 @@ MODE_HELP = (
 
 def run(options: argparse.Namespace) -> None:
     """Follow the stream, and say what was followed, held and flagged."""
+    from softcal.app.batch.trim import trimmed_by
     from softcal.app.files.recording_file import PLAIN
     from softcal.app.files.stream_file import count_rows
     from softcal.app.use.adapt import AdaptOptions, adapt_file
-    from softcal.app.use.trim import trimmed_by
     from softcal.core.use.adapter import QUEUES, AdaptConfig
     from softcal.core.use.method import OnlineConfig, UseMethod
 

@@ -29,7 +29,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Estimate, and say how much of it can be trusted."""
-    from softcal.app.use.estimate import estimate_file
+    from softcal.app.registry.estimate import estimate_file
 
     with registry_of(options) as registry:
         unit = options.serial, options.revision, options.lot

@@ -23,7 +23,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Trim, and say what it changed."""
-    from softcal.app.use.trim import trim_unit
+    from softcal.app.batch.trim import trim_unit
 
     with registry_of(options) as registry:
         trimmed, revision = trim_unit(registry, options.serial, options.loads, options.lot)

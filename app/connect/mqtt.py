@@ -24,7 +24,7 @@ from softcal.app.connect.forwarder import NotDelivered
 from softcal.app.connect.settings import MqttSettings, read_secret, split_address
 from softcal.app.connect.stations import stations_json
 from softcal.app.connect.webhook import tls_context
-from softcal.app.use.sink import HEADER
+from softcal.app.files.stream_file import COLUMNS, HEADER
 from softcal.core.errors import InputError
 from softcal.db.registry import Registry
 
@@ -37,8 +37,6 @@ LOOK_S = 0.2
 
 RETRY_S = 2.0
 """Between two tries to reach a broker that is away."""
-
-COLUMNS = tuple(HEADER.strip().split(","))
 
 Message = tuple[str, str, bool]
 """Topic below the one of the settings, payload, and whether the broker keeps it."""

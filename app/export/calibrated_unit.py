@@ -18,8 +18,8 @@ from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration, CalibrationRecord
 from softcal.core.unit.estimate import estimate
+from softcal.core.unit.trim import as_given_now
 from softcal.core.unit.verdict import Release, Verdict
-from softcal.core.use.trim import as_given_now
 from softcal.core.words.reason import Reason, joined
 from softcal.db.entries import StoredCalibration, UnitStanding
 from softcal.db.registry import Registry

@@ -19,6 +19,12 @@ from softcal.core.windows import TAPS
 if TYPE_CHECKING:
     from pyarrow.parquet import ParquetWriter
 
+COLUMNS = ("t_s", "estimate", "lower", "upper", "flag")
+"""Of a file of estimates."""
+
+HEADER = f"{','.join(COLUMNS)}\n"
+"""First line of such a file as CSV."""
+
 PIECE = 1024
 """Rows read, estimated and written at once."""
 
@@ -143,7 +149,7 @@ def estimate_writer(path: Path) -> Iterator[Callable[[Estimate], None]]:
 
         def write(rows: Estimate) -> None:
             nonlocal parquet, is_first
-            columns: dict[str, Any] = {name: getattr(rows, name) for name in ("t_s", "estimate", "lower", "upper")}
+            columns: dict[str, Any] = {name: getattr(rows, name) for name in COLUMNS[:-1]}
             if is_parquet:
                 import pyarrow as pa
                 from pyarrow.parquet import ParquetWriter

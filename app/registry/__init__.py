@@ -1,1 +1,1 @@
-"""What the registry says of itself and of quality: maintenance, studies, yields, support."""
+"""What the registry says of itself and of quality: maintenance, studies, yields, support, trims."""

@@ -19,10 +19,9 @@ from softcal.core.unit.audited import measured
 from softcal.core.unit.calibration import Calibration, CalibrationRecord
 from softcal.core.unit.judging import AUDITED_BEFORE_TRIM, LIMIT_EVIDENCE, TRIM_BARS, TRIM_LEFT_OUT, TRIM_OLDER, TRIMMED
 from softcal.core.unit.method import Method
+from softcal.core.unit.trim import NeedlessTrim, Trimmed, trim
 from softcal.core.unit.uncertainty import Interval
 from softcal.core.unit.verdict import Decision, Verdict
-from softcal.core.use.method import UseMethod
-from softcal.core.use.trim import NeedlessTrim, Trimmed, trim
 from softcal.core.words.reason import Reason, reason
 from softcal.db.entries import StoredCalibration
 from softcal.db.registry import Registry
@@ -138,7 +137,7 @@ def _trimmed(registry: Registry, stored: StoredCalibration, known: KnownTrim, wh
     recording = unlabelled(registry.recordings.get(record.recording_sha256))
     problem = FitProblem(source, f, recording, config=(record.method or Method()).map)
     before = Calibration.from_record(record)
-    result = trim(problem, before.unit_map, before.interval, known.loads, UseMethod().trim)
+    result = trim(problem, before.unit_map, before.interval, known.loads)
     # What the trim leaves open, whichever way the load moves.
     wider = before.interval.widened(result.variance(before.interval))
     trimmed = _record(base, stored.record, result, wider, known)

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Protocol, TextIO
 from urllib.parse import urlsplit
 
+from softcal.app.files.stream_file import HEADER
 from softcal.app.output import say
 from softcal.core.errors import InputError
 from softcal.core.unit.estimate import Estimate
 
-HEADER = "t_s,estimate,lower,upper,flag\n"
 RETRY_S = 1.0
 """Seconds between two tries to reach a listener that is gone."""
 

@@ -3,7 +3,7 @@
 A number that decides stands here or in `maps/config.py` and `unit/knowledge.py`. Halves, and constants of arithmetic
 and solvers, stand in the formula they belong to. The whole is kept with every calibration and is part of its identity:
 results of other numbers show as stale. A release judges calibrations of several methods: it goes by this version's
-numbers (`ReleaseConfig`).
+numbers (`ReleaseConfig`). A trim has a number of its own, in `unit/trim.py`.
 """
 
 from dataclasses import dataclass, field

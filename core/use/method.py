@@ -1,4 +1,4 @@
-"""The method of long use: every number that decides how a unit in use is followed or trimmed, each with its origin.
+"""The method of long use: every number that decides how a unit in use is followed, each with its origin.
 
 A number that decides stands here, nowhere else in this folder. The whole is kept with every stream that is followed.
 So an upgrade that changes a number shows in the record of the stream (`changes`).
@@ -7,6 +7,7 @@ So an upgrade that changes a number shows in the record of the stream (`changes`
 from dataclasses import dataclass, field
 
 from softcal.core.settings import NumberedMethod, setting
+from softcal.core.unit.trim import TrimConfig
 
 HARM = "streams of benchmarks/long_use.py --seed 0, which docs do not report"
 """Origin of what was chosen on simulated streams; docs/long-term.md reports other seeds."""
@@ -184,18 +185,6 @@ class DoubtConfig:
 
 
 @dataclass(frozen=True)
-class TrimConfig:
-    """Re-anchoring by known loads at the place of use (`trim.py`).
-
-    Args:
-        most_change: a gain that changes by more than this share is another unit, or other units of load. The device
-            holds no larger one.
-    """
-
-    most_change: float = setting(0.5, "docs/format.md")
-
-
-@dataclass(frozen=True)
 class OnlineConfig:
     """The paper's online method (`queued.py`); the numbers of its plan are those of `Method.map.plan`.
 
@@ -210,11 +199,12 @@ class OnlineConfig:
 
 @dataclass(frozen=True)
 class UseMethod(NumberedMethod):
-    """How a unit in use is followed and trimmed; one configuration for every sensor.
+    """How a unit in use is followed; one configuration for every sensor.
 
     Args:
         version: raised when the code computes otherwise from the same numbers.
         intake, cycle, activity, drift, jump, learning, trust, doubt, trim, online: a section a module or concern.
+            No stream reads `trim`: it stays so that the identity of streams followed earlier stays.
     """
 
     version: int = setting(8, "raised by hand")

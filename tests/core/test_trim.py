@@ -14,8 +14,8 @@ from softcal.core.metrics import rmse
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.method import LEVELS
+from softcal.core.unit.trim import trim
 from softcal.core.unit.uncertainty import Interval
-from softcal.core.use.trim import trim
 from softcal.core.windows import resting
 
 GAIN, OFFSET_V, BAND_N = 1.12, 0.03, 0.08

@@ -20,8 +20,8 @@ from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.method import LEVELS
+from softcal.core.unit.trim import Trimmed, trim
 from softcal.core.unit.uncertainty import NORMAL_90, Interval
-from softcal.core.use.trim import Trimmed, trim
 from softcal.core.windows import TAPS
 from tests.firmware.device_stream import Shift, Trim, TrimResult, find_trim
 

@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from softcal.core.gap.method import GapMethod
+from softcal.core.settings import origins
 from softcal.core.unit.method import Method
+from softcal.core.unit.trim import TrimConfig
 from softcal.core.use.method import UseMethod
 
 CORE = Path(__file__).parents[2] / "core"
@@ -219,9 +221,11 @@ def test_numbers_of_the_file_formats_cannot_be_changed() -> None:
             Method(**{name: getattr(Method(), name) + 1})
 
 
-@pytest.mark.parametrize("method", [Method(), UseMethod(), GapMethod()], ids=["calibration", "use", "gap"])
-def test_every_number_says_where_it_comes_from(method: Method | UseMethod | GapMethod) -> None:
-    assert [name for name, _, origin in method.numbers() if not origin.strip()] == []
+@pytest.mark.parametrize(
+    "method", [Method(), TrimConfig(), UseMethod(), GapMethod()], ids=["calibration", "trim", "use", "gap"]
+)
+def test_every_number_says_where_it_comes_from(method: object) -> None:
+    assert [name for name, _, origin in origins(method) if not origin.strip()] == []
 
 
 def test_every_number_of_use_is_part_of_its_identity() -> None:

@@ -12,11 +12,23 @@ from softcal.core.maps.anchors import AnchoredMap, SourceLevels, check_loads
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
 from softcal.core.metrics import rms, rmse
 from softcal.core.recording import Array, OutputRecording
+from softcal.core.settings import setting
 from softcal.core.unit.uncertainty import NORMAL_90, Interval
-from softcal.core.use.method import TrimConfig
 from softcal.core.windows import resting
 
 NOTHING = "nothing was changed"
+
+
+@dataclass(frozen=True)
+class TrimConfig:
+    """The number of a trim. No part of `Method`: it decides no map that a recording is calibrated with.
+
+    Args:
+        most_change: a gain that changes by more than this share is another unit, or other units of load. The device
+            holds no larger one.
+    """
+
+    most_change: float = setting(0.5, "docs/format.md")
 
 
 class NeedlessTrim(InputError):

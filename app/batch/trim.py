@@ -5,7 +5,7 @@ from pathlib import Path
 from softcal.app.batch.judging import judge_again
 from softcal.app.files.anchors import read_anchors
 from softcal.app.registry.trimmed import is_trimmed_by, keep_trim
-from softcal.core.use.trim import Trimmed
+from softcal.core.unit.trim import Trimmed
 from softcal.db.registry import Registry
 
 

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from softcal.app.files.recording_file import PLAIN, ColumnNames, read_recording, write_columns
+from softcal.app.files.stream_file import COLUMNS
 from softcal.app.registry.unit import calibrated_unit
 from softcal.core.unit.estimate import Estimate, estimate
 from softcal.db.registry import Registry
@@ -21,6 +22,6 @@ def estimate_file(
     lot, network, calibration = calibrated_unit(registry, serial, revision, lot_id)
     recording = read_recording(source, serial, lot.sample_rate_Hz, lot.output_unit, names=names)
     result = estimate(network, calibration, recording)
-    numbers = [(name, getattr(result, name)) for name in ("t_s", "estimate", "lower", "upper")]
+    numbers = [(name, getattr(result, name)) for name in COLUMNS[:-1]]
     write_columns(target, [*numbers, ("flag", result.flag.tolist())])
     return result
