@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from softcal.core.errors import InputError
+from softcal.core.unit.budget import COVERAGE
 from softcal.db.entries import CellCertificate
 
 NEEDED = ("cell_serial", "number", "issued_on", "due_on", "capacity_N", "uncertainty_N")
@@ -14,7 +15,6 @@ NEEDED = ("cell_serial", "number", "issued_on", "due_on", "capacity_N", "uncerta
 PER_UNIT_N = {r"\newton": 1.0, r"\milli\newton": 1e-3, r"\kilo\newton": 1e3}
 """D-SI names of the units in which a load cell's certificate may state forces."""
 
-COVERAGE = 2.0
 RECALIBRATION, DATES = "basic_recalibration", ("date", "dateTime", "valueXMLList")
 
 

@@ -32,7 +32,7 @@ VERDICT_FLAGS = {"pass": 0, "conditional": blob.CONDITIONAL, "fail": blob.FAILED
 ANCHOR_LEVELS = (1 / 32, 31 / 32)
 """Quantiles of mapped samples that stand for a unit's rest and its top."""
 
-COVERAGE = 0.95
+COVERED = 0.95
 """The interval on the device is widened by this quantile of what the device form changes."""
 
 
@@ -250,7 +250,7 @@ def _check_scale(scale: InputScale, facts: UnitFacts) -> None:
 
 def _bands(counts: Integers, exact: Array, facts: UnitFacts, error: Array, count: float) -> tuple[blob.Band, ...]:
     """The 90 % interval by level: per band its mean reach and the device's own error."""
-    own = float(np.quantile(np.abs(error), COVERAGE))
+    own = float(np.quantile(np.abs(error), COVERED))
     levels, *reach = quantise.reach_by_band(counts, exact - facts.lower, facts.upper - exact)
     minus, plus = (np.clip(np.ceil((side + own) / count), 0, CODE_MAX).astype(int).tolist() for side in reach)
     return tuple(map(blob.Band, (*map(int, levels), ACTIVATION_MAX), minus, plus))

@@ -29,6 +29,7 @@ from softcal.core.gap.residual import Regime
 from softcal.core.gap.search import EffectSearch
 from softcal.core.gap.shrink import ChannelGap, Quantified, Shrink, gap_of_base, quantify, unsupported
 from softcal.core.twin.effects import Effect
+from softcal.core.unit.uncertainty import NORMAL_90
 from softcal.core.words.reason import Reason, in_words, reason, several
 
 CONFIG = METHOD.verdict
@@ -186,7 +187,7 @@ def estimates_of(found: Fit, effect_id: str) -> dict[str, ParameterEstimate]:
     if effect is None:
         return {}
     at, out = found.hypothesis.slices[effect_id], {}
-    margins = 1.645 * np.sqrt(np.maximum(np.diag(found.covariance), 0.0))[at]
+    margins = NORMAL_90 * np.sqrt(np.maximum(np.diag(found.covariance), 0.0))[at]
     for parameter, x, margin in zip(effect.parameters, found.coordinates[at], margins, strict=True):
         p = found.problem.scale.sized(parameter)
         ends = sorted(from_fit(p, float(x + side * margin)) for side in (-1.0, 1.0))

@@ -65,7 +65,7 @@ def is_told(case: Case, alias: Alias) -> bool:
 GENTLER = (0.1, 0.003)
 """Shares of a promised size from which a fit begins once more."""
 
-KEPT = 0.1
+KEPT_PART = 0.1
 """Share of the promised drop of χ² that a fit must bring, or it begins once more."""
 
 
@@ -103,7 +103,7 @@ def joined(parent: Fit, lead: Lead, steps: int = 20) -> Fit:
     hypothesis = parent.hypothesis.adding(lead.effect)
     best = fit(parent.problem, hypothesis, lead.start(parent), steps=steps)
     for share in GENTLER:
-        if best.chi2 < parent.chi2 - KEPT * lead.gain:
+        if best.chi2 < parent.chi2 - KEPT_PART * lead.gain:
             break
         again = fit(parent.problem, hypothesis, lead.start(parent, share), steps=2 * steps)
         best = min(best, again, key=lambda found: found.chi2)

@@ -11,7 +11,7 @@ from softcal.core.maps.affine_map import AFFINE, IDENTITY, LABEL_SHIFT, fit_labe
 from softcal.core.maps.anchors import refine, source_bend
 from softcal.core.maps.catalogue import family
 from softcal.core.maps.config import DEFAULT
-from softcal.core.maps.crossing import KEPT, swings
+from softcal.core.maps.crossing import CACHED, swings
 from softcal.core.maps.interface import FitProblem, UnitMap
 from softcal.core.maps.monotone import BETWEEN, MONOTONE
 from softcal.core.maps.paired import PHASE, SYNCHRONOUS
@@ -43,8 +43,9 @@ def choose_map(problem: FitProblem) -> ChosenMap:
     """Fit the candidates, take the one the evidence supports, and refine it by anchors where there are any.
 
     Order of trust: pairs under one load at equal time, then pairs at equal stage position, then pairs of an opening
-    that both share, then matched distributions. Of these the dwell-blind one is taken unless the units spend their time
-    alike. The identity is taken where no difference from the source can be shown.
+    that both share, then matched distributions. Of these: quantiles where the units spend their time alike; rest and
+    hardest presses alone where the unit swings like noise, or known loads show a straight source; else half way between
+    the two. The identity is taken where no difference from the source can be shown.
 
     Raises:
         UnitRefused: the recording allows no map; the message says why.
@@ -182,7 +183,7 @@ def dwell_distance(source: OutputRecording, mapped_target: Array, cells: int) ->
     return float(np.abs(source_share - _shares(mapped_target, edges)).sum() / 2)
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED)
 def _use(source: OutputRecording, cells: int) -> tuple[Array, Array]:
     """Return the inner edges of the levels, and the share of time in each cell."""
     # Equal shares of the source per cell: each difference from them is then known equally well.

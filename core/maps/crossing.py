@@ -12,7 +12,7 @@ import numpy as np
 from softcal.core.maps.config import CrossingConfig
 from softcal.core.recording import Array, Indices, OutputRecording
 
-KEPT = 32
+CACHED = 32
 """Results kept per recording: every unit of a lot is compared with one and the same source."""
 
 
@@ -52,7 +52,7 @@ class LevelPath:
         return LevelPath(self.low[inside], self.high[inside], self.start[inside], self.stop[inside])
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED)
 def level_path(recording: OutputRecording, average: int, config: CrossingConfig) -> LevelPath | None:
     """Reduce a recording, averaged over so many samples against noise, to its swings; None where it makes none."""
     # A share of the range: no unit, gain or readout changes what counts as a swing.
@@ -97,7 +97,7 @@ def turning_points(signal: Array, threshold: float) -> Indices:
     return candidates[turning]
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED)
 def averaging_length(recording: OutputRecording, config: CrossingConfig) -> int:
     """Return the fewest samples to average so that presses, not noise, make the turning points.
 
@@ -117,7 +117,7 @@ def swings(recording: OutputRecording, config: CrossingConfig) -> int:
     return 0 if path is None else path.swings
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED)
 def _range(recording: OutputRecording, config: CrossingConfig) -> float:
     return robust_range(recording.output, config)
 

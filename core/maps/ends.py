@@ -7,7 +7,7 @@ import numpy as np
 
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.config import MapConfig
-from softcal.core.maps.crossing import KEPT, LevelPath, averaging_length, level_path, moving_mean
+from softcal.core.maps.crossing import CACHED, LevelPath, averaging_length, level_path, moving_mean
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.windows import TAPS
 from softcal.core.words.reason import reason
@@ -102,7 +102,7 @@ def _matched(
     )
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED)
 def _smoothed(recording: OutputRecording, average: int) -> Array:
     """Output averaged over neighbours inside each segment, one value per sample."""
     parts = []
@@ -114,7 +114,7 @@ def _smoothed(recording: OutputRecording, average: int) -> Array:
     return np.concatenate(parts)
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED)
 def output_noise(recording: OutputRecording) -> float:
     """Return the standard deviation of the noise from second differences, at least that of the readout's steps."""
     bends = np.concatenate([np.diff(recording.output[part], 2) for part in recording.segments])
@@ -124,7 +124,7 @@ def output_noise(recording: OutputRecording) -> float:
     return max(noise, recording.step / np.sqrt(12) if np.isfinite(recording.step) else 0.0)
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED)
 def _stretches(source: OutputRecording, length: int, average: int, sign: float, config: MapConfig) -> tuple[Ends, Ends]:
     """Return ends of the source that a recording so long has seen, and of stretches that show their scatter."""
     path = level_path(source, average, config.crossing)

@@ -6,7 +6,7 @@ import numpy as np
 
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.config import MapConfig
-from softcal.core.maps.crossing import KEPT, robust_range
+from softcal.core.maps.crossing import CACHED, robust_range
 from softcal.core.maps.curve import CurveMap, continued
 from softcal.core.maps.ends import match_ends
 from softcal.core.maps.interface import FitProblem
@@ -49,7 +49,7 @@ def fit_between(problem: FitProblem) -> CurveMap:
     return CurveMap(curve.knots, 0.5 * curve.values + 0.5 * line, BETWEEN)
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED)
 def _quantiles(recording: OutputRecording, config: MapConfig) -> Array:
     """Return the quantiles of a recording's output that become knots."""
     # Chebyshev spacing: the ends, where rest and peak levels lie, are resolved best.

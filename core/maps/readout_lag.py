@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from softcal.core.maps.config import LagConfig, MapConfig
-from softcal.core.maps.crossing import KEPT, moving_mean
+from softcal.core.maps.crossing import CACHED, moving_mean
 from softcal.core.maps.synchrony import Synchrony, common_time, find_synchrony, ranks
 from softcal.core.recording import Array, OutputRecording
 
@@ -61,7 +61,7 @@ def find_readout_lag(
     return ReadoutLag(float(tried[best]), float(explained), synchrony.is_synchronous) if is_lag else None
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED)
 def _slowed(recording: OutputRecording, lag_s: float) -> OutputRecording:
     """Return the recording behind a first-order low-pass that stood at its first value before.
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.maps.config import MapConfig, SynchronyConfig
-from softcal.core.maps.crossing import KEPT, moving_mean, robust_range, turning_points
+from softcal.core.maps.crossing import CACHED, moving_mean, robust_range, turning_points
 from softcal.core.recording import RATE_TOLERANCE, Array, Indices, Mask, OutputRecording
 from softcal.core.windows import TAPS
 
@@ -111,14 +111,14 @@ class _Band:
     spread: float
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED)
 def _ranks_at(recording: OutputRecording, time_s: bytes, seen: bytes) -> Array:
     at, known = np.frombuffer(time_s), np.frombuffer(seen)
     # Linear between samples: two recordings never share their instants exactly.
     return ranks(np.interp(at, known, np.interp(known, recording.t_s, recording.output)))
 
 
-@lru_cache(maxsize=4 * KEPT)
+@lru_cache(maxsize=4 * CACHED)
 def _band_of(recording: OutputRecording, time_s: bytes, seen: bytes, scale: int, apart: int) -> _Band:
     values = _ranks_at(recording, time_s, seen)
     slower, faster = moving_mean(values, apart * scale), moving_mean(values, scale)

@@ -17,7 +17,7 @@ from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.method import DecisionConfig
 from softcal.core.windows import evenly
 
-KEPT = 201
+INSTANTS = 201
 """Instants of an audit that are kept, evenly spaced: enough for shares of its samples."""
 
 
@@ -84,7 +84,7 @@ def read_audit(
         rest: share of the samples at whose quantile a unit is at rest.
     """
     rows = np.flatnonzero(np.isfinite(value))
-    spread = rows[evenly(len(rows), KEPT)]
+    spread = rows[evenly(len(rows), INSTANTS)]
     unit, now = (output_level(one, is_rising=audit.direction > 0, rest=rest) for one in (recording, audit.unlabelled))
     gain, zero = line_of(value, audit.reference)
     return AuditReading(

@@ -32,10 +32,6 @@ COMMON_GAIN, COMMON_ZERO = "common_gain", "common_zero"
 """The same of what was taken off the map, as the lot's audited units misread it alike."""
 
 
-OPEN = (Verdict.PASS, Verdict.CONDITIONAL)
-"""Words after which nothing that was found stands against a unit."""
-
-
 @dataclass(frozen=True, eq=False)
 class CalibrationRecord:
     """One calibration of one unit as plain values: arrays, JSON settings and numbers. The registry stores it whole.
@@ -115,7 +111,7 @@ class CalibrationRecord:
     def is_open(self) -> bool:
         """Whether nothing that was found stands against it: its forecast alone may, and audits can correct that."""
         grounds = self.grounds
-        return self.decision.predicted.verdict in OPEN if grounds is None else grounds.is_open
+        return self.decision.predicted.verdict.is_open if grounds is None else grounds.is_open
 
     @property
     def limit_rmse(self) -> float | None:

@@ -13,7 +13,7 @@ import numpy as np
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.affine_map import IDENTITY, LABEL_SHIFT
 from softcal.core.maps.choose import ChosenMap, fit_family
-from softcal.core.maps.crossing import KEPT
+from softcal.core.maps.crossing import CACHED
 from softcal.core.maps.interface import FitProblem, UnitMap
 from softcal.core.maps.monotone import BETWEEN
 from softcal.core.maps.paired import PHASE, SYNCHRONOUS, fit_pairs
@@ -270,7 +270,7 @@ class _KnownUse:
     use: Array
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED)
 def _known_use(model: SourceModel) -> _KnownUse:
     config, shape, estimate = model.method.forecast, model.shape, model.estimate
     shares = np.linspace(*model.method.map.ends.reach, config.quantiles)

@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from softcal.core.maps.crossing import KEPT, swings
+from softcal.core.maps.crossing import CACHED, swings
 from softcal.core.maps.readout_lag import ReadoutLag
 from softcal.core.maps.synchrony import Synchrony, find_synchrony
 from softcal.core.recording import RATE_TOLERANCE, Array, OutputRecording
@@ -24,7 +24,7 @@ def map_findings(
 ) -> tuple[Finding, ...]:
     """Say in words what the mapped windows show against the unit, if anything.
 
-    A lag was seen beside the source's own load, so that the programme was the source's and is not blamed.
+    A lag shows only beside the source's own load: there the unit ran the source's programme, which is not blamed.
     """
     lagging = None
     if lag is not None:
@@ -221,7 +221,7 @@ def _times_as_fast(source: OutputRecording, target: OutputRecording, method: Met
     return times if find_synchrony(source, paced, method.map).is_synchronous else 1.0
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED)
 def _levels(recording: OutputRecording, method: Method) -> Array:
     """Return the quantiles of the output, as shares of the span between its tails."""
     low, high = _reach(recording.output, method.health.span)
@@ -229,7 +229,7 @@ def _levels(recording: OutputRecording, method: Method) -> Array:
     return np.asarray((np.quantile(recording.output, shares) - low) / (high - low))
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED)
 def _along_stage(recording: OutputRecording) -> float:
     """Return the correlation of output and stage position."""
     return float(np.corrcoef(recording.output, recording.stage_mm)[0, 1])

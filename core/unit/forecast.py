@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from softcal.core.maps.crossing import KEPT
+from softcal.core.maps.crossing import CACHED
 from softcal.core.maps.ends import output_noise
 from softcal.core.maps.interface import UnitMap
 from softcal.core.metrics import rms
@@ -152,5 +152,5 @@ def _draw(shape: tuple[int, int]) -> Array:
     return np.random.default_rng(0).standard_normal(shape)
 
 
-_source_noise_error = lru_cache(maxsize=KEPT)(noise_error)
+_source_noise_error = lru_cache(maxsize=CACHED)(noise_error)
 """Every unit of a lot is compared with one and the same source."""

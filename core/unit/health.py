@@ -7,7 +7,7 @@ import numpy as np
 
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps.config import EndConfig
-from softcal.core.maps.crossing import KEPT
+from softcal.core.maps.crossing import CACHED
 from softcal.core.recording import RATE_TOLERANCE, Array, Indices, OutputRecording
 from softcal.core.unit.method import HealthConfig
 from softcal.core.unit.verdict import Finding, Verdict
@@ -57,7 +57,7 @@ class Rail:
         return self.count >= config.few_presses and self.visits > source.visits + config.visits
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED)
 def rail(recording: OutputRecording, is_upper: bool, config: HealthConfig) -> Rail:
     """Describe the upper or lower end of the range of a recording's output."""
     output = recording.output
@@ -169,12 +169,12 @@ def health_findings(
     return tuple(findings)
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED)
 def _longest_run(recording: OutputRecording) -> int:
     return int(run_lengths(recording.output).max())
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED)
 def _longest_inner_run(recording: OutputRecording, edge: float) -> int:
     output = recording.output
     span = float(np.ptp(output))
@@ -183,12 +183,12 @@ def _longest_inner_run(recording: OutputRecording, edge: float) -> int:
     return int(np.max(run_lengths(output)[inner], initial=0))
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED)
 def _span(recording: OutputRecording, config: HealthConfig) -> Array:
     return np.quantile(recording.output, config.span)
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED)
 def count_presses(recording: OutputRecording, config: HealthConfig) -> int:
     """Count the excursions of the output through the middle half of its range, there and back."""
     output, (low, high) = recording.output, _span(recording, config)

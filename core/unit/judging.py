@@ -41,8 +41,7 @@ class Grounds:
     @property
     def is_open(self) -> bool:
         """Whether nothing that was found stands against it: its forecast alone may, and audits can correct that."""
-        found = (*self.findings, *self.held)
-        return worst_of([Verdict.PASS, *(one.best for one in found)]).severity <= Verdict.CONDITIONAL.severity
+        return worst_of(one.best for one in (*self.findings, *self.held)).is_open
 
     def decide(self, limit: Limit) -> Decision:
         """Decide against a limit in the unit of the errors."""

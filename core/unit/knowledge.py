@@ -9,7 +9,7 @@ from softcal.core.settings import SET, setting, table
 FITTED = "benchmarks/verdict.py --fit --seeds 1000 1040 (simulated lots; tested on seeds 0-24 and 36-48)"
 FITTED_OWN = "benchmarks/verdict.py --fit --seeds 1000 1040, ratio of own calibrations"
 GOOD_UNITS = "2.5 % and 97.5 % quantiles of log(true / forecast RMSE) over good units, "
-COVERAGE = "benchmarks/interval_coverage.py --fit (simulated lots; tested on seeds 0-24)"
+FITTED_COVERAGE = "benchmarks/interval_coverage.py --fit (simulated lots; tested on seeds 0-24)"
 
 
 ANCHORED = "anchored"
@@ -76,7 +76,7 @@ class StageKnowledge(KnowledgeConfig):
         FITTED,
     )
     log_error: tuple[float, float] = setting((-0.41, 0.23), f"{GOOD_UNITS}{FITTED}")
-    interval_share: float = setting(0.1, COVERAGE)
+    interval_share: float = setting(0.1, FITTED_COVERAGE)
     own: tuple[tuple[str, float], ...] = table(
         {"floor": 1.17, "clipping": 1.6, "rest": 0.2, "noise": 2.0, "excess": 0.42}, FITTED_OWN
     )
@@ -111,7 +111,7 @@ class BlindConfig(KnowledgeConfig):
     log_error: tuple[float, float] = setting(
         (-1.75, 0.78), f"{GOOD_UNITS}benchmarks/verdict.py --fit --seeds 1003 1089 4, lots whose loads are unknown"
     )
-    interval_share: float = setting(1.1, COVERAGE)
+    interval_share: float = setting(1.1, FITTED_COVERAGE)
     own: tuple[tuple[str, float], ...] = table({"floor": 1.31, "clipping": 2.0, "rest": 0.37}, FITTED_OWN)
 
 

@@ -1,7 +1,9 @@
 """The method: every number that can change a map, an interval, a forecast or a verdict, each with its origin.
 
-A number that decides stands here or in `maps/config.py` and `unit/knowledge.py`, nowhere else. The whole is kept with
-every calibration and is part of its identity: results of other numbers show as stale.
+A number that decides stands here or in `maps/config.py` and `unit/knowledge.py`. Halves, and constants of arithmetic
+and solvers, stand in the formula they belong to. The whole is kept with every calibration and is part of its identity:
+results of other numbers show as stale. A release judges calibrations of several methods: it goes by this version's
+numbers (`ReleaseConfig`).
 """
 
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""The decision on one unit: the only owner of the four words, their order, and what they release.
+"""The decision on one unit: the four words, their order, and what they release.
 
 A limit is agreed before measuring; the guard bands follow ILAC-G8:09/2019. What was measured outranks a forecast.
 """
@@ -33,6 +33,11 @@ class Verdict(StrEnum):
     def severity(self) -> int:
         """0 for the best word, more for worse ones."""
         return VERDICTS.index(self)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether nothing that was found stands against a unit of this word."""
+        return self in (Verdict.PASS, Verdict.CONDITIONAL)
 
     @property
     def conformity(self) -> str:

@@ -16,13 +16,13 @@ CORE = Path(__file__).parents[2] / "core"
 ROOMS = ("unit", "maps", "use")
 NO_DECISION = {
     "core/unit/method.py": {"CONFIDENCE", "LEVELS"},  # parts of the file formats, and fields of `Method`
-    "core/unit/audit_reading.py": {"KEPT"},  # instants of the stored reading
+    "core/unit/audit_reading.py": {"INSTANTS"},  # instants of the stored reading
     "core/unit/bridge.py": {"SAME_DAY"},  # the identity
     "core/unit/line_spread.py": {"MOST_SPREAD"},  # 1, the end of what a share can be
     "core/unit/uncertainty.py": {"NORMAL_90"},  # a quantile of the normal distribution
     "core/unit/explanation.py": {"DENSITY_BINS"},  # bars of a figure
     "core/unit/budget.py": {"COVERAGE", "DIVISORS"},  # what a certificate states, and the GUM's distributions
-    "core/maps/crossing.py": {"KEPT"},  # entries of a cache
+    "core/maps/crossing.py": {"CACHED"},  # entries of a cache
     "core/maps/synchrony.py": {"NONE"},  # zeros
     "core/use/adapter.py": {"STATE_FORMAT"},  # of the stored state
     "core/use/batches.py": {"MOST_UPDATES"},  # length of a queue for the caller
@@ -38,7 +38,7 @@ NO_DECISION = {
     "core/gap/plausibility.py": {"UNITS_OF_RUN", "TIME_UNITS", "UNITS"},  # units
     "core/gap/problem.py": {"QUIETEST", "BASE"},  # a guard, and the base's bounds
     "core/gap/residual.py": {"TIED"},  # rounding
-    "core/gap/screen.py": {"KEPT", "GENTLER"},  # where a fit begins
+    "core/gap/screen.py": {"KEPT_PART", "GENTLER"},  # where a fit begins
     "core/gap/shared_cause.py": {"FEWEST_UNITS"},  # what is refused
     "core/gap/simulator.py": {"BLUNT", "MEMORIES"},  # parts of stored terms
     "core/gap/simulator_diagnosis.py": {"STANDS_OUT"},  # what is listed
