@@ -155,9 +155,9 @@ def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple
     if rate > config.unlike_rate:
         why = "swings far more often than the source: only rest level and hardest presses are matched; abstain"
         return LABEL_SHIFT, numbers | {"decision": why}
-    # Both gain and rest must be indistinguishable: a map that is not needed only adds its own error.
-    is_same_gain = abs(np.log(match.gain)) < config.clear * match.gain_error
-    is_same_rest = abs(match.rest_shift) < config.clear * match.rest_error
+    # Both gain and rest must be within two standard errors: a map that is not needed only adds its own error.
+    is_same_gain = abs(np.log(match.gain)) < 2 * match.gain_error
+    is_same_rest = abs(match.rest_shift) < 2 * match.rest_error
     if match.gain_error < config.sharp and is_same_gain and is_same_rest:
         return IDENTITY, numbers | {"decision": "no difference from the source that the recording could show"}
     if dwell < config.same_programme:

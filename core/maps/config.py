@@ -36,7 +36,6 @@ class EndConfig:
         rest_share: quantile of the samples that stands for the level at rest: robust to a few outlying samples. As
             far from the top lies the other end of what a recording is said to reach, and the peak of one in pieces.
         peak_shares: shares of the path whose mean level stands for the hardest presses, however short those were.
-        patch: a recording in pieces shorter than this many samples shows levels but no presses.
         stretches: of the source that are held beside a unit, or beside the rest of the source.
         enough_swings: a recording as long as the source takes for this many swings has seen its hardest press.
         clear_of_noise: a swing below this many standard deviations of the noise is none; a flat stretch is as wide.
@@ -44,7 +43,6 @@ class EndConfig:
 
     rest_share: float = setting(0.005)
     peak_shares: tuple[float, ...] = setting((0.99, 0.995, 1.0))
-    patch: int = setting(150)
     stretches: int = setting(8)
     enough_swings: float = setting(10.0)
     clear_of_noise: float = setting(6.0)
@@ -63,7 +61,7 @@ class CurveConfig:
         gain_prior: units of one kind differ in gain by about this much (standard deviation of its logarithm).
             The slope of a curve changes as freely over a range that was not seen.
         knots: of a curve between two distributions.
-        shares: quantiles between which the shapes of two outputs, or a source and a straight line, are compared.
+        shares: quantiles between which two outputs, their uses, or a source and a straight line are compared.
     """
 
     gain_prior: float = setting(0.5)
@@ -249,14 +247,12 @@ class ChoiceConfig:
             their samples would copy that.
         dwell_cells: levels over which the time spent is compared.
         unlike_rate: a unit that swings this many times more often than the source shows noise or another use.
-        clear: a gain or level this many standard errors from the source's is worth correcting.
         sharp: only a recording that fixes the gain this well can show that there is nothing to correct.
     """
 
     same_programme: float = setting(0.03)
     dwell_cells: int = setting(20)
     unlike_rate: float = setting(6.0)
-    clear: float = setting(2.0)
     sharp: float = setting(0.06)
 
 

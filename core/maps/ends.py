@@ -54,8 +54,9 @@ def match_ends(source: LabelledRecording, target: OutputRecording, config: MapCo
     """
     # A sensor may fall under load: every level is taken in the direction of loading.
     known, sign = source.unlabelled, source.direction
+    # Pieces shorter than ten windows show levels but no presses.
     ends, lengths = config.ends, [segment.stop - segment.start for segment in target.segments]
-    is_patchy = len(lengths) > 1 and float(np.median(lengths)) < ends.patch
+    is_patchy = len(lengths) > 1 and float(np.median(lengths)) < 10 * TAPS
     if is_patchy:
         average = TAPS // 3
         shown = _patch_ends([sign * _smoothed(target, average)], config)

@@ -48,7 +48,7 @@ def fit_widening(units: Sequence[AuditedSamples], coverage: float) -> Widening:
     The factor is what the median unit asks for where that is less than 1. The added error is the smallest that
     does two things. It covers the audited units' samples to `coverage`, each unit weighing the same: the pooled version
     of hierarchical conformal prediction (Dunn, Wasserman and Ramdas 2023; Lee, Barber and Willett 2023). And one more
-    unit has `least_coverage` of its samples covered, all but a share `most_units` of the times. That is the
+    unit has `least_coverage` of its samples covered, all but a share `risk` of the times. That is the
     prediction limit of the logarithm of the units' own factors (Student's t; Hahn 1970).
 
     Raises:
@@ -74,7 +74,7 @@ def _needed(units: Sequence[AuditedSamples], widening: Widening, coverage: float
     """Return the factor that the widened intervals would still need."""
     ratios = [unit.ratio(widening) for unit in units]
     own = np.log([max(float(np.quantile(ratio, ReleaseConfig.least_coverage)), 1e-12) for ratio in ratios])
-    return max(pooled_scale(ratios, coverage), float(np.exp(_next_unit(own, ReleaseConfig.most_units))))
+    return max(pooled_scale(ratios, coverage), float(np.exp(_next_unit(own, ReleaseConfig.risk))))
 
 
 def _next_unit(values: Array, risk: float) -> float:

@@ -277,7 +277,8 @@ def _known_use(model: SourceModel) -> _KnownUse:
     low, high = np.quantile(shape.level, model.method.map.ends.reach)
     # A coarse grid: with finer cells two short recordings of one programme would seem to differ.
     levels = np.linspace(low, high, config.overlap_edges[0])
-    slopes = np.linspace(-1, 1, config.overlap_edges[1]) * np.quantile(np.abs(shape.slope), config.overlap_slope)
+    slopes = np.linspace(-1, 1, config.overlap_edges[1])
+    slopes *= np.quantile(np.abs(shape.slope), model.method.map.curve.shares[1])
     return _KnownUse(
         shares=shares,
         loads=np.quantile(estimate, shares),
@@ -299,7 +300,7 @@ def _spread(estimate: Array, others: Sequence[Array]) -> Array:
 
 def rest_rows(model: SourceModel, estimate: Array, shape: WindowShape) -> Mask:
     """Mark the windows at rest: output still, load among the unit's own lowest."""
-    band = model.method.forecast.rest_band * (model.interval.high - model.interval.low)
+    band = model.method.health.near_end * (model.interval.high - model.interval.low)
     still = model.interval.direction(shape) == 1
     return np.asarray(still & (estimate < _rest_level(model, estimate) + band))
 

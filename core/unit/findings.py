@@ -177,7 +177,8 @@ def _restless(model: SourceModel, target: OutputRecording, evidence: MapEvidence
     trend = np.polyfit(t_s - t_s.mean(), value, 1)[0]
     explained = float(np.corrcoef(t_s, value)[0, 1] ** 2)
     unit = model.network.reference_unit
-    if explained > config.drift_explained:
+    # A drift where a straight line explains more than half of the scatter.
+    if explained > 0.5:
         return Finding(reason("drift", moved=float(trend * (t_s[-1] - t_s[0])), unit=unit))
     # Slow holds at low loads count as rest too, and recordings hold more or fewer of them.
     at_rest = rest_rows(model, model.estimate, model.shape)

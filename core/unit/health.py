@@ -65,7 +65,7 @@ def rail(recording: OutputRecording, is_upper: bool, config: HealthConfig) -> Ra
     band = noise_band(recording, config)
     top, span = float(rising.max()), float(np.ptp(rising))
     in_band, beside = rising > top - band, (rising <= top - band) & (rising > top - 2 * band)
-    pressed = rising >= top - max(config.near_rail * span, 2 * band)
+    pressed = rising >= top - max(config.near_end * span, 2 * band)
     # Number 0 is what the recording begins with: nobody saw that press rise.
     press = np.cumsum(np.concatenate([[False], pressed[1:] & ~pressed[:-1]]))
     is_flat_run = in_band & (run_lengths(in_band.astype(np.float64)) == config.rail_run)
@@ -110,8 +110,8 @@ def check_alive(target: OutputRecording, source: OutputRecording, config: Health
     if np.ptp(output) == 0:
         raise UnitRefused(reason("dead.constant", level=float(output[0]), unit=unit, count=len(output), cure=cure))
     spread = float(np.std(output))
-    # White noise has twice its variance in differences of neighbours; a slow signal has almost none.
-    if np.var(np.diff(output)) > config.noise_ratio * 2 * spread**2:
+    # White noise has twice its variance in differences of neighbours, a slow signal almost none: half-way is dead.
+    if np.var(np.diff(output)) > spread**2:
         raise UnitRefused(reason("dead.noise", spread=spread, unit=unit, cure=cure))
     # A spike must not make a dead channel look alive.
     span, source_span = (float(np.ptp(_span(recording, config))) for recording in (target, source))
@@ -156,7 +156,7 @@ def health_findings(
         )
         best = Verdict.FAIL if share > config.failing_share else Verdict.CONDITIONAL
         findings.append(Finding(reason("saturated", level=level, share=share), best))
-    longest, allowed = (_longest_inner_run(recording, config.near_rail) for recording in (target, source))
+    longest, allowed = (_longest_inner_run(recording, config.near_end) for recording in (target, source))
     if longest > max(config.stuck_factor * allowed, config.stuck_s * target.sample_rate_Hz):
         findings.append(Finding(reason("stuck", seconds=longest / target.sample_rate_Hz), Verdict.RETEST))
     windows, presses = len(target.window_rows), count_presses(target, config)

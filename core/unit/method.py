@@ -28,7 +28,6 @@ class SourceConfig:
 
     Args:
         cells: of the grid over level and slope.
-        margin: the grid reaches this share of the source's span beyond it on every side.
         slack_cells: neighbouring presses leave gaps between their traces: so many cells are still inside.
         tail, tail_factor: bend and roughness beyond this quantile of the source, times this, are unfamiliar.
         bands: load bands over which the residuals of f are tabulated.
@@ -37,7 +36,6 @@ class SourceConfig:
     """
 
     cells: tuple[int, int] = setting((96, 64))
-    margin: float = setting(0.5)
     slack_cells: float = setting(2.0)
     tail: float = setting(0.999)
     tail_factor: float = setting(1.5)
@@ -59,12 +57,10 @@ class HealthConfig:
         adc_steps: a flat stretch is at least so many steps of the converter wide.
         stuck_s: a reading that does not move for less than this is never called stuck.
         stuck_factor: nor one that the source shows a `stuck_factor`th of.
-        noise_ratio: variance of the steps over twice the variance of the samples: 1 for white noise, near 0 for a
-            pressed sensor; above this the channel is dead.
-        dead_share: so is one that moves by less than this share of the source's span.
+        dead_share: a channel that moves by less than this share of the source's span is dead.
         few_windows, few_presses: less than this is no firm verdict, and fewer presses at a rail are no clipping.
         span: quantiles between which an output is said to move.
-        near_rail: a press reaches within this share of the range of its end; a stuck reading does not.
+        near_end: what is within this share of the range of its ends is at rest or pressed; a stuck reading is between.
         press_band: hysteresis thresholds of a press, as shares of the span.
     """
 
@@ -75,12 +71,11 @@ class HealthConfig:
     adc_steps: float = setting(1.5)
     stuck_s: float = setting(2.0)
     stuck_factor: float = setting(10.0)
-    noise_ratio: float = setting(0.5)
     dead_share: float = setting(0.02)
     few_windows: int = setting(500)
     few_presses: int = setting(3)
     span: tuple[float, float] = setting((0.01, 0.99))
-    near_rail: float = setting(0.1)
+    near_end: float = setting(0.1)
     press_band: tuple[float, float] = setting((0.4, 0.6))
 
 
@@ -93,12 +88,10 @@ class ForecastConfig:
         most_growth: no more than this is made of what a lightly pressed unit would misread under the source's loads.
         parts: shares of the recording left out in turn while the chosen family is fitted again.
         stretches: per left-out share.
-        rest_band: windows within this share of the source's range above the level at rest are at rest.
         clipped_part: a clipped load is anywhere in this part of the range: the upper third.
         smooth: load levels over which the disagreement of maps is averaged.
         cell_prior: so many windows of even disagreement are added to each cell of its table.
         overlap_edges: of the grid of levels and slopes on which loads and speeds are compared.
-        overlap_slope: quantile of the source's slopes at the edge of that grid.
         fast, sharp: quantiles of slope and of bend that stand for fast movements and sharp turns.
     """
 
@@ -106,12 +99,10 @@ class ForecastConfig:
     most_growth: float = setting(3.0)
     parts: int = setting(3)
     stretches: int = setting(4)
-    rest_band: float = setting(0.1)
     clipped_part: int = setting(3)
     smooth: int = setting(9)
     cell_prior: float = setting(5.0)
     overlap_edges: tuple[int, int] = setting((11, 8))
-    overlap_slope: float = setting(0.98)
     fast: float = setting(0.95)
     sharp: float = setting(0.99)
 
@@ -159,7 +150,6 @@ class FindingConfig:
             and widens the forecast.
         overlap_gain: where before < after in simulated lots without positions, the map had raised the overlap by less.
         drift_factor: estimates at rest that move or scatter by so many times the source's own error are worth a word.
-        drift_explained: share of that scatter a straight line must explain to be called a drift.
         along_stage: correlation of output and stage position from which the direction is sure.
         upside_down: an output is the wrong way round where its levels lie nearer to the source's when mirrored, by this
             share of the span over the square root of the presses.
@@ -175,7 +165,6 @@ class FindingConfig:
     blind_stretch: float = setting(2.0, f"{SET}: half of the source's range")
     overlap_gain: float = setting(0.14, "benchmarks/verdict.py on seeds 1000-1040 (simulated lots)")
     drift_factor: float = setting(2.0)
-    drift_explained: float = setting(0.5)
     along_stage: float = setting(0.3)
     upside_down: float = setting(
         0.15, "between eGaIn, where a mirrored unit shows 0.20 or more, and the insole, whose good ones reach 0.10"
@@ -219,8 +208,7 @@ class ReleaseConfig:
         least_lots: audits of fewer lots say nothing firm about a lot without audits: how lots differ is not known.
         lasts_days: how long an audit of an earlier lot counts.
         most_audits: audited units that the scale of the intervals is made of.
-        least_coverage, most_units: an interval covers at least the first share of the samples of all but the second
-            share of the units (`widening.py`).
+        least_coverage: an interval covers at least this share of the samples of all units but the risk (`widening.py`).
         least_others: an audit is out of line with at least so many others. Fewer audited units or golden runs show no
             spread of a line or its days.
         exchanged, least_rest: two audits look exchanged where each rests nearer to the other unit than to its own by so
@@ -241,7 +229,6 @@ class ReleaseConfig:
     lasts_days: float = setting(365.0)
     most_audits: int = setting(40)
     least_coverage: float = setting(0.80)
-    most_units: float = setting(0.10)
     least_others: int = setting(3)
     exchanged: float = setting(4.0, f"{SET}: by chance one pair of audits in millions")
     least_rest: float = setting(0.005)

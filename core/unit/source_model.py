@@ -124,8 +124,9 @@ def fit_support(windows: Array, output_mean: float, output_scale: float, config:
     shape = blank.shape(windows)
     position = np.stack([shape.level, shape.slope], axis=1)
     low, span = position.min(axis=0), np.maximum(np.ptp(position, axis=0), 1e-6)
-    origin, cells = low - config.margin * span, np.array(config.cells)
-    step = (1 + 2 * config.margin) * span / cells
+    # The grid reaches half of the source's span beyond it on every side.
+    origin, cells = low - 0.5 * span, np.array(config.cells)
+    step = 2 * span / cells
     index = ((position - origin) / step).astype(np.int64)
     empty = np.ones(cells, dtype=bool)
     empty[index[:, 0], index[:, 1]] = False

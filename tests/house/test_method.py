@@ -85,6 +85,7 @@ EXPLAINED = {
         "6": "variance of a second difference over that of the samples",
         "12": "variance of a uniform variable over its squared width",
         "3": "a third of a window",
+        "10": "windows that a press takes",
     },
     "core/use/activity.py": {"12": "one over the variance of a uniform index from -1/2 to 1/2"},
     "core/use/adapter.py": {"300": "places of a table over three swings"},
