@@ -20,6 +20,7 @@ WIDTH, NARROWEST = 100, 4
 """Characters of a table that no terminal shows, and of its narrowest column."""
 
 COLOURS = {"pass": "green", "conditional": "yellow", "fail": "red", "retest": "magenta"}
+"""Of a terminal, which knows colours by name alone."""
 
 
 def say(line: str) -> None:

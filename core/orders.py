@@ -57,7 +57,11 @@ class RunState(StrEnum):
 
     @property
     def is_active(self) -> bool:
-        return self in (RunState.QUEUED, RunState.RUNNING)
+        return self in ACTIVE
+
+
+ACTIVE = (RunState.QUEUED, RunState.RUNNING)
+"""States of what is not over yet."""
 
 
 class StationState(StrEnum):

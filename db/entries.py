@@ -141,6 +141,9 @@ class MadeCalibration:
         return self.decision.is_audited
 
 
+UNIT_ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
+"""The errors of a calibration in the lot's reference unit: as forecast, then as an audit showed them."""
+
 UNDECIDED = "retest"
 """Verdict of a unit for which two registries put different maps into use."""
 

@@ -98,9 +98,11 @@ def seen_rate_Hz(device_s: Array) -> float:
 
 
 CHANGE_SAMPLES = 5
+REACH_S = 0.5
+"""An offset is looked for up to so much, either way."""
 
 
-def residual_offset_s(leading: Array, following: Array, rate_Hz: float, reach_s: float = 0.5) -> float:
+def residual_offset_s(leading: Array, following: Array, rate_Hz: float) -> float:
     """Estimate how much later `following` shows the same event as `leading`, from their rates of change.
 
     Both are differentiated, so that offset and slow drift do not count; the peak of the cross-correlation is refined by
@@ -118,7 +120,7 @@ def residual_offset_s(leading: Array, following: Array, rate_Hz: float, reach_s:
     scale = float(np.sqrt(np.sum(a**2) * np.sum(b**2)))
     if scale == 0.0:
         return float("nan")
-    reach = min(int(reach_s * rate_Hz), len(a) - 1)
+    reach = min(int(REACH_S * rate_Hz), len(a) - 1)
     lags = range(-reach, reach + 1)
     # The sum of a[k]·b[k + lag] over all k where both exist.
     pairs = ((a[max(0, -lag) : len(a) - max(0, lag)], b[max(0, lag) : len(b) - max(0, -lag)]) for lag in lags)

@@ -7,10 +7,10 @@ from softcal.app.batch.train import TrainedOrFound
 from softcal.core.quality.lot_release import LotRelease
 from softcal.core.unit.verdict import VERDICTS, Release, Verdict, worst_of
 from softcal.core.words.reason import Reason
-from softcal.db.entries import MadeCalibration
+from softcal.db.entries import UNIT_ERRORS, MadeCalibration
 
 TABLE_HEADER = ("serial", "verdict", "predicted", "before", "after", "own", "after/own", "fit_s", "map")
-UNIT_ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse", "fit_s")
+ERRORS_AND_TIME = (*UNIT_ERRORS, "fit_s")
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def report_json(report: BatchReport) -> dict[str, object]:
                 "verdict": unit.verdict,
                 "reasons": [str(why) for why in unit.reasons],
                 "reason_codes": [why.code for why in unit.reasons],
-                **{name: getattr(made, name, None) for name in UNIT_ERRORS},
+                **{name: getattr(made, name, None) for name in ERRORS_AND_TIME},
                 "map": made and {"family": made.family, "revision": made.revision, "sha256": made.map_sha256},
                 "audited": made is not None and made.is_audited,
                 "predicted_verdict": made and str(made.decision.predicted.verdict),
@@ -96,7 +96,7 @@ def table_row(unit: UnitResult) -> list[object]:
     if made is None:
         return [unit.serial, unit.verdict, *[None] * 7]
     ratio = made.after_rmse / made.own_rmse if made.after_rmse and made.own_rmse else None
-    *errors, fit_s = (getattr(made, name) for name in UNIT_ERRORS)
+    *errors, fit_s = (getattr(made, name) for name in ERRORS_AND_TIME)
     return [unit.serial, unit.verdict, *errors, ratio, fit_s, made.family]
 
 

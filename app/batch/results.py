@@ -9,6 +9,7 @@ import pyarrow.parquet as pq
 
 from softcal.app.registry.lot_recordings import target_serials
 from softcal.core.unit.verdict import Release
+from softcal.db.entries import UNIT_ERRORS
 from softcal.db.registry import Registry
 
 SCHEMA_NAME = "softcal.results/1"
@@ -36,7 +37,7 @@ RESULTS = pa.schema(
 )
 """Columns in their order. A unit without a result has null where a result would stand."""
 
-OF_MADE = ("revision", "map_sha256", "method_id", "predicted_rmse", "before_rmse", "after_rmse", "own_rmse", "fit_s")
+OF_MADE = ("revision", "map_sha256", "method_id", *UNIT_ERRORS, "fit_s")
 
 
 def lot_results(registry: Registry, lot_id: str, release: Release = Release.PASS) -> pa.Table:

@@ -34,6 +34,7 @@ h1.ambiguous { border-color: #b06f00; } h1.unknown { border-color: #b3261e; }
 .drawing { width: 100%; height: auto; }
 .bar span { position: relative; padding-left: 6px; }
 """
+"""Its colours are of the outcomes of a diagnosis, which are other words than a unit's verdicts (`charts.palette`)."""
 
 
 def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str, say: Words) -> str:

@@ -12,6 +12,7 @@ from softcal.app.views.common import thinned
 from softcal.core.recording import Array
 
 HEIGHT = 320
+TICK_STEPS = 6
 CLEAR = "rgba(0,0,0,0)"
 LEVEL_BARS = {"orientation": "h", "textposition": "outside", "cliponaxis": False}
 """Level bars whose values stand behind them."""
@@ -77,10 +78,10 @@ def axis_titles(figure: go.Figure, row: int, y_title: str, x_title: str | None =
         figure.update_xaxes(title=x_title, row=row, col=1)
 
 
-def nice_step(span: float, count: int = 6) -> float:
-    """Return 1, 2 or 5 times a power of ten, so that about so many steps make the span."""
-    power = 10.0 ** math.floor(math.log10(span / count))
-    return next(step * power for step in (1, 2, 5, 10) if step * power * count >= span)
+def nice_step(span: float) -> float:
+    """Return 1, 2 or 5 times a power of ten, so that about `TICK_STEPS` make the span."""
+    power = 10.0 ** math.floor(math.log10(span / TICK_STEPS))
+    return next(step * power for step in (1, 2, 5, 10) if step * power * TICK_STEPS >= span)
 
 
 def whole_numbers(figure: go.Figure, most: float) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 from urllib.parse import quote
 
 from softcal.core.words.reason import Reason
-from softcal.db.entries import AuditRow
+from softcal.db.entries import UNIT_ERRORS, AuditRow
 from softcal.db.queues.outbox import Cursor
 from softcal.db.registry import Registry
 
@@ -32,8 +32,6 @@ ABOUT = ("station", "cell")
 ROWS_AT_ONCE = 500
 MOST_ROWS = 20_000
 """So many rows are looked at for one page of events; who asks again goes on where it ended."""
-
-ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
 
 
 @dataclass(frozen=True)
@@ -150,7 +148,7 @@ def _verdict(registry: Registry, entity: str, content: Mapping[str, Any]) -> dic
         "revision": revision,
         "family": made.get("family"),
         "map_sha256": made.get("map_sha256"),
-        **{name: made.get(name) for name in ERRORS},
+        **{name: made.get(name) for name in UNIT_ERRORS},
         "decided_by": content.get("decided_by", "batch"),
         "is_conflict": False,
     }

@@ -128,7 +128,7 @@ def units(
     registry: Known,
     _: Looking,
     lot: LotId,
-    verdict: Annotated[list[Literal["pass", "conditional", "fail", "retest", "none"]], Query()] = [],  # noqa: B006
+    verdict: Annotated[list[Literal[answers.Verdicts, "none"]], Query()] = [],  # noqa: B006
     text: Annotated[str, Query(pattern=r"^[^\x00]*$", description="serials that hold this text")] = "",
     sort: Literal["severity", "serial", "verdict", "made_at", "family", "predicted_rmse"] = "serial",
     descending: bool = False,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from softcal.app.export.calibrated_unit import CalibratedUnit
-from softcal.app.export.names import FORMATS, GROUP, formats
+from softcal.app.export.names import GROUP, formats
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.export.blob import longest_step_ms
 from softcal.core.export.c_text import intel_hex, network_header, unit_header
@@ -20,6 +20,7 @@ from softcal.core.export.json_text import json_text, network_values, unit_values
 from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE
 from softcal.core.plugins import installed, loaded, who
 from softcal.core.windows import TAPS
+from softcal.db.entries import UNIT_ERRORS
 
 Writer = Callable[[CalibratedUnit], dict[str, bytes]]
 
@@ -54,7 +55,7 @@ def _json_files(unit: CalibratedUnit) -> dict[str, bytes]:
 def calibration_values(unit: CalibratedUnit) -> dict[str, object]:
     """Return the calibration without loss: map and interval, hashes, verdict and scores."""
     record = unit.stored.record
-    names = ("network_id", "family", "map_sha256", "predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
+    names = ("network_id", "family", "map_sha256", *UNIT_ERRORS)
     return {
         "serial": record.serial,
         "lot": unit.lot.id,
@@ -167,10 +168,16 @@ def device_summary(unit: CalibratedUnit) -> dict[str, object]:
     }
 
 
-WRITERS: Mapping[str, Writer] = dict(
-    zip(FORMATS, (_json_files, _c_files, _blob_files, _hex_files, _onnx_files, _pdf_files, _dcc_files), strict=True)
-)
-"""What writes each of softcal's own formats."""
+WRITERS: Mapping[str, Writer] = {
+    "json": _json_files,
+    "c": _c_files,
+    "blob": _blob_files,
+    "hex": _hex_files,
+    "onnx": _onnx_files,
+    "pdf": _pdf_files,
+    "dcc": _dcc_files,
+}
+"""What writes each of softcal's own formats, `names.FORMATS`."""
 
 
 def writer_of(name: str) -> Writer:

@@ -15,7 +15,7 @@ from softcal.core.quality.known_loads import KnownLoad, asked_loads, next_step
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.unit.verdict import Verdict
 from softcal.db.entries import RunEntry, UnitStanding
-from softcal.db.queues.order_queue import SILENT_AFTER, LinePlaces
+from softcal.db.queues.order_queue import STATION_SILENT_AFTER, LinePlaces
 from softcal.db.registry import Registry
 from softcal.db.truth.networks import NetworkState
 
@@ -109,7 +109,7 @@ def state_of(beat: Heartbeat, now: datetime, is_alive: bool | None) -> str:
     """Return what a station is doing, as every screen says it; `ready`: it takes a unit now. None
     for `is_alive`: whether its process lives cannot be seen from here.
     """
-    patience = HUNG_AFTER if is_alive else SILENT_AFTER
+    patience = HUNG_AFTER if is_alive else STATION_SILENT_AFTER
     is_there = is_alive is not False and now - beat.at <= patience
     return str(beat.state) if is_there or beat.state is StationState.OFF else SILENT
 

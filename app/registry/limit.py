@@ -25,13 +25,15 @@ def lot_limit(registry: Registry, lot_id: str) -> Limit:
     if serial is None:
         raise InputError(f"lot {lot_id!r} states no limit and has no calibrated unit yet; calibrate its units first")
     record = registry.calibrations.get(serial, lot_id=lot_id).record
-    judged = Limit(lot.reference_unit, record.limit_rmse or 1.0, plain(str(record.evidence["limit_origin"])), expanded)
-    if judged.is_stated or record.limit_rmse is None:
-        # Its limit was taken back since.
-        method = record.method or Method()
-        rmse = source_model(registry, record.network_id, method).held_out_rmse
-        return replace(default_limit(lot.reference_unit, rmse, method.decision), reference_expanded=expanded)
-    return judged
+    origin = record.evidence.get("limit_origin")
+    if record.limit_rmse is not None and origin is not None:
+        judged = Limit(lot.reference_unit, record.limit_rmse, plain(str(origin)), expanded)
+        if not judged.is_stated:
+            return judged
+    # Its limit was taken back since, or an older version kept none.
+    method = record.method or Method()
+    rmse = source_model(registry, record.network_id, method).held_out_rmse
+    return replace(default_limit(lot.reference_unit, rmse, method.decision), reference_expanded=expanded)
 
 
 def limit_or_none(registry: Registry, lot_id: str) -> Limit | None:

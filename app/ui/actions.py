@@ -10,7 +10,8 @@ import streamlit as st
 from softcal.app.files.spreadsheet import csv_text, excel_bytes
 from softcal.app.ui.account import actor, allows, permit, person
 from softcal.app.ui.callbacks import in_one_piece
-from softcal.app.ui.desk import in_words, registry, say
+from softcal.app.ui.desk import in_words, say
+from softcal.app.ui.server_memory import registry
 from softcal.core.errors import InputError
 
 SHORTEST_REASON = 5

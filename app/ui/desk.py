@@ -14,7 +14,6 @@ from softcal.app.texts import catalogue
 from softcal.app.texts.catalogue import LANGUAGES, words_in
 from softcal.app.texts.reasons import Words, all_said, said, told
 from softcal.app.ui.browser_memory import recall, remember
-from softcal.app.ui.server_memory import registry as registry
 from softcal.core.errors import SoftcalError, printable
 from softcal.core.words.reason import Reason
 

@@ -8,8 +8,9 @@ from streamlit.navigation.page import Page as StreamlitPage
 from softcal.app.jobs.process import DEMO
 from softcal.app.ui.account import is_signed_in, person
 from softcal.app.ui.browser_memory import keep, screen
-from softcal.app.ui.desk import errors_in_words, in_one_language, readable, registry, say
+from softcal.app.ui.desk import errors_in_words, in_one_language, readable, say
 from softcal.app.ui.pages import pages_for
+from softcal.app.ui.server_memory import registry
 
 # A file of our own: a named icon would be fetched from outside.
 ICON = Path(__file__).with_name("icon.png")

@@ -9,8 +9,9 @@ import pandas as pd
 import streamlit as st
 
 from softcal.app.ui.browser_memory import HAS_DRAWN, IS_AWAITED, PLACE
-from softcal.app.ui.desk import choose, choose_language, empty, registry, say
+from softcal.app.ui.desk import choose, choose_language, empty, say
 from softcal.app.ui.pages import PAGES
+from softcal.app.ui.server_memory import registry
 
 NARROWEST_NUMBER_PX = 150
 NOTHING = "–"

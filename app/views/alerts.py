@@ -6,7 +6,7 @@ from datetime import datetime, timedelta
 from softcal.app.views.common import percent
 from softcal.app.views.lot import LotView
 from softcal.core.orders import StationState
-from softcal.db.queues.order_queue import SILENT_AFTER
+from softcal.db.queues.order_queue import STATION_SILENT_AFTER
 from softcal.db.registry import Registry
 
 DUE_WITHIN = timedelta(days=30)
@@ -39,7 +39,7 @@ def plant_alerts(registry: Registry, now: datetime) -> list[Alert]:
             found.append(Alert("golden", {"station": run.station, "serial": run.serial, "at": run.made_at}, True))
     for beat in registry.order_queue.stations():
         # Who said goodbye is not missed.
-        if beat.state is not StationState.OFF and SILENT_AFTER < now - beat.at < FORGOTTEN_AFTER:
+        if beat.state is not StationState.OFF and STATION_SILENT_AFTER < now - beat.at < FORGOTTEN_AFTER:
             found.append(Alert("station", {"station": beat.station, "at": beat.at}))
     # Of each load cell the newest certificate counts.
     issued = sorted(registry.stations.certificates(), key=lambda entry: entry.issued_on)

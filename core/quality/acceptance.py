@@ -126,15 +126,13 @@ def _check_share(name: str, value: float) -> None:
 PROMISE_HEADER = ("if all hold", "beyond, on average", "beyond, at 90 %", "margin needed", "promise of 1 in 10")
 
 
-def promise_rows(
-    units: int | None = None,
-    promise: Promise = Promise(),  # noqa: B008 - frozen
-) -> list[list[object]]:
+def promise_rows(units: int | None = None) -> list[list[object]]:
     """Return one row per number of audits that leaves a unit over, none beyond the limit, under `PROMISE_HEADER`.
 
     The average and the share at a confidence hold for errors of any form. The margin is by how many standard deviations
     of the log ratio the mean must stay below the limit for the promise by variables (ISO 3951).
     """
+    promise = Promise()
     counts = sorted({3, ReleaseConfig.least_audits, least_units(promise.risk), 10, 20, audits_by_count(promise)})
     rows: list[list[object]] = []
     for count in (count for count in counts if units is None or count < units):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy import RowMapping, Select, insert, select, update
 
 from softcal.core.errors import InputError
-from softcal.core.orders import RunState
+from softcal.core.orders import ACTIVE, RunState
 from softcal.db.schema.arrays import get_arrays, put_arrays
 from softcal.db.schema.database import given
 from softcal.db.schema.tables import jobs
@@ -23,7 +23,7 @@ from softcal.db.truth.registry_base import RegistryBase
 if TYPE_CHECKING:
     from softcal.db.schema.arrays import Arrays
 
-SILENT_AFTER = timedelta(seconds=15)
+JOB_SILENT_AFTER = timedelta(seconds=15)
 """A running job whose process gave no sign of life for longer is dead."""
 
 START_WITHIN = timedelta(seconds=90)
@@ -31,7 +31,6 @@ START_WITHIN = timedelta(seconds=90)
 
 BRIEF = [jobs.c[name] for name in ("job_id", "kind", "request", "actor", "created", "state", "fraction", "message",
                                    "is_cancel_wanted", "beaten_at")]  # fmt: skip
-OPEN = (RunState.QUEUED, RunState.RUNNING)
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ class Job:
 
     def is_lost(self, now: datetime) -> bool:
         """Whether its process has died, or was never there."""
-        patience = START_WITHIN if self.state is RunState.QUEUED else SILENT_AFTER
+        patience = START_WITHIN if self.state is RunState.QUEUED else JOB_SILENT_AFTER
         return self.state.is_active and now - self.beaten_at > patience
 
 
@@ -149,7 +148,7 @@ class JobBoard(RegistryBase):
 
     def _change(self, job_id: str, values: Mapping[str, Any], *, is_beat: bool = True) -> None:
         beat = {"beaten_at": self.settings.clock()} if is_beat else {}
-        open_job = update(jobs).where(jobs.c.job_id == job_id, jobs.c.state.in_(OPEN))
+        open_job = update(jobs).where(jobs.c.job_id == job_id, jobs.c.state.in_(ACTIVE))
         self.database.change(open_job.values(**values, **beat))
 
 

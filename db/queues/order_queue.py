@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 from sqlalchemy import RowMapping, Select, delete, insert, select, update
 
 from softcal.core.errors import InputError
-from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
+from softcal.core.orders import ACTIVE, Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.words.reason import Reason, packed, reason, to_kept
 from softcal.db.schema.database import given
 from softcal.db.schema.tables import heartbeats, line_places, orders, run_signals
 from softcal.db.truth.registry_base import RegistryBase
 
-SILENT_AFTER = timedelta(seconds=3)
+STATION_SILENT_AFTER = timedelta(seconds=3)
 """A station whose last heartbeat is older is not there, as far as a screen can see."""
 
 TAKEN_OVER_AFTER = timedelta(seconds=15)
@@ -30,7 +30,6 @@ ORDER_FIELDS = ("order_id", "station", "kind", "serial", "lot_id", "actor", "rea
 PROGRESS_FIELDS = tuple(field.name for field in fields(Progress) if field.name != "signal")
 SIGNAL_FIELDS = ("t_s", "output", "stage_mm", "force_N")
 RUNS = tuple(kind for kind in OrderKind if kind.is_run)
-OPEN = (RunState.QUEUED, RunState.RUNNING)
 o = orders.c
 
 
@@ -86,7 +85,7 @@ class OrderQueue(RegistryBase):
 
     def report(self, progress: Progress) -> None:
         """Write how far an order is. An order that is over stays as it ended."""
-        open_order = update(orders).where(o.order_id == progress.order_id, o.state.in_(OPEN))
+        open_order = update(orders).where(o.order_id == progress.order_id, o.state.in_(ACTIVE))
         with self.database.writing(in_turn=False):
             values = _progress_values(progress) | {"changed_at": self.settings.clock()}
             if self.database.change(open_order.values(**values)) and progress.signal.t_s:
@@ -125,7 +124,7 @@ class OrderQueue(RegistryBase):
         What was queued is cancelled: nothing moves because of an old order.
         """
         ended = {RunState.RUNNING: RunState.ERROR, RunState.QUEUED: RunState.CANCELLED}
-        left = select(o.order_id, o.state).where(o.station == station, o.state.in_(OPEN)).order_by(o.created)
+        left = select(o.order_id, o.state).where(o.station == station, o.state.in_(ACTIVE)).order_by(o.created)
         with self.database.writing(in_turn=False):
             rows = self.database.rows(left)
             for row in rows:
@@ -172,7 +171,7 @@ class OrderQueue(RegistryBase):
     def is_answering(self, station: str) -> bool:
         """Whether a station gave a sign of life in the last seconds."""
         last = self.heartbeat(station)
-        return last is not None and self.settings.clock() - last.at <= SILENT_AFTER
+        return last is not None and self.settings.clock() - last.at <= STATION_SILENT_AFTER
 
     def _set(self, order_ids: Sequence[str], **values: object) -> None:
         mine = update(orders).where(o.order_id.in_(order_ids))
@@ -206,7 +205,7 @@ class LinePlaces(RegistryBase):
 
 
 def _open_runs(station: str) -> Select[Any]:
-    return select(orders).where(o.station == station, o.state.in_(OPEN), o.kind.in_(RUNS))
+    return select(orders).where(o.station == station, o.state.in_(ACTIVE), o.kind.in_(RUNS))
 
 
 def _progress_values(progress: Progress) -> dict[str, object]:

@@ -15,10 +15,11 @@ from sqlalchemy import RowMapping, and_, bindparam, func, select
 
 from softcal.core.errors import InputError
 from softcal.core.words.reason import Reason, reason
+from softcal.db.entries import LimitEntry
 from softcal.db.schema.database import Database, given, parts
 from softcal.db.schema.tables import calibrations, in_use, limits, lots, refusals
 from softcal.db.truth import history
-from softcal.db.truth.registry_base import RegistryBase, damaged
+from softcal.db.truth.registry_base import RegistryBase, damaged, of_row
 
 NEWEST_STATEMENT = (in_use.c.made_at.desc(), in_use.c.number.desc(), in_use.c.origin.desc())
 OF_STATEMENT = and_(
@@ -32,8 +33,11 @@ NEWEST_FIRST = (calibrations.c.made_at.desc(), calibrations.c.revision.desc(), c
 STALE = (LIMIT_IS_OTHER, LIMIT_IS_GONE) = ("stale_limit", "stale_limit_open")
 """Codes of the reasons why a verdict does not stand any more."""
 
-STATED = str(Reason("part.stated"))
+LIMIT_WAS_STATED = str(Reason("part.stated"))
+"""The origin that a calibration keeps of a limit that somebody stated."""
+
 RMSE, ORIGIN = "limit_rmse", "limit_origin"
+"""The first of `core.unit.judging.LIMIT_EVIDENCE`. Whoever lists units need not wait for the numerics behind it."""
 
 
 def _of_unit(table: sa.Table, *columns: Any) -> sa.Select[Any]:
@@ -233,7 +237,7 @@ class LimitInForce:
             return sa.or_(*(text.contains(f"{pair}{end}", autoescape=True) for end in ",}"))
 
         if self.rmse is None:
-            return says(ORIGIN, STATED)
+            return says(ORIGIN, LIMIT_WAS_STATED)
         return and_(text.contains(f'"{RMSE}":', autoescape=True), ~says(RMSE, self.rmse))
 
     def why(self, evidence: Mapping[str, object]) -> Reason:
@@ -244,12 +248,18 @@ class LimitInForce:
         return reason(LIMIT_IS_OTHER, judged=judged, limit=self.rmse, unit=self.unit)
 
 
+def newest_limit(database: Database, lot_id: str) -> LimitEntry | None:
+    """Return the newest version of a lot's limit, or None where none was ever stated."""
+    of_lot = select(limits).where(limits.c.lot_id == lot_id)
+    row = database.row(of_lot.order_by(limits.c.made_at.desc(), limits.c.origin.desc()).limit(1))
+    return None if row is None else of_row(LimitEntry, row)
+
+
 def limit_in_force(database: Database, lot_id: str) -> LimitInForce:
-    """Return the newest limit of a lot."""
-    of_lot = select(limits.c.rmse).where(limits.c.lot_id == lot_id)
-    newest = of_lot.order_by(limits.c.made_at.desc(), limits.c.origin.desc()).limit(1)
-    unit = select(lots.c.reference_unit).where(lots.c.id == lot_id)
-    return LimitInForce(database.value(newest), database.value(unit) or "")
+    """Return the limit that verdicts of a lot are held against now."""
+    newest = newest_limit(database, lot_id)
+    unit = database.value(select(lots.c.reference_unit).where(lots.c.id == lot_id))
+    return LimitInForce(newest.rmse if newest else None, unit or "")
 
 
 def conflict_line(database: Database, lot_id: str, serial: str) -> str:

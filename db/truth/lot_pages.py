@@ -15,7 +15,7 @@ from sqlalchemy import ColumnElement, and_, case, func, select
 
 from softcal.core.errors import InputError
 from softcal.core.words.reason import DOUBT, Reason, plain
-from softcal.db.entries import UNDECIDED, MadeCalibration, UnitEntry, UnitStanding
+from softcal.db.entries import UNDECIDED, UNIT_ERRORS, MadeCalibration, UnitEntry, UnitStanding
 from softcal.db.schema.database import Database, given, parts
 from softcal.db.schema.tables import calibrations, in_use, refusals, units
 from softcal.db.truth import history
@@ -38,9 +38,11 @@ PLAIN_FIELDS = tuple(
 )
 """Fields of `CalibrationRecord` that are columns as they are."""
 
-ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
-SORTABLE = ("serial", "verdict", "made_at", "family", *ERRORS)
-MADE_FIELDS = ("revision", "family", "map_sha256", *ERRORS)
+SORTABLE = ("serial", "verdict", "made_at", "family", *UNIT_ERRORS)
+MADE_FIELDS = ("revision", "family", "map_sha256", *UNIT_ERRORS)
+
+MOST_FOUND = 50
+"""So many serials a search offers."""
 
 MOST_SERIALS = 30_000
 """A question takes no more values than that in SQLite (32,766 since 3.32)."""
@@ -158,8 +160,8 @@ class LotPages(RegistryBase):
                     standings[unit.serial] = UnitStanding(unit.serial, *stated, made)
         return standings
 
-    def find_serials(self, text: str, count: int = 50) -> list[str]:
-        """Return serials of target units with a result that hold a text, best match first."""
+    def find_serials(self, text: str) -> list[str]:
+        """Return up to `MOST_FOUND` serials of target units with a result that hold a text, best match first."""
         results = (select(table.c.serial).where(_is_of_unit(table)) for table in (calibrations, refusals))
         has_result = sa.or_(*(result.exists() for result in results))
         query = select(units.c.serial).distinct().where(units.c.role == "target", has_result)
@@ -170,7 +172,7 @@ class LotPages(RegistryBase):
             query = query.where(name.contains(text.lower(), autoescape=True))
             begins = case((name.startswith(text.lower(), autoescape=True), 0), else_=1)
             query, order = query.add_columns(begins), [begins, *order]
-        return self.database.values(query.order_by(*order).limit(count))
+        return self.database.values(query.order_by(*order).limit(MOST_FOUND))
 
     def verdict_counts(self, lot_id: str) -> dict[str, int]:
         """Return the count of a lot's target units by verdict; `none` counts those without."""
@@ -186,8 +188,9 @@ class LotPages(RegistryBase):
         with self.database.reading():
             self._lot_row(lot_id)
             table = StandingQuery(self.database, lot_id).table(role="target")
-            measured = {name: case((table.c.is_doubted, None), else_=table.c[name]) for name in ERRORS[1:]}
-            query = select(table.c.revision, table.c.serial, table.c.verdict, table.c[ERRORS[0]], *measured.values())
+            predicted, *audited = (table.c[name] for name in UNIT_ERRORS)
+            measured = [case((table.c.is_doubted, None), else_=error) for error in audited]
+            query = select(table.c.revision, table.c.serial, table.c.verdict, predicted, *measured)
             # Asked for in SQL, "with a map" makes PostgreSQL read the calibrations of all lots.
             rows = self.database.tuples(query.order_by(table.c.serial))
             return [UnitErrors(*row) for revision, *row in rows if revision is not None]

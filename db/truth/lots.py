@@ -13,10 +13,12 @@ from softcal.core.words.reason import Reason
 from softcal.db.entries import LimitEntry, LineRulesEntry, RunEntry, UnitEntry
 from softcal.db.schema.database import given
 from softcal.db.schema.tables import calibrations, limits, line_rules, lots, refusals
+from softcal.db.truth.in_use import newest_limit
 from softcal.db.truth.lot_pages import standing_units
 from softcal.db.truth.registry_base import RegistryBase, of_row
 
-STATED = "stated with the lot"
+STATED_WITH_LOT = "stated with the lot"
+"""The reason of a version of the limit that came with `lot.toml`."""
 
 
 class LotTables(RegistryBase):
@@ -40,11 +42,11 @@ class LotTables(RegistryBase):
                 )
             self._add_unit(lot.id, lot.source, "source", actor)
             versions = self.limit_versions(lot.id)
-            stated = [entry.rmse for entry in versions if entry.reason == STATED]
+            stated = [entry.rmse for entry in versions if entry.reason == STATED_WITH_LOT]
             # A lot that was read from the registry states the limit in force; that is no new one.
             known_limits = (stated[-1] if stated else None, versions[-1].rmse if versions else None)
             if lot.limit_rmse not in known_limits:
-                self.set_limit(lot.id, lot.limit_rmse, reason=STATED, actor=actor)
+                self.set_limit(lot.id, lot.limit_rmse, reason=STATED_WITH_LOT, actor=actor)
 
     def all(self) -> list[Lot]:
         """Return every lot by id, each with its newest limit."""
@@ -101,7 +103,7 @@ class LotTables(RegistryBase):
 
     def limit(self, lot_id: str) -> LimitEntry | None:
         """Return the newest version of a lot's limit, or None where none was ever stated."""
-        return next(iter(reversed(self.limit_versions(lot_id))), None)
+        return newest_limit(self.database, lot_id)
 
     def limit_versions(self, lot_id: str) -> list[LimitEntry]:
         """Return every version of a lot's limit, oldest first."""

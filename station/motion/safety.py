@@ -1,4 +1,8 @@
-"""Safety bounds, checked on every sample while the stage moves; nothing here moves."""
+"""Watches of the force and of the channels, each asked at every sample while its state has it on; nothing here moves.
+
+`watched.py` asks them, and itself checks what also needs the stage: depth, a force in the way of the approach, and one
+that rises while the stage homes.
+"""
 
 import math
 from collections import deque

@@ -13,7 +13,7 @@ from itertools import count
 
 from softcal.station.simulated.answering import FarEnd
 
-LARGEST_LAG_S = 0.1
+LARGEST_LAG_S, BACKGROUND_STEP_S = 0.1, 0.002
 
 
 class World:
@@ -55,13 +55,13 @@ class World:
                 self._started_s -= ahead_s
 
     @contextmanager
-    def in_background(self, step_s: float = 0.002) -> Iterator[None]:
+    def in_background(self) -> Iterator[None]:
         """Let time pass at the real rate: for far ends that a program outside softcal talks to."""
         stop = threading.Event()
 
         def run() -> None:
             before_s = time.monotonic()
-            while not stop.wait(step_s):
+            while not stop.wait(BACKGROUND_STEP_S):
                 now_s = time.monotonic()
                 with self._lock:
                     self._pass(self._now_s + now_s - before_s)

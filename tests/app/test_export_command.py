@@ -17,9 +17,11 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from softcal.app.cli.main import main
+from softcal.app.export import names as export_names
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.export.check import NOT_CHECKED, NOT_SIGNED, WRONG, FolderCheck, check_folder
 from softcal.app.export.export import export_units
+from softcal.app.export.formats import WRITERS
 from softcal.app.export.names import AUDIT
 from softcal.app.export.signature import open_signing_key, trusted_keys
 from softcal.core.errors import InputError
@@ -50,6 +52,10 @@ def run(calibrated: str, tmp_path: Path) -> Run:
 
 def _all_formats() -> list[str]:
     return [word for name in FORMATS for word in ("--format", name)]
+
+
+def test_every_format_has_its_writer_in_order() -> None:
+    assert tuple(WRITERS) == export_names.FORMATS == FORMATS
 
 
 def test_every_format_is_written_and_reads_back(run: Run, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.orders import RunState
-from softcal.db.queues.job_board import SILENT_AFTER, START_WITHIN, JobBoard
+from softcal.db.queues.job_board import JOB_SILENT_AFTER, START_WITHIN, JobBoard
 from softcal.db.truth.registry_base import RegistrySettings
 
 NOW = datetime(2026, 5, 4, tzinfo=UTC)
@@ -51,7 +51,7 @@ def test_a_waiting_job_is_cancelled_at_once_a_running_one_is_asked(board):
 def test_a_job_whose_process_died_is_seen_and_can_be_ended(registry, board):
     waiting, running = board.place("train", {}, "kim"), board.place("train", {}, "kim")
     board.take(running)
-    assert not board.job(running).is_lost(NOW + SILENT_AFTER)
+    assert not board.job(running).is_lost(NOW + JOB_SILENT_AFTER)
     later = NOW + START_WITHIN + timedelta(seconds=1)
     assert board.job(running).is_lost(later) and board.job(waiting).is_lost(later)
     JobBoard(registry.database, RegistrySettings(clock=lambda: later)).cancel(running)

@@ -6,7 +6,7 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
-from softcal.db.queues.order_queue import SILENT_AFTER, TAKEN_OVER_AFTER, OrderQueue
+from softcal.db.queues.order_queue import STATION_SILENT_AFTER, TAKEN_OVER_AFTER, OrderQueue
 from softcal.db.truth.registry_base import RegistrySettings
 
 NOW = datetime(2026, 5, 4, tzinfo=UTC)
@@ -72,7 +72,7 @@ def test_a_station_that_starts_ends_what_it_left(queue):
 
 def test_a_station_has_one_owner(queue):
     queue.beat(Heartbeat("s1", StationState.READY, NOW, process="host:1"))
-    for silent_for in (timedelta(0), SILENT_AFTER):  # a busy machine is late with its beat
+    for silent_for in (timedelta(0), STATION_SILENT_AFTER):  # a busy machine is late with its beat
         with pytest.raises(InputError, match="host:1"):
             at = NOW + silent_for + timedelta(seconds=1)
             queue.beat(Heartbeat("s1", StationState.READY, at, process="host:2"))

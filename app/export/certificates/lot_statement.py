@@ -20,7 +20,6 @@ from softcal.core.quality.lot_release import LotRelease, any_form
 from softcal.core.quality.lot_standing import LotStanding, Way
 from softcal.db.registry import Registry
 
-GIVEN, NOT_GIVEN = "#1b7f3b", "#b3261e"
 MOST_AUDITS, MOST_SERIALS, MOST_KEPT_BACK = 10, 20, 6
 """Rows and serials that fit one page; of the rest the page says how many."""
 
@@ -95,7 +94,8 @@ def lot_statement_pdf(facts: LotStatementFacts, words: Words = ENGLISH) -> bytes
         if units:
             serials = [unit.serial for unit in units]
             lot_rows.append((words(f"paper.{name}"), _serials(serials, words, MOST_KEPT_BACK)))
-    colour, word = (GIVEN, "paper.given") if facts.decided.released else (NOT_GIVEN, "paper.not_given")
+    verdict, word = ("pass", "paper.given") if facts.decided.released else ("fail", "paper.not_given")
+    colour = parts.VERDICT_COLOURS[verdict]
     story: list[Flowable] = [
         Paragraph(marked_up(page.title), parts.style(18, BOLD)),
         Spacer(1, 4 * mm),

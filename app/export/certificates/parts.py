@@ -24,6 +24,8 @@ WIDTH = A4[0] - 2 * MARGIN
 FRAME_PADDING = 6  # ReportLab's own, inside the margins
 INK, QUIET, RULE = colors.HexColor("#1a1f26"), colors.HexColor("#5a6472"), colors.HexColor("#c9d0d8")
 ACROSS = colors.HexColor("#f3d9d7")
+VERDICT_COLOURS = {"pass": "#1b7f3b", "conditional": "#8a6100", "fail": "#b3261e", "retest": "#5a6472"}
+"""Of paper. Screens have others (`charts.palette`); an issued certificate must come out again byte for byte."""
 
 
 @dataclass(frozen=True)

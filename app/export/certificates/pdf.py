@@ -13,8 +13,6 @@ from softcal.app.export.certificates.laboratory import NO_COUNTRY, NOT_STATED, P
 from softcal.app.export.certificates.plots import SHOWN_S, estimate_plot, map_plot
 from softcal.core.unit.uncertainty import ErrorForecast
 
-VERDICT_COLOURS = {"pass": "#1b7f3b", "conditional": "#8a6100", "fail": "#b3261e", "retest": "#5a6472"}
-
 
 def certificate_pdf(facts: Certificate) -> bytes:
     """Return the document: PDF/A-3 with the DCC of the same facts inside."""
@@ -30,7 +28,7 @@ def certificate_pdf(facts: Certificate) -> bytes:
     attached = parts.Attachment(f"certificate-{facts.serial}.xml", certificate_xml(facts), "The same facts as a DCC")
     # The line's own word stands in the results: nobody may read a statement where none is made.
     is_made = bool(facts.conformity)
-    colour = VERDICT_COLOURS[facts.verdict if is_made else "retest"]
+    colour = parts.VERDICT_COLOURS[facts.verdict if is_made else "retest"]
     word = facts.verdict.upper() if is_made else "NO STATEMENT OF CONFORMITY"
     picture = Drawing(24 * mm, 24 * mm)
     picture.add(QrCodeWidget(f"{facts.identifier} {dict(facts.hashes)['map']}", barWidth=24 * mm, barHeight=24 * mm))

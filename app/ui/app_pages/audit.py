@@ -11,8 +11,9 @@ from softcal.app.ui.account import actor, allows, permit
 from softcal.app.ui.actions import ask_reason, csv_of, download, role_allows, say_finished
 from softcal.app.ui.components.job_panel import awaits_calibration, begin_job
 from softcal.app.ui.components.lot_upload import choose_columns, dropped_files, first_readable, forget_files
-from softcal.app.ui.desk import in_words, instant, registry, say
+from softcal.app.ui.desk import in_words, instant, say
 from softcal.app.ui.panels import for_lot, go_to, has_units, numbers, table
+from softcal.app.ui.server_memory import registry
 from softcal.app.views.common import number
 from softcal.core.lot import Lot
 from softcal.core.quality.audit_plan import AuditConfig

@@ -6,8 +6,9 @@ from functools import partial
 import streamlit as st
 
 from softcal.app.ui.actions import csv_of, download
-from softcal.app.ui.desk import empty, in_one_language, instant, named, registry, say, zone
+from softcal.app.ui.desk import empty, in_one_language, instant, named, say, zone
 from softcal.app.ui.panels import heading, table_to_choose
+from softcal.app.ui.server_memory import registry
 from softcal.app.views.audit_trail import HEADINGS, Entry, TrailFilter, trail
 
 NEWEST, PAGE = 5000, 200

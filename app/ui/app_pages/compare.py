@@ -4,9 +4,9 @@ import streamlit as st
 
 from softcal.app.charts.compare import errors_of_lots, maps_together, predicted_over_load
 from softcal.app.texts.reasons import all_said
-from softcal.app.ui.desk import colours, empty, instant, registry, say, verdict_badge
+from softcal.app.ui.desk import colours, empty, instant, say, verdict_badge
 from softcal.app.ui.panels import figure_under, figures_beside, find_unit, heading, rest_may_follow, table
-from softcal.app.ui.server_memory import remembered_lot_view
+from softcal.app.ui.server_memory import registry, remembered_lot_view
 from softcal.app.views.common import number
 from softcal.app.views.lot_report import MOST_LOTS, lot_rows
 from softcal.app.views.unit import UnitView, unit_view

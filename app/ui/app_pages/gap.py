@@ -12,8 +12,9 @@ from softcal.app.gap.desk import cases, cases_folder, has_sealed_rig, practise, 
 from softcal.app.ui.account import allows, permit
 from softcal.app.ui.actions import download, refusals_in_words
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
-from softcal.app.ui.desk import colours, empty, named, registry, say, words
+from softcal.app.ui.desk import colours, empty, named, say, words
 from softcal.app.ui.panels import heading, numbers, rest_may_follow, show_figure, table
+from softcal.app.ui.server_memory import registry
 from softcal.app.views import gap
 from softcal.app.views.common import percent
 from softcal.app.views.gap import Report

@@ -12,8 +12,9 @@ from softcal.app.ui.account import actor, allows, permit
 from softcal.app.ui.actions import finish, say_finished
 from softcal.app.ui.components.job_panel import awaits_calibration, begin_job
 from softcal.app.ui.components.lot_upload import dropped_files, forget_files
-from softcal.app.ui.desk import in_words, instant, registry, say
+from softcal.app.ui.desk import in_words, instant, say
 from softcal.app.ui.panels import for_lot, go_to, has_units, table
+from softcal.app.ui.server_memory import registry
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.maps.anchors import check_loads

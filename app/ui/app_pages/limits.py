@@ -10,9 +10,9 @@ from softcal.app.line.load_readings import check_stated
 from softcal.app.registry.lot_recordings import source_recording
 from softcal.app.ui.account import actor
 from softcal.app.ui.actions import ask_reason, finish, refusals_in_words, say_finished
-from softcal.app.ui.desk import colours, instant, registry, say
+from softcal.app.ui.desk import colours, instant, say
 from softcal.app.ui.panels import figure_under, for_lot, headline, rest_may_follow, table
-from softcal.app.ui.server_memory import remembered_lot_view
+from softcal.app.ui.server_memory import registry, remembered_lot_view
 from softcal.app.views.common import limit_said, number, percent
 from softcal.core.lot import Lot
 from softcal.core.quality.known_loads import MOST_LOADS, KnownLoad

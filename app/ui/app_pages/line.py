@@ -13,8 +13,9 @@ from softcal.app.ui.browser_memory import remember, screen
 from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.components import line_card
 from softcal.app.ui.components.scan_field import scan_field
-from softcal.app.ui.desk import choose_language, colours, in_one_language, in_words, registry, say
+from softcal.app.ui.desk import choose_language, colours, in_one_language, in_words, say
 from softcal.app.ui.panels import go_to
+from softcal.app.ui.server_memory import registry
 from softcal.app.views.line import COMMAND_OF_KEY, KEYS, LineView, action_said, away_view, line_view, note_said
 from softcal.core.errors import InputError, RegistryError
 from softcal.db.registry import Registry

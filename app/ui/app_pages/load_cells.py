@@ -11,8 +11,9 @@ from softcal.app.line.cell_certificate import certificate_from
 from softcal.app.ui.account import actor, allows, permit
 from softcal.app.ui.actions import finish, refusals_in_words, say_finished
 from softcal.app.ui.components.station_run import choose_station, place
-from softcal.app.ui.desk import colours, empty, in_words, registry, say, zone
+from softcal.app.ui.desk import colours, empty, in_words, say, zone
 from softcal.app.ui.panels import heading, rest_may_follow, show_figure, table
+from softcal.app.ui.server_memory import registry
 from softcal.app.views.common import number
 from softcal.app.views.station import golden_units
 from softcal.core.errors import InputError

@@ -4,8 +4,9 @@ import streamlit as st
 
 from softcal.app.charts.long_term import course_figure
 from softcal.app.texts.reasons import phrase
-from softcal.app.ui.desk import choose, colours, empty, instant, registry, say
+from softcal.app.ui.desk import choose, colours, empty, instant, say
 from softcal.app.ui.panels import heading, rest_may_follow, show_figure, table
+from softcal.app.ui.server_memory import registry
 from softcal.app.views.common import number
 from softcal.app.views.long_term import course, units_in_use
 

@@ -13,7 +13,7 @@ from softcal.app.ui.account import allows
 from softcal.app.ui.actions import download
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
 from softcal.app.ui.components.unit_table import unit_table
-from softcal.app.ui.desk import colours, empty, errors_in_words, in_words, language, registry, say, zone
+from softcal.app.ui.desk import colours, empty, errors_in_words, in_words, language, say, zone
 from softcal.app.ui.panels import (
     figure_under,
     figures_beside,
@@ -25,7 +25,7 @@ from softcal.app.ui.panels import (
     show_figure,
     table_to_choose,
 )
-from softcal.app.ui.server_memory import remembered_lot_view
+from softcal.app.ui.server_memory import registry, remembered_lot_view
 from softcal.app.views.alerts import alerts
 from softcal.app.views.audited import AuditedView, audited_view
 from softcal.app.views.common import number, percent

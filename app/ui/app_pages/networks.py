@@ -8,8 +8,9 @@ from softcal.app.charts import compare as charts_compare
 from softcal.app.ui.account import actor, allows, permit
 from softcal.app.ui.actions import ask_reason, finish, refusals_in_words, role_allows, say_finished
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
-from softcal.app.ui.desk import colours, empty, instant, registry, say
+from softcal.app.ui.desk import colours, empty, instant, say
 from softcal.app.ui.panels import for_lot, headline, rest_may_follow, show_figure, table, told
+from softcal.app.ui.server_memory import registry
 from softcal.app.views.common import number
 from softcal.app.views.network import NetworkRow, hidden_widths, loss_spec, network_rows
 from softcal.core.lot import Lot

@@ -16,8 +16,9 @@ from softcal.app.texts.reasons import all_said
 from softcal.app.ui.account import actor, permit
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
 from softcal.app.ui.components.lot_upload import choose_columns, dropped_files, first_readable, forget_files
-from softcal.app.ui.desk import colours, in_words, registry, say
+from softcal.app.ui.desk import colours, in_words, say
 from softcal.app.ui.panels import go_to, heading, show_figure, step, table
+from softcal.app.ui.server_memory import registry
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 

@@ -6,9 +6,10 @@ import streamlit as st
 
 from softcal.app.ui.account import actor, person
 from softcal.app.ui.actions import ask_reason, finish, refusals_in_words, say_finished
-from softcal.app.ui.desk import named, registry, say
+from softcal.app.ui.desk import named, say
 from softcal.app.ui.panels import heading, rest_may_follow, table
 from softcal.app.ui.pins import check_pin
+from softcal.app.ui.server_memory import registry
 from softcal.db.access.people import ROLES
 from softcal.db.entries import User
 

@@ -14,8 +14,9 @@ from softcal.app.jobs.jobs import archive_path
 from softcal.app.ui.account import actor, permit
 from softcal.app.ui.actions import download, finish, refusals_in_words, role_allows, say_finished
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
-from softcal.app.ui.desk import in_words, named, registry, say, words
+from softcal.app.ui.desk import in_words, named, say, words
 from softcal.app.ui.panels import for_lot, has_units, numbers, table
+from softcal.app.ui.server_memory import registry
 from softcal.app.views.common import number
 from softcal.core.quality.lot_standing import LotStanding, Way
 

@@ -8,9 +8,10 @@ import streamlit as st
 from softcal.app.ui import account
 from softcal.app.ui.actions import refusals_in_words
 from softcal.app.ui.callbacks import in_one_piece
-from softcal.app.ui.desk import choose_language, registry, say
+from softcal.app.ui.desk import choose_language, say
 from softcal.app.ui.panels import go_to
 from softcal.app.ui.pins import check_pin
+from softcal.app.ui.server_memory import registry
 
 
 def render() -> None:

@@ -8,8 +8,9 @@ from softcal.app.jobs.jobs import newest_source
 from softcal.app.ui.account import actor, permit
 from softcal.app.ui.actions import refusals_in_words
 from softcal.app.ui.components.station_run import choose_station, newest_run, place, run_panel
-from softcal.app.ui.desk import choose, colours, in_words, instant, registry, say
+from softcal.app.ui.desk import choose, colours, in_words, instant, say
 from softcal.app.ui.panels import go_to, heading, numbers, rest_may_follow, show_figure, step
+from softcal.app.ui.server_memory import registry
 from softcal.app.views.network import network_rows
 from softcal.app.views.station import source_facts
 from softcal.core.lot import Lot

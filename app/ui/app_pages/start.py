@@ -5,8 +5,9 @@ import streamlit as st
 from softcal.app.jobs.process import DEMO
 from softcal.app.ui.account import allows
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
-from softcal.app.ui.desk import registry, say
+from softcal.app.ui.desk import say
 from softcal.app.ui.panels import go_to, heading
+from softcal.app.ui.server_memory import registry
 from softcal.core.orders import RunState
 
 UNITS = 4

@@ -11,8 +11,9 @@ from softcal.app.ui.account import allows
 from softcal.app.ui.actions import ask_reason
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
 from softcal.app.ui.components.station_run import choose_station, newest_run, place, run_panel
-from softcal.app.ui.desk import errors_in_words, in_words, instant, named, registry, say
+from softcal.app.ui.desk import errors_in_words, in_words, instant, named, say
 from softcal.app.ui.panels import heading, rest_may_follow, table
+from softcal.app.ui.server_memory import registry
 from softcal.core.orders import OrderKind
 from softcal.core.words.reason import Reason
 from softcal.station.wire.link import available_ports

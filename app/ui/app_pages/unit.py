@@ -14,7 +14,7 @@ from softcal.app.export.names import FORMATS
 from softcal.app.registry.standing import standing_of
 from softcal.app.ui.account import actor
 from softcal.app.ui.actions import ask_reason, download, finish, refusals_in_words, say_finished
-from softcal.app.ui.desk import choose, colours, empty, in_full, in_words, instant, named, registry, say, verdict_badge
+from softcal.app.ui.desk import choose, colours, empty, in_full, in_words, instant, named, say, verdict_badge
 from softcal.app.ui.panels import (
     figure_under,
     figures_beside,
@@ -26,6 +26,7 @@ from softcal.app.ui.panels import (
     table,
     table_to_choose,
 )
+from softcal.app.ui.server_memory import registry
 from softcal.app.views.common import number, percent
 from softcal.app.views.unit import unit_view
 from softcal.core.errors import UnitRefused

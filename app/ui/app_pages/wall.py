@@ -8,9 +8,9 @@ import streamlit as st
 
 from softcal.app.ui.components import line_card
 from softcal.app.ui.components.line_card import chips_row
-from softcal.app.ui.desk import colours, errors_in_words, registry, say, zone
+from softcal.app.ui.desk import colours, errors_in_words, say, zone
 from softcal.app.ui.panels import for_lot, has_units
-from softcal.app.ui.server_memory import remembered_lot_view
+from softcal.app.ui.server_memory import registry, remembered_lot_view
 from softcal.app.views.alerts import alerts
 from softcal.app.views.line import STATES
 from softcal.app.views.lot_runs import LotFilter

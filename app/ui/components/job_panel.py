@@ -9,7 +9,8 @@ from softcal.app.jobs.process import start_job
 from softcal.app.texts.reasons import phrase
 from softcal.app.ui.account import actor, permit
 from softcal.app.ui.actions import finish
-from softcal.app.ui.desk import errors_in_words, in_words, registry, say
+from softcal.app.ui.desk import errors_in_words, in_words, say
+from softcal.app.ui.server_memory import registry
 from softcal.core.orders import RunState
 from softcal.db.queues.job_board import Job
 

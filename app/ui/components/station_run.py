@@ -8,7 +8,8 @@ from softcal.app.charts.live import live_signal
 from softcal.app.jobs.process import start_simulated_station
 from softcal.app.ui.account import actor, allows, permit
 from softcal.app.ui.actions import refusals_in_words
-from softcal.app.ui.desk import colours, errors_in_words, in_words, registry, say
+from softcal.app.ui.desk import colours, errors_in_words, in_words, say
+from softcal.app.ui.server_memory import registry
 from softcal.app.views.common import phase_said
 from softcal.core.errors import InputError
 from softcal.core.orders import Order, OrderKind, Progress, RunState

@@ -4,8 +4,9 @@ import streamlit as st
 
 from softcal.app.texts.reasons import all_said
 from softcal.app.ui.actions import csv_of, download, excel_of
-from softcal.app.ui.desk import errors_in_words, in_one_language, named, registry, say
+from softcal.app.ui.desk import errors_in_words, in_one_language, named, say
 from softcal.app.ui.panels import go_to, table_to_choose
+from softcal.app.ui.server_memory import registry
 from softcal.core.lot import Lot
 from softcal.core.unit.verdict import VERDICTS
 from softcal.db.entries import UnitEntry
