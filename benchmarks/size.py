@@ -116,12 +116,16 @@ def imported(tree: ast.Module) -> set[tuple[str, str]]:
 
 def numbers(trees: Mapping[str, ast.Module]) -> Rows:
     """Return how many numbers were chosen: those declared with an origin in a method, and constants of modules."""
-    methods = [tree for name, tree in trees.items() if name != "core/settings.py"]
-    calls = [node for tree in methods for node in ast.walk(tree) if isinstance(node, ast.Call)]
-    declared = sum(isinstance(call.func, ast.Name) and call.func.id in DECLARED for call in calls)
+    declared = Counter[bool]()
+    for name, tree in trees.items():
+        calls = [node.func for node in ast.walk(tree) if isinstance(node, ast.Call)]
+        if name != "core/settings.py":
+            about_a_unit = not name.startswith(("core/gap/", "station/"))
+            declared[about_a_unit] += sum(isinstance(call, ast.Name) and call.id in DECLARED for call in calls)
     constants = sum(is_given_number(node) for tree in trees.values() for node in tree.body)
     return {
-        "numbers that decide: fields of methods": str(declared),
+        "numbers that decide about a unit: fields of methods": str(declared[True]),
+        "numbers of the diagnosis and of proof: fields of methods": str(declared[False]),
         "numbers that decide: constants of core and station": str(constants),
     }
 
