@@ -15,6 +15,7 @@ run (SOFTCAL_DATA). Only the first rows of each are followed.
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,7 @@ from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import LotDesign, simulate_lot
 from softcal.core.unit.calibrate import calibrate
+from softcal.core.unit.estimate import Flags
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.unit.unit_problem import UnitProblem
@@ -44,8 +46,17 @@ HELD = ("version", "taps", "levels", "confidence", "release.")
 
 FAILURES = (SoftcalError, ValueError, IndexError, ZeroDivisionError, TypeError, np.linalg.LinAlgError)
 
-LEFT_OUT = ("no drift", "no drift, loads x 1.3", "no drift, loads x 0.6", "no drift, load and pace change")
-LEFT_OUT += ("no drift, irregular use", "no drift, another programme", "level creeps", "age, irregular use", "seasons")
+LEFT_OUT = {
+    "no drift",
+    "no drift, loads x 1.3",
+    "no drift, loads x 0.6",
+    "no drift, load and pace change",
+    "no drift, irregular use",
+    "no drift, another programme",
+    "level creeps",
+    "age, irregular use",
+    "seasons",
+}
 """Kinds of streams that others stand for."""
 
 STREAM_ROWS, QUEUED_ROWS, PRESSED_ROWS = 8000, 2400, 24_000
@@ -176,7 +187,7 @@ def with_number(config: Any, path: list[str], factor: float) -> Any:
     return replace(config, **{path[0]: new})
 
 
-def scaled(value: object, factor: float) -> object:
+def scaled(value: Any, factor: float) -> Any:
     if isinstance(value, tuple):
         new = tuple(scaled(one, factor) for one in value)
         if sorted(value) == list(value) and sorted(new) != list(new):
@@ -229,7 +240,7 @@ class Used:
 class Course:
     """What a stream ends as: flags of its rows, rows of sudden changes, words of alarms, estimates and their error."""
 
-    flags: Array
+    flags: Flags
     jumps: list[int]
     alarms: list[str]
     estimate: Array
@@ -248,7 +259,8 @@ def streams(seed: int) -> Iterator[Used]:
             continue
         yield Used(kind, unit, stream.calibrated, *rows)
         if kind == "gain drifts":
-            yield Used("queues", unit, stream.calibrated, *(one[:QUEUED_ROWS] for one in rows), mode="ot-improved")
+            t_s, output, load = (one[:QUEUED_ROWS] for one in rows)
+            yield Used("queues", unit, stream.calibrated, t_s, output, load, "ot-improved")
     rng = np.random.default_rng(seed)
     rate_Hz = ACTIVITIES["press"].rate_Hz
     pressed = bench("saturating", rate_Hz)
@@ -299,7 +311,7 @@ def print_use(seed: int, only: str) -> int:
     """Print what every number of long use changes, alone; return the exit code."""
     chosen, method, rows = list(streams(seed)), UseMethod(), []
     base = [course(stream, method) for stream in chosen]
-    read = [names_read(method, lambda stream=stream: course(stream, method)) for stream in chosen]
+    read = [names_read(method, partial(course, stream, method)) for stream in chosen]
     names = [name for name, _, _ in method.numbers() if name.startswith(only) and not name.startswith(HELD)]
     asked = [name for name in names if any(name in one for one in read)]
     for name in asked:

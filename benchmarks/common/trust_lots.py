@@ -360,7 +360,7 @@ def _fit_unit(lot: RawLot, problem: UnitProblem, audit: LabelledRecording) -> Fi
 def _load(model: SourceModel, calibration: Calibration, recording: OutputRecording) -> float:
     spread = np.linspace(0, len(recording.windows) - 1, 2 * model.method.map.pairs.pairs).astype(np.int64)
     load = model.network.evaluate(calibration.unit_map.apply(recording.windows[np.unique(spread)]))
-    return rms_load(load, model.method.forecast)
+    return rms_load(model, load)
 
 
 def _sample(result: Estimate, audit: LabelledRecording, rows: NDArray[np.bool_]) -> tuple[tuple[float, ...], ...]:
