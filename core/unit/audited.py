@@ -50,7 +50,7 @@ def measured(
     scores = score_map(network, calibration.unit_map, audit, None, config)
     grounds = replace(
         grounds,
-        measured=MeasuredError(scores, len(audit.windows)),
+        measured=MeasuredError.of(scores, audit),
         bars=tuple(why for why in grounds.bars if not is_newer or why.code not in (*TRIM_BARS, UNREADABLE)),
     )
     decision = grounds.decide(limit)

@@ -70,7 +70,7 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
             problem.rules, RuleFacts(target, model.source, evidence.estimate, forecast, limit, measured_rmse)
         ),
         told=(*problem.bridge_reasons(), problem.line_reason(evidence.load_rms)),
-        measured=None if scores is None or audit is None else MeasuredError(scores, len(audit.windows)),
+        measured=None if scores is None or audit is None else MeasuredError.of(scores, audit),
         bars=problem.bars(),
         rules=problem.rules,
     )

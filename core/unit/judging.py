@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from softcal.core.recording import LabelledRecording
 from softcal.core.unit.audit_reading import Scores
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Decision, Finding, Limit, Verdict, decide, decide_audited, worst_of
@@ -16,6 +17,11 @@ class MeasuredError:
 
     scores: Scores
     windows: int
+
+    @classmethod
+    def of(cls, scores: Scores, audit: LabelledRecording) -> "MeasuredError":
+        """Return it beside how many windows the audit holds."""
+        return cls(scores, len(audit.windows))
 
 
 @dataclass(frozen=True)
