@@ -1,13 +1,11 @@
-"""What a reader meets in docs, reasons, help and docstrings: sentences, words nobody explained, borders of counts.
+"""What a reader meets in docs, reasons and help: long sentences, borders of counts.
 
 Only prose is judged: headings, code, tables and pictures are not, and a word in backticks is one word. Reasons are read
 as a person meets them: with their longest phrases filled in. Full stop and semicolon end a sentence, and what stands in
-brackets is one of its own: the numbers behind a plain statement. A word is known that stands in `basic_words.txt` or in
-the glossary.
+brackets is one of its own: the numbers behind a plain statement. No word is counted or forbidden.
 """
 
 import argparse
-import ast
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -18,7 +16,7 @@ from pathlib import Path
 from softcal.app.cli.main import command_parser
 from softcal.core.words.reason import ENGLISH, PLAIN
 
-LONG = 25
+LONG = 30
 """Words of a sentence above which it counts as long."""
 
 ROOT = Path(__file__).parents[2]
@@ -42,38 +40,8 @@ NESTED = {
 }
 """Values of a reason that are phrases, and which ones; where a place formats a number it is none."""
 
-PRIVATE = (
-    "overlap", "mix of loads", "beside the forecast", "form the ratios", "ratios have", "leave open", "held-out",
-    "whatever form", "mapped windows", "extrapolated", "`where`", "of the menu", "sitting", "brings the unit's use",
-)  # fmt: skip
-"""What strangers could not say the meaning of."""
-
-
-@dataclass(frozen=True)
-class Goal:
-    """What the texts of one kind may not exceed.
-
-    Args:
-        long: share of the sentences with more than `LONG` words.
-        unknown: words, each once, that are neither basic nor in the glossary.
-    """
-
-    long: float
-    unknown: int
-
-
-GOALS = {
-    "docs": Goal(0.01, 1030),
-    "reasons": Goal(0.0, 185),
-    "help": Goal(0.0, 240),
-    "docstrings": Goal(0.02, 2000),
-}
-"""A goal for each kind of text."""
-
 MOST_WORDS = {"README.md": 600, "docs/operator.md": 800, "docs/long-term.md": 1200}
 """Words of pages that are read at one go, code and tables included."""
-MOST_WORDS_OF_ALL = 45_000
-"""Words of README and of the pages of docs/, decisions left out."""
 
 
 def _paragraphs(text: str) -> Iterable[str]:
@@ -104,23 +72,15 @@ class Spoken:
     """What a reader of one reason, or of several, meets.
 
     Args:
-        words, sentences: how many.
+        sentences: how many.
         long: the sentences of more than `LONG` words.
-        unknown: words of neither list, once each.
     """
 
-    words: int = 0
     sentences: int = 0
     long: tuple[str, ...] = ()
-    unknown: frozenset[str] = frozenset()
 
     def __add__(self, other: "Spoken") -> "Spoken":
-        return Spoken(
-            self.words + other.words,
-            self.sentences + other.sentences,
-            self.long + other.long,
-            self.unknown | other.unknown,
-        )
+        return Spoken(self.sentences + other.sentences, self.long + other.long)
 
 
 def spoken(said: Mapping[str, str], code: str) -> str:
@@ -150,66 +110,21 @@ def _words(text: str) -> list[str]:
 
 
 def reader_of(kind: str) -> Spoken:
-    """Read all texts of a kind of `GOALS`."""
-    known = known_words()
+    """Read all texts of a kind."""
     if kind == "reasons":
         found = [sentences_of(spoken(REASONS, code)) for code in REASONS]
     else:
         found = [[s for s in _sentences(paragraph) if _words(s)] for paragraph in _paragraphs_of(kind)]
-    return sum((_spoken_of(sentences, known) for sentences in found), Spoken())
+    return sum((_spoken_of(sentences) for sentences in found), Spoken())
 
 
 def _paragraphs_of(kind: str) -> Iterator[str]:
-    for text in pages().values() if kind == "docs" else [code_texts()[kind]]:
+    for text in pages().values() if kind == "docs" else [help_text()]:
         yield from _paragraphs(text)
 
 
-def _spoken_of(found: list[str], known: frozenset[str]) -> Spoken:
-    words = [_words(one) for one in found]
-    long = tuple(one.strip() for one, of in zip(found, words, strict=True) if len(of) > LONG)
-    unknown = frozenset(word for of in words for word in map(str.lower, of) if not _is_known(word, known))
-    return Spoken(sum(map(len, words)), len(found), long, unknown)
-
-
-def _is_known(word: str, known: frozenset[str]) -> bool:
-    """Return whether a word is known, with its endings; a name with a dot or an underscore is a name."""
-    if "." in word or "_" in word or word in known:
-        return True
-    if "-" in word:
-        return all(_is_known(part, known) for part in word.split("-") if part)
-    stems = [
-        word.removesuffix(end) for end in ("'s", "s", "es", "d", "ed", "r", "er", "st", "est", "ly", "ing", "n", "en")
-    ]
-    stems += [stem[:-1] for stem in stems if len(stem) > 2 and stem[-1] == stem[-2]]
-    stems += [f"{stem}e" for stem in stems] + [f"{stem[:-1]}y" for stem in stems if stem.endswith("i")]
-    stems += [stem.removeprefix(start) for stem in [word, *stems] for start in ("un", "re")]
-    return any(stem in known for stem in stems)
-
-
-def known_words() -> frozenset[str]:
-    """Return the basic words and those of the glossary."""
-    basic = Path(__file__).with_name("basic_words.txt").read_text(encoding="utf-8")
-    basic = " ".join(line for line in basic.splitlines() if not line.startswith("#"))
-    return frozenset(map(str.lower, [*basic.split(), *(word for term in glossary_terms() for word in _words(term))]))
-
-
-def glossary_terms() -> frozenset[str]:
-    """Return the terms that the glossary explains."""
-    entries = re.findall(r"^- \*\*([^*]+)\*\*", (ROOT / "docs/glossary.md").read_text(encoding="utf-8"), re.MULTILINE)
-    return frozenset(term.lower().replace("held out", "held-out") for entry in entries for term in entry.split(", "))
-
-
-def private(said: Mapping[str, str]) -> dict[str, str]:
-    """Return the texts with words that nobody outside knows: name → the last of those words."""
-    return {code: word for code, text in said.items() for word in PRIVATE if word in text.lower()}
-
-
-def private_of(kind: str) -> dict[str, str]:
-    """Return the sentences of a kind of `GOALS` with words that nobody outside knows, less those in the glossary."""
-    if kind == "reasons":
-        return private(REASONS)
-    sentences = {s: s for paragraph in _paragraphs_of(kind) for s in _sentences(paragraph)}
-    return {said: word for said, word in private(sentences).items() if word not in glossary_terms()}
+def _spoken_of(found: list[str]) -> Spoken:
+    return Spoken(len(found), tuple(one.strip() for one in found if len(_words(one)) > LONG))
 
 
 VERBS = "belongs|does|ends|explains|goes|has|is|its|moves|needs|reads|signs|speaks|stands|this|times|was"
@@ -250,15 +165,9 @@ def pages() -> dict[str, str]:
 
 
 @cache
-def code_texts() -> dict[str, str]:
-    """Return what the code says to people: `help` as its commands print it, and `docstrings`."""
-    docstrings = []
-    for path in sorted(p for folder in ("app", "core", "db", "station") for p in (ROOT / folder).rglob("*.py")):
-        nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        named = (node for node in nodes if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef))
-        docstrings += [_as_items(doc) for node in named if (doc := ast.get_docstring(node))]
-    helped = sorted({text for parser in parsers(command_parser()) for text in _helped(parser)})
-    return {"help": "\n\n".join(helped), "docstrings": "\n\n".join(docstrings)}
+def help_text() -> str:
+    """Return what the commands print about themselves."""
+    return "\n\n".join(sorted({text for parser in parsers(command_parser()) for text in _helped(parser)}))
 
 
 def parsers(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
@@ -278,8 +187,3 @@ def _helped(parser: argparse.ArgumentParser) -> Iterable[str]:
         *(action.help for action in [*parser._actions, *(one for group in below for one in group)]),
     ]
     yield from (text for text in said if text and text != argparse.SUPPRESS)
-
-
-def _as_items(docstring: str) -> str:
-    """Return a docstring with each argument as an item of its own, without its name."""
-    return re.sub(r"^    [\w, *]+: ", "- ", re.sub(r"^\w+:$", "", docstring, flags=re.MULTILINE), flags=re.MULTILINE)
