@@ -11,6 +11,7 @@ MODULES_OF = {
     "ble": ("bleak",),
     "labjack": ("labjack",),
     "documents": ("onnx", "pikepdf", "PIL", "plotly", "reportlab"),
+    "formats": ("h5py", "nptdms", "python_calamine"),
     "postgresql": ("psycopg",),
     "cluster": ("dask", "distributed"),
     "sklearn": ("sklearn",),
