@@ -111,17 +111,17 @@ def _diagnose(options: argparse.Namespace) -> None:
 
     if not options.simulator:
         diagnosis = diagnose_case(options.case, say, _table_readout(options))
+        _show_twin(diagnosis, options.json)
         if options.page:
             write_page(options.page, diagnosis)
-        _show_twin(diagnosis, options.json)
         return
     _refuse_electronics(options)
     diagnosed = diagnose_with(options.case, load_simulator(options.simulator), say)
+    if options.json != "-":
+        _show(diagnosed)
     write_json(options.json, diagnosed.report())
     if options.page:
         write_page(options.page, diagnosed)
-    if options.json != "-":
-        _show(diagnosed)
     if failed := diagnosed.failures.count:
         say(f"{diagnosed.failures.first}; so at {failed} of {diagnosed.failures.of} places, which were avoided")
 
@@ -247,7 +247,7 @@ def _apply_parameters(options: argparse.Namespace, report: Mapping[str, object],
 
     parameters = write_parameters(options.out, report, source, options.empirical)
     is_bare = report["verdict"] == "unknown" and not options.empirical
-    listed = ", ".join(f"{name} = {value:.4g}" for name, value in parameters.items())
+    listed = ", ".join(f"{name} {'off' if value is None else f'= {value:.4g}'}" for name, value in parameters.items())
     said = "nothing explains the gap, so they are those of the refitted base alone: " if is_bare else ""
     say(f"parameters of {report['simulator']} written to {options.out}: {said}{listed}")
     write_json(options.json, dict(report))
@@ -307,11 +307,13 @@ def _show(diagnosis: "GapDiagnosis[Any]") -> None:
 
 
 def _show_twin(diagnosis: "Diagnosis", target: str | None) -> None:
-    """Print the diagnosis as tables; with `--json -` the record alone goes to standard output."""
-    if target:
-        write_json(target, diagnosis.report())
-    if target == "-":
-        return
+    """Print the diagnosis as tables, then write its report; `--json -` prints the report alone."""
+    if target != "-":
+        _show_tables(diagnosis)
+    write_json(target, diagnosis.report())
+
+
+def _show_tables(diagnosis: "Diagnosis") -> None:
     _show(diagnosis)
     if diagnosis.verdict == "data":
         return

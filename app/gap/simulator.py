@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from softcal.app.files.atomic import write_text
 from softcal.app.files.case_folder import METADATA, RECORDING
 from softcal.app.files.recording_file import column, read_table
@@ -103,8 +105,8 @@ def _said(path: Path) -> dict[str, object]:
 
 def write_parameters(
     path: Path, content: Mapping[str, object], source: str, empirical: bool = False
-) -> dict[str, float]:
-    """Write the parameters that a report of a simulator holds, as its `run` takes them.
+) -> dict[str, float | None]:
+    """Write the parameters that a report of a simulator holds; None is an effect that is off at infinity.
 
     Args:
         content: a report of schema `softcal.gap/1`.
@@ -121,19 +123,23 @@ def write_parameters(
     if not isinstance(described, Mapping):
         raise InputError(f"{source}: {NO_TERMS}")
     parameters, terms = described.get("parameters", parameters), described.get("added", [])
-    if not isinstance(parameters, Mapping) or not all(isinstance(v, int | float) for v in parameters.values()):
+    if not isinstance(parameters, Mapping) or not all(v is None or _is_number(v) for v in parameters.values()):
         raise InputError(f"{source}: holds no parameters; diagnose the simulator again with --json")
     record = {"schema": PARAMETERS_SCHEMA, "simulator": content.get("simulator"), "parameters": dict(parameters)}
     record["terms"] = terms
     write_text(path, json.dumps(record, indent=2, allow_nan=False) + "\n")
-    return {name: float(value) for name, value in parameters.items()}
+    return {name: None if value is None else float(value) for name, value in parameters.items()}
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def read_parameters(path: str | Path, simulator: Simulator) -> dict[str, float]:
-    """Read the parameters that `softcal gap apply` wrote for a simulator.
+    """Read the parameters that `softcal gap apply` wrote for a simulator, as its `run` takes them.
 
     Raises:
-        InputError: the file cannot be read, is of another simulator, or lacks one of its parameters.
+        InputError: the file cannot be read, is of another simulator, or a parameter is missing or no number.
     """
     content = _written(path)
     parameters = content.get("parameters")
@@ -146,7 +152,12 @@ def read_parameters(path: str | Path, simulator: Simulator) -> dict[str, float]:
     if set(parameters) != set(wanted):
         other = ", ".join(sorted(set(parameters) ^ set(wanted)))
         raise InputError(f"{path}: {other} stands on one side alone; diagnose simulator {simulator.name} again")
-    return {name: float(parameters[name]) for name in wanted}
+    off = {name: value for name, value in simulator.neutral_values.items() if not np.isfinite(value)}
+    values = {name: off.get(name) if parameters[name] is None else parameters[name] for name in wanted}
+    for name, value in values.items():
+        if not _is_number(value):
+            raise InputError(f"{path}: {name} is {json.dumps(parameters[name])}; a number was expected")
+    return {name: float(value) for name, value in values.items()}
 
 
 def with_written_terms(path: str | Path, simulator: Simulator) -> Simulator:

@@ -208,12 +208,16 @@ class Simulator:
         """Names of all parameters, as `run` takes them."""
         return [*(p.name for p in self.base), *(f"{c.id}.{p.name}" for c in self.candidates for p in c.parameters)]
 
+    @property
+    def neutral_values(self) -> dict[str, float]:
+        """Values that switch the candidates off, by name as `run` takes them."""
+        values = ((effect, zip(effect.parameters, effect.neutral_values, strict=True)) for effect in self.candidates)
+        return {f"{effect.id}.{p.name}": value for effect, pairs in values for p, value in pairs}
+
     def named(self, hypothesis: Hypothesis, coordinates: Array) -> dict[str, float]:
         """Return the values at these coordinates of the fit, as `run` takes them."""
         base, values = hypothesis.split(coordinates)
-        out = {p.name: value for p, value in zip(self.base, base, strict=True)}
-        for effect in self.candidates:
-            out |= {f"{effect.id}.{p.name}": v for p, v in zip(effect.parameters, effect.neutral_values, strict=True)}
+        out = {p.name: value for p, value in zip(self.base, base, strict=True)} | self.neutral_values
         for effect, row in zip(hypothesis.effects, values, strict=True):
             if isinstance(effect.step, TermStep):
                 continue

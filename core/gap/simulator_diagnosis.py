@@ -31,7 +31,7 @@ from softcal.core.gap.gap_diagnosis import (
 )
 from softcal.core.gap.identifiability import Identifiability, identifiability, reasons
 from softcal.core.gap.next_experiment import MenuEntry, NextExperiment
-from softcal.core.gap.problem import Block, Problem
+from softcal.core.gap.problem import Block, Hypothesis, Problem
 from softcal.core.gap.residual import Regime, shares_of_gap, structure
 from softcal.core.gap.search import EffectSearch, Progress
 from softcal.core.gap.shrink import quantify
@@ -39,6 +39,7 @@ from softcal.core.gap.simulator import Simulator, SimulatorRun, SimulatorTerm, p
 from softcal.core.gap.simulator_plausibility import against_others, cut_off, shown
 from softcal.core.gap.simulator_problem import Failures, SimulatorProblem, followed, is_high, is_quick
 from softcal.core.gap.simulator_search import SimulatorSearch, base_fit
+from softcal.core.metrics import finite_or_none
 from softcal.core.recording import Array
 from softcal.core.words.reason import Reason, reason
 
@@ -101,8 +102,8 @@ class SimulatorDiagnosis(GapDiagnosis[SimulatorTerm]):
     simulator: Simulator
 
     def report(self) -> dict[str, object]:
-        """Return the report of the contract, ready for JSON."""
-        report, named = super().report(), self.simulator.named
+        """Return the report of the contract, ready for JSON; an effect that is off at infinity is None."""
+        report, named = super().report(), self._parameters
         if self.residual is not None:
             found = self.residual.fit
             report["residual"] = self.residual.record() | {
@@ -116,6 +117,9 @@ class SimulatorDiagnosis(GapDiagnosis[SimulatorTerm]):
             "parameters": named(self.best.hypothesis, self.best.coordinates),
             "base": named(self.base.hypothesis, self.base.coordinates),
         }
+
+    def _parameters(self, hypothesis: Hypothesis, coordinates: Array) -> dict[str, float | None]:
+        return {name: finite_or_none(v) for name, v in self.simulator.named(hypothesis, coordinates).items()}
 
     @property
     def failures(self) -> Failures:
