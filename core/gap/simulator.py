@@ -185,6 +185,7 @@ class Simulator:
                 raise InputError(f"simulator {self.name}: no {what} is given; at least one was expected")
             if len(set(names)) < len(names):
                 raise InputError(f"simulator {self.name}: two of the {what}s have one name: {', '.join(names)}")
+        self._check_bounds()
         for channel, kinds in self.per_run.items():
             if channel not in self.channels or not set(kinds) <= set(OFFSETS):
                 raise InputError(
@@ -196,6 +197,17 @@ class Simulator:
                     raise InputError(
                         f"simulator {self.name}: {kind} of {channel} is {largest}; its largest was expected"
                     )
+
+    def _check_bounds(self) -> None:
+        of_causes = [(f"{effect.id}.{p.name}", p) for effect in self.candidates for p in effect.parameters]
+        for name, p in (*((p.name, p) for p in self.base), *of_causes):
+            bounds = f"simulator {self.name}: {name} has the bounds {p.low:g} and {p.high:g} {p.unit}".rstrip()
+            if not -np.inf < p.low < p.high < np.inf:
+                raise InputError(f"{bounds}; two numbers were expected, the smaller first")
+            if p.scale != "linear" and p.low <= 0.0:
+                raise InputError(f"{bounds}; with scale={p.scale!r} both must be above 0")
+            if not p.low <= p.usual <= p.high:
+                raise InputError(f"{bounds} and the usual size {p.usual:g}; it must lie within them")
 
     @cached_property
     def offsets(self) -> tuple[tuple[str, str], ...]:

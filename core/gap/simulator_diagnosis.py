@@ -36,8 +36,9 @@ from softcal.core.gap.residual import Regime, shares_of_gap, structure
 from softcal.core.gap.search import EffectSearch, Progress
 from softcal.core.gap.shrink import quantify
 from softcal.core.gap.simulator import Simulator, SimulatorRun, SimulatorTerm, planned, terms_of
+from softcal.core.gap.simulator_check import check_calls
 from softcal.core.gap.simulator_plausibility import against_others, cut_off, shown
-from softcal.core.gap.simulator_problem import Failures, SimulatorProblem, followed, is_high, is_quick
+from softcal.core.gap.simulator_problem import Failures, SimulatorProblem, followed, is_high, is_quick, runs_of
 from softcal.core.gap.simulator_search import SimulatorSearch, base_fit
 from softcal.core.metrics import finite_or_none
 from softcal.core.recording import Array
@@ -214,6 +215,8 @@ def check_simulator(
 
 
 def _base_or_mistakes(simulator: Simulator, case: Case, say: Progress) -> tuple[Fit, tuple[DataMistake, ...]]:
+    say("calling the simulator a few times")
+    check_calls(simulator, runs_of(case))
     say("looking for mistakes in the recordings")
     spoilt = shown(simulator, case)
     say(f"fitting {simulator.name} to all runs")

@@ -1,0 +1,172 @@
+"""A simulator that cannot be fitted is refused before the fit, in one line that says why."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from softcal.core.errors import InputError
+from softcal.core.gap.simulator import Columns, Simulator, SimulatorRun, candidate, recorded
+from softcal.core.gap.simulator_check import check_calls
+from softcal.core.gap.simulator_diagnosis import diagnose_simulator
+from softcal.core.twin.effects import Parameter
+
+T_S = np.arange(0.0, 4.0, 0.02)
+
+
+def press(inputs: Columns, p: Mapping[str, float]) -> dict[str, np.ndarray]:
+    load_N = inputs["load_N"]
+    return {"sunk_mm": p["softness"] * load_N + p["bottoming.a"] * load_N**2 + p["creep.rate"] * inputs["t_s"]}
+
+
+FOOT = Simulator(
+    name="foot",
+    run=press,
+    inputs=("load_N",),
+    channels=("sunk_mm",),
+    base=(Parameter("softness", "mm/N", 0.01, 10.0, 0.1),),
+    candidates=(
+        candidate("bottoming", "foot", Parameter("a", "mm/N²", -1.0, 1.0, 0.01, neutral=0.0)),
+        candidate("creep", "rubber", Parameter("rate", "mm/s", 0.0, 1.0, 0.05, neutral=0.0)),
+    ),
+)
+
+
+def runs_of(simulator: Simulator = FOOT) -> tuple[SimulatorRun, ...]:
+    rng, out = np.random.default_rng(3), []
+    values = {"softness": 0.12, "bottoming.a": 0.02, "creep.rate": 0.0}
+    for name, speed in (("one", 2.0), ("two", 3.1)):
+        load_N = 5.0 * np.abs(np.sin(speed * T_S))
+        sunk_mm = press({"t_s": T_S, "load_N": load_N}, values)["sunk_mm"] + rng.normal(0.0, 0.003, len(T_S))
+        out.append(recorded(simulator, name, {"t_s": T_S, "load_N": load_N, "sunk_mm": sunk_mm}))
+    return tuple(out)
+
+
+class Faults:
+    """What simulators do wrong, each as the function that a person would write."""
+
+    def __init__(self) -> None:
+        self.rng, self.rest = np.random.default_rng(), 0.0
+
+    def noisy(self, inputs: Columns, p: Mapping[str, float]) -> dict[str, Any]:
+        return {"sunk_mm": press(inputs, p)["sunk_mm"] + self.rng.normal(0.0, 1e-6, len(inputs["t_s"]))}
+
+    def leaks_state(self, inputs: Columns, p: Mapping[str, float]) -> dict[str, Any]:
+        sunk_mm = press(inputs, p)["sunk_mm"] + 0.01 * self.rest
+        self.rest = float(sunk_mm[-1])
+        return {"sunk_mm": sunk_mm}
+
+    def remembers_parameters(self, inputs: Columns, p: Mapping[str, float]) -> dict[str, Any]:
+        self.rest = max(self.rest, p["bottoming.a"])
+        return press(inputs, {**p, "bottoming.a": self.rest})
+
+    def writes_into_input(self, inputs: Columns, p: Mapping[str, float]) -> dict[str, Any]:
+        load_N = inputs["load_N"]
+        load_N *= 0.9
+        return press(inputs, p)
+
+    def writes_into_parameters(self, inputs: Columns, p: Any) -> dict[str, Any]:
+        p["softness"] = 1.01 * p["softness"]
+        return press(inputs, p)
+
+    def rounds(self, inputs: Columns, p: Mapping[str, float]) -> dict[str, Any]:
+        return {"sunk_mm": np.round(press(inputs, p)["sunk_mm"], 2)}
+
+    def half_precision(self, inputs: Columns, p: Mapping[str, float]) -> dict[str, Any]:
+        return {"sunk_mm": press(inputs, p)["sunk_mm"].astype(np.float16)}
+
+    def misspells_candidate(self, inputs: Columns, p: Mapping[str, float]) -> dict[str, Any]:
+        load_N = inputs["load_N"]
+        return {"sunk_mm": p["softness"] * load_N + p["bottoming.a"] * load_N**2 + p.get("crep.rate", 0.0) * T_S}
+
+    def misspells_in_a_namespace(self, inputs: Columns, p: Mapping[str, float]) -> dict[str, Any]:
+        values = SimpleNamespace(**{name.replace(".", "_"): value for name, value in p.items()})
+        load_N = inputs["load_N"]
+        return {
+            "sunk_mm": values.softness * load_N + getattr(values, "botoming_a", 0.0) * load_N**2 + values.creep_rate
+        }
+
+    def never_reads_base(self, inputs: Columns, p: Mapping[str, float]) -> dict[str, Any]:
+        return {"sunk_mm": 0.1 * inputs["load_N"] + p["bottoming.a"] * inputs["load_N"] ** 2 + p["creep.rate"] * T_S}
+
+
+@pytest.mark.parametrize(
+    ("fault", "named"),
+    [
+        ("noisy", "twice"),
+        ("leaks_state", "twice"),
+        ("remembers_parameters", "again"),
+        ("writes_into_input", "load_N"),
+        ("writes_into_parameters", "softness"),
+        ("rounds", "rounds"),
+        ("half_precision", "rounds"),
+        ("misspells_candidate", "creep.rate"),
+        ("misspells_in_a_namespace", "bottoming.a"),
+        ("never_reads_base", "softness"),
+    ],
+)
+def test_a_simulator_that_cannot_be_fitted_is_refused(fault: str, named: str) -> None:
+    run: Callable[..., Any] = getattr(Faults(), fault)
+    simulator = replace(FOOT, run=run)
+    with pytest.raises(InputError, match=named) as refused:
+        diagnose_simulator(simulator, runs_of(simulator))
+    assert "\n" not in str(refused.value) and "foot" in str(refused.value)
+
+
+def test_a_sound_simulator_is_called_a_few_times_and_its_runs_stay_as_they_are() -> None:
+    calls = 0
+
+    def counted(inputs: Columns, p: Mapping[str, float]) -> dict[str, np.ndarray]:
+        nonlocal calls
+        calls += 1
+        return press(inputs, p)
+
+    runs = runs_of()
+    before = [{name: values.copy() for name, values in run.columns.items()} for run in runs]
+    check_calls(replace(FOOT, run=counted), runs)
+    assert calls <= 4 + 2 * 3
+    for run, columns in zip(runs, before, strict=True):
+        assert all(np.array_equal(run.columns[name], values) for name, values in columns.items())
+
+
+def test_what_these_runs_cannot_show_is_no_fault_of_the_simulator() -> None:
+    """A level that no run reaches is read and changes nothing; friction has a kink where the speed turns."""
+
+    def stopped(inputs: Columns, p: Mapping[str, float]) -> dict[str, np.ndarray]:
+        sunk_mm = p["softness"] * inputs["load_N"]
+        turned = np.sign(np.gradient(sunk_mm, inputs["t_s"]))
+        return {"sunk_mm": np.minimum(sunk_mm, p["stop.depth"]) + p["rubbing.size"] * turned}
+
+    simulator = replace(
+        FOOT,
+        run=stopped,
+        candidates=(
+            candidate("stop", "foot", Parameter("depth", "mm", 100.0, 1e4, 1e3, np.inf, scale="inverse_square")),
+            candidate("rubbing", "foot", Parameter("size", "mm", 0.0, 1.0, 0.1, neutral=0.0)),
+        ),
+    )
+    check_calls(simulator, runs_of())
+
+
+@pytest.mark.parametrize(
+    "parameter",
+    [
+        Parameter("softness", "mm/N", 10.0, 0.01, 0.1),
+        Parameter("softness", "mm/N", 0.1, 0.1, 0.1),
+        Parameter("softness", "mm/N", 0.01, 10.0, 20.0),
+        Parameter("softness", "mm/N", 0.01, 10.0, np.nan),
+        Parameter("softness", "mm/N", -np.inf, 10.0, 1.0),
+        Parameter("softness", "mm/N", 0.0, 10.0, 1.0, scale="log"),
+    ],
+)
+def test_bounds_that_hold_nothing_are_refused(parameter: Parameter) -> None:
+    with pytest.raises(InputError, match="softness"):
+        replace(FOOT, base=(parameter,))
+
+
+def test_a_candidate_whose_usual_size_lies_outside_its_bounds_is_refused() -> None:
+    with pytest.raises(InputError, match=r"bottoming\.a"):
+        replace(FOOT, candidates=(candidate("bottoming", "foot", Parameter("a", "", -1.0, 1.0, 2.0, neutral=0.0)),))
