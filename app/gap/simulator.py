@@ -153,7 +153,7 @@ def read_parameters(path: str | Path, simulator: Simulator) -> dict[str, float]:
         other = ", ".join(sorted(set(parameters) ^ set(wanted)))
         raise InputError(f"{path}: {other} stands on one side alone; diagnose simulator {simulator.name} again")
     off = {name: value for name, value in simulator.neutral_values.items() if not np.isfinite(value)}
-    values = {name: off.get(name) if parameters[name] is None else parameters[name] for name in wanted}
+    values: dict[str, Any] = {n: off.get(n) if parameters[n] is None else parameters[n] for n in wanted}
     for name, value in values.items():
         if not _is_number(value):
             raise InputError(f"{path}: {name} is {json.dumps(parameters[name])}; a number was expected")

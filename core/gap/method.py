@@ -29,6 +29,7 @@ class MistakeConfig:
         opposed: correlation below which two channels move against each other.
         paired, unpaired: correlation above which two columns belong to one run, or below do not.
         good, bad: share of a channel that a simulator's base takes up where it agrees, or does not.
+        repaired: share of what the base leaves that may be left once a mistake is repaired; else it is a question.
         step_apart: factor from which the steps of time of one run are none of jitter.
         stuck: share of samples on the largest or smallest value that may be a channel cut off.
         resting: share of repeated samples up to which a channel does not rest on steps.
@@ -54,9 +55,27 @@ class MistakeConfig:
     unpaired: float = setting(0.6)
     good: float = setting(0.9)
     bad: float = setting(0.8)
+    repaired: float = setting(0.1)
     step_apart: float = setting(5.0)
     stuck: float = setting(0.01)
     resting: float = setting(0.05)
+
+
+@dataclass(frozen=True)
+class CallConfig:
+    """When a simulator cannot be fitted (`simulator_check.py`).
+
+    Args:
+        repeatable: largest difference of equal calls, as a share of a channel's span: a tenth of what derivatives bear.
+        long_step: steps of the fit in the longer of two difference quotients that are compared.
+        moved: share of the largest change from which a sample is compared.
+        rounded: share of the samples that disagree, and by which share of their change, where channels are rounded.
+    """
+
+    repeatable: float = setting(1e-7)
+    long_step: float = setting(100.0)
+    moved: float = setting(1e-3)
+    rounded: float = setting(0.5)
 
 
 @dataclass(frozen=True)
@@ -435,6 +454,7 @@ class GapMethod(NumberedMethod):
     """How a gap is diagnosed, for every rig and every simulator: a section a step."""
 
     mistake: MistakeConfig = field(default_factory=MistakeConfig)
+    calls: CallConfig = field(default_factory=CallConfig)
     outlier: OutlierConfig = field(default_factory=OutlierConfig)
     offset: OffsetConfig = field(default_factory=OffsetConfig)
     structure: StructureConfig = field(default_factory=StructureConfig)

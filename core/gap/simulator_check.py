@@ -8,15 +8,12 @@ import numpy as np
 from softcal.core.errors import InputError
 from softcal.core.gap.coordinates import fit_scale, from_fit, to_fit
 from softcal.core.gap.fit import DIFFERENCE
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.simulator import Columns, Simulator, SimulatorFailed, SimulatorRun
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Parameter
 
-REPEATABLE = 1e-7
-"""Largest difference of equal calls, as a share of a channel's span: a tenth of what a fit's derivatives bear."""
-
-LONG_STEP = 100.0
-"""Steps of the fit in the longer of the two difference quotients that are compared."""
+CONFIG = METHOD.calls
 
 
 class _ReadNames(dict[str, float]):
@@ -106,7 +103,7 @@ def check_calls(simulator: Simulator, runs: Sequence[SimulatorRun]) -> None:
         _refuse_differing(simulator, plain, calls.first(off), "called twice with equal arguments")
         with_causes = calls.first(on)
         _refuse_differing(simulator, plain, calls.first(off), "called again after a call with other parameters")
-        near, far = (calls.first(_moved(simulator, on, steps)) for steps in (1.0, LONG_STEP))
+        near, far = (calls.first(_moved(simulator, on, steps)) for steps in (1.0, CONFIG.long_step))
     except SimulatorFailed:
         return
     if _is_rounded(near - with_causes, far - with_causes):
@@ -124,7 +121,7 @@ def _of_candidates(simulator: Simulator) -> list[tuple[str, Parameter]]:
 
 def _refuse_differing(simulator: Simulator, one: Array, other: Array, when: str) -> None:
     apart = float(np.max(np.abs(one - other)))
-    if apart > REPEATABLE * max(float(np.ptp(one)), float(np.max(np.abs(one)))):
+    if apart > CONFIG.repeatable * max(float(np.ptp(one)), float(np.max(np.abs(one)))):
         raise refused(
             simulator, f"{when} its channels differ by {apart:.3g}; fix the seed of its noise, and start anew each time"
         )
@@ -145,9 +142,9 @@ def _moved(simulator: Simulator, values: Mapping[str, float], steps: float) -> d
 
 def _is_rounded(near: Array, far: Array) -> bool:
     """Whether most samples that a long step moves are not moved in proportion by a short one."""
-    moves = np.abs(far) > 1e-3 * np.max(np.abs(far), initial=0.0)
-    is_apart = np.abs(LONG_STEP * near - far)[moves] > 0.5 * np.abs(far)[moves]
-    return bool(moves.any() and np.mean(is_apart) > 0.5)
+    moves = np.abs(far) > CONFIG.moved * np.max(np.abs(far), initial=0.0)
+    is_apart = np.abs(CONFIG.long_step * near - far)[moves] > CONFIG.rounded * np.abs(far)[moves]
+    return bool(moves.any() and np.mean(is_apart) > CONFIG.rounded)
 
 
 def _refuse_unread(calls: _Calls, values: Mapping[str, float]) -> None:

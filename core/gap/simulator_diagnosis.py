@@ -155,9 +155,9 @@ def diagnose_simulator(
         raise InputError(f"simulator {simulator.name}: no run was given; a diagnosis needs one")
     say = progress or (lambda _: None)
     case = Case(serial, tuple(runs))
-    base, spoilt = _base_or_mistakes(simulator, case, say)
-    if spoilt:
-        return SimulatorDiagnosis.stopped(base, simulator.candidates, spoilt, simulator=simulator)
+    base, mistakes, questions = _base_and_mistakes(simulator, case, say)
+    if mistakes:
+        return SimulatorDiagnosis.stopped(base, simulator.candidates, mistakes, simulator=simulator)
     told = told_by(simulator, base)
     for untold in reasons(told):
         say(str(untold))
@@ -189,7 +189,7 @@ def diagnose_simulator(
         next_experiment=_next(simulator, group, verdict),
         explained_share=share,
         told=told,
-        mistakes=cut_off(simulator, case),
+        mistakes=questions,
         partial=Partial(ids, share) if verdict == "unknown" and ids else None,
     )
     if verdict == "no_gap":
@@ -210,18 +210,26 @@ def check_simulator(
     if not runs:
         raise InputError(f"simulator {simulator.name}: no run was given; a check needs one")
     case = Case("", tuple(runs))
-    base, spoilt = _base_or_mistakes(simulator, case, lambda _: None)
-    return (spoilt, None) if spoilt else (cut_off(simulator, case), told_by(simulator, base))
+    base, mistakes, questions = _base_and_mistakes(simulator, case, lambda _: None)
+    return (mistakes, None) if mistakes else (questions, told_by(simulator, base))
 
 
-def _base_or_mistakes(simulator: Simulator, case: Case, say: Progress) -> tuple[Fit, tuple[DataMistake, ...]]:
+def _base_and_mistakes(
+    simulator: Simulator, case: Case, say: Progress
+) -> tuple[Fit, tuple[DataMistake, ...], tuple[DataMistake, ...]]:
+    """Return the fitted base, the mistakes that stop a diagnosis, and those that are a question beside it."""
     say("calling the simulator a few times")
     check_calls(simulator, runs_of(case))
     say("looking for mistakes in the recordings")
-    spoilt = shown(simulator, case)
+    mistakes = shown(simulator, case)
     say(f"fitting {simulator.name} to all runs")
     base = base_fit(simulator, case)
-    return base, spoilt or against_others(base)
+    if mistakes:
+        return base, mistakes, ()
+    test, questions = against_others(base), cut_off(simulator, case)
+    if test is None:
+        return base, (), questions
+    return (base, (test.mistake,), ()) if test.is_claim else (base, (), (test.mistake, *questions))
 
 
 def _searched(simulator: Simulator, base: Fit, told: Identifiability, say: Progress) -> "SimulatorSearch":

@@ -113,3 +113,45 @@ def test_time_that_does_not_go_on_is_refused_in_one_line() -> None:
     table["t_s"] = np.where(np.arange(len(T)) == 70, 0.5, T)
     with pytest.raises(InputError, match="t_s does not go on at sample 70"):
         recorded(replace(SIMULATOR), "1", table)
+
+
+def soft(i: Columns, p: Mapping[str, float]) -> Columns:
+    return {"sunk_mm": p["softness"] * i["load_N"] + p["softening.a"] * np.sqrt(np.abs(i["load_N"]))}
+
+
+SOFT = Simulator(
+    "a foam",
+    soft,
+    ("load_N",),
+    ("sunk_mm",),
+    (Parameter("softness", "mm/N", -100.0, 100.0, 1.0),),
+    (candidate("softening", "foam", Parameter("a", "mm/N^0.5", -10.0, 10.0, 0.1, neutral=0.0)),),
+)
+
+
+def foam_runs() -> list[SimulatorRun]:
+    """A foam that softens under load; its base agrees better once the two columns are exchanged."""
+    rng, out = np.random.default_rng(4), []
+    for k, speed in enumerate((0.7, 1.1, 1.9)):
+        load_N = 5.0 * np.abs(np.sin(speed * T))
+        sunk_mm = soft({"load_N": load_N}, {"softness": 0.1, "softening.a": 0.6})["sunk_mm"]
+        columns = (load_N, sunk_mm + rng.normal(0.0, 0.005, len(T)))
+        out.append(recorded(SOFT, str(k), {"t_s": T, **dict(zip(("load_N", "sunk_mm"), columns, strict=True))}))
+    return out
+
+
+def test_a_gap_that_exchanged_columns_would_lessen_a_little_is_diagnosed() -> None:
+    found = diagnose_simulator(SOFT, foam_runs())
+    assert found.verdict == "explained" and [c.effect for c in found.causes if c.probability > 0.5] == ["softening"]
+    assert not any(m.what == "swapped_columns" for m in found.mistakes)
+
+
+def test_a_mistake_that_leaves_much_is_a_question_beside_a_whole_diagnosis() -> None:
+    """Without a cause that could explain it, the exchange is worth asking about, and no more."""
+    nothing = candidate("tide", "earth", Parameter("a", "mm", -1.0, 1.0, 0.1, neutral=0.0))
+
+    def run(i: Columns, p: Mapping[str, float]) -> Columns:
+        return {"sunk_mm": p["softness"] * i["load_N"] + p["tide.a"] * np.sin(40.0 * i["t_s"])}
+
+    found = diagnose_simulator(replace(SOFT, run=run, candidates=(nothing,)), foam_runs())
+    assert found.verdict == "unknown" and [m.what for m in found.mistakes] == ["swapped_columns"]
