@@ -204,7 +204,7 @@ def _folder(options: argparse.Namespace) -> None:
 
 def _audit_plan(options: argparse.Namespace) -> int:
     """The first call draws the plan and writes it down; later calls show where it stands."""
-    from softcal.app.batch.audit import AUDIT_HEADER, audit_json, audit_line, audit_rows, draw_plan, update_lot
+    from softcal.app.batch.audit import AUDIT_HEADER, audit_json, audit_line, audit_rows, draw_plan, lot_audit
     from softcal.core.quality.acceptance import PROMISE_HEADER, promise_rows
     from softcal.core.quality.audit_plan import AuditConfig
     from softcal.core.quality.qualification import small_lot
@@ -212,7 +212,7 @@ def _audit_plan(options: argparse.Namespace) -> int:
     lot_id = lot_id_of(options.lot)
     with registry_of(options) as registry:
         registry.lots.get(lot_id)
-        audit = None if options.new else update_lot(registry, lot_id)
+        audit = None if options.new else lot_audit(registry, lot_id)
         if audit is None:
             names = ("doubtful", "random", "seed", "allowed_share")
             asked = {name: getattr(options, name) for name in names if getattr(options, name) is not None}

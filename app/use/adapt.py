@@ -97,6 +97,7 @@ class Follower:
         keeper: Executor | None = None,
         is_repeatable: bool = False,
     ) -> None:
+        registry.database.check_writable()
         serial = unit.calibration.serial
         self._registry, self._keeper = registry, keeper
         self._writing: Future[int] | None = None

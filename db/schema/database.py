@@ -15,7 +15,7 @@ from sqlalchemy import URL, Connection, Engine, Executable, RowMapping, inspect,
 from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError, OperationalError, SQLAlchemyError
 
 from softcal.core.errors import RegistryError
-from softcal.db.schema.engines import IN_MEMORY, postgresql_engine, sqlite_engine
+from softcal.db.schema.engines import IN_MEMORY, READ_ONLY, postgresql_engine, sqlite_engine
 from softcal.db.schema.tables import SCHEMA
 from softcal.db.schema.transaction_cache import HAS_TOLD, Found, found_in
 
@@ -145,6 +145,11 @@ class Database:
                 return False
         return True
 
+    def check_writable(self) -> None:
+        """Raise `RegistryError` where the file or its folder can only be read; a server says so when it is asked."""
+        if why := self.engine.get_execution_options().get(READ_ONLY):
+            raise RegistryError(f"registry {self.name} is read-only: {why}; nothing was changed")
+
     @contextmanager
     def writing(self, *, in_turn: bool = True) -> Iterator[Connection]:
         """Give a connection whose changes are kept when the block ends well, else gone.
@@ -156,7 +161,8 @@ class Database:
         if self._thread.writer is not None:
             yield self._thread.writer
             return
-        with self._errors_in_words() as phase, self.engine.connect() as connection:
+        self.check_writable()
+        with self._errors_in_words(is_writing=True) as phase, self.engine.connect() as connection:
             connection.execution_options(softcal_writes=True)
             with connection.begin(), self._joinable("writer", connection):
                 if in_turn and not self.is_sqlite:
@@ -213,7 +219,7 @@ class Database:
             setattr(self._thread, role, None)
 
     @contextmanager
-    def _errors_in_words(self) -> Iterator[dict[str, bool]]:
+    def _errors_in_words(self, is_writing: bool = False) -> Iterator[dict[str, bool]]:
         phase = {"is_committing": False}
         try:
             yield phase
@@ -229,7 +235,8 @@ class Database:
                 cut = f"registry {self.name}: {what}; nothing was changed; run it again when the server answers"
                 raise ConnectionCut(cut, is_undone=True) from error
             if is_denied(error):
-                what += "; the database account may not do this, ask who manages the registry to do it"
+                may_not = "this is read-only for" if is_writing else "this is hidden from"
+                what += f"; {may_not} the database account, ask who manages the registry to do it"
             raise RegistryError(f"registry {self.name}: {what}; nothing was changed") from error
 
 
@@ -242,7 +249,7 @@ def first_line(error: Exception) -> str:
 
 def is_denied(error: Exception) -> bool:
     """Whether the account at the server may not do what was asked."""
-    return "permission denied" in str(error)
+    return "permission denied" in str(error) or "read-only transaction" in str(error)
 
 
 def given(*pairs: tuple[Any, object]) -> list[Any]:

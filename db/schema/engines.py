@@ -2,13 +2,19 @@
 
 import os
 import random
+import shutil
 import sqlite3
+import tempfile
 import time
+import weakref
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import cast
+from urllib.parse import quote
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event
-from sqlalchemy.pool import StaticPool
+from sqlalchemy.pool import NullPool, StaticPool
 
 from softcal.core.errors import RegistryError
 from softcal.db.schema.transaction_cache import forget
@@ -23,9 +29,12 @@ STATEMENT_TIMEOUT = "120s"
 NETWORK_TYPES = frozenset("nfs nfs4 cifs smb smb2 smb3 smbfs 9p afs ceph glusterfs lustre gpfs beegfs".split())
 MOUNTS = Path("/proc/mounts")
 
+READ_ONLY = "softcal_read_only"
+"""Execution option of an engine whose file can only be read: why it cannot be written."""
 
-def refuse_network_share(folder: Path, mounts: Path = MOUNTS) -> None:
-    """Raise `RegistryError` where `folder` is on a network share (Linux mounts, UNC paths)."""
+
+def network_share(folder: Path, mounts: Path = MOUNTS) -> str:
+    """Return the kind of network share that `folder` is on (Linux mounts, UNC paths); empty where it is local."""
     inside, best, kind = folder.resolve(), Path("/"), ""
     for line in mounts.read_text(errors="replace").splitlines() if mounts.is_file() else ():
         match line.split():
@@ -34,10 +43,14 @@ def refuse_network_share(folder: Path, mounts: Path = MOUNTS) -> None:
                 if inside.is_relative_to(mounted) and len(mounted.parts) >= len(best.parts):
                     best, kind = mounted, of_type
     if str(folder).startswith(("\\\\", "//")):
-        kind = "a UNC path"
-    elif kind not in NETWORK_TYPES and not kind.startswith(("fuse.sshfs", "fuse.rclone", "fuse.gluster", "fuse.ceph")):
-        kind = ""
-    if kind:
+        return "a UNC path"
+    is_network = kind in NETWORK_TYPES or kind.startswith(("fuse.sshfs", "fuse.rclone", "fuse.gluster", "fuse.ceph"))
+    return kind if is_network else ""
+
+
+def refuse_network_share(folder: Path, mounts: Path = MOUNTS) -> None:
+    """Raise `RegistryError` where `folder` is on a network share."""
+    if kind := network_share(folder, mounts):
         raise RegistryError(
             f"registry folder {folder} is on a network share ({kind}); SQLite loses data there, because its "
             "write-ahead log needs shared memory of one machine; use a local folder, or postgresql:// for many stations"
@@ -51,14 +64,17 @@ def sqlite_engine(url: URL, create: bool) -> Engine:
     else:
         path = Path(str(url.database))
         folder = path.absolute().parent
-        if not folder.is_dir():
-            raise RegistryError(f"registry {path}: the folder {folder} does not exist; make it or give another URL")
-        if path.is_dir():
-            raise RegistryError(f"registry {path} is a folder; a file was expected")
-        if not create and not path.exists():
-            raise RegistryError(f"registry {path}: there is no such file; `softcal batch` or `softcal demo` makes one")
-        if not os.access(path if path.exists() else folder, os.W_OK) or not os.access(folder, os.W_OK):
-            raise RegistryError(f"registry {path}: {folder} cannot be written; SQLite needs the folder, too")
+        try:
+            problem = _problem(path, folder, create)
+        except OSError as error:
+            problem = f"registry {path}: cannot be read: {error.strerror}"
+        if problem:
+            raise RegistryError(problem)
+        parts = (path, folder) if path.exists() else (folder,)
+        if why := next((f"{part} cannot be written" for part in parts if not os.access(part, os.W_OK)), ""):
+            if path.exists():
+                return _read_only_engine(url, path, why)
+            raise RegistryError(f"registry {path}: {why}; a new registry was asked for")
         refuse_network_share(folder)
         # It holds hashes of PINs: for its owner alone. SQLite gives its log the same mode.
         try:
@@ -73,6 +89,94 @@ def sqlite_engine(url: URL, create: bool) -> Engine:
     event.listen(engine, "begin", _begin_sqlite)
     event.listen(engine, "rollback_savepoint", forget)
     return engine
+
+
+def _problem(path: Path, folder: Path, create: bool) -> str:
+    if not folder.is_dir():
+        return f"registry {path}: the folder {folder} does not exist; make it or give another URL"
+    if path.is_dir():
+        return f"registry {path} is a folder; a file was expected"
+    if not create and not path.exists():
+        return f"registry {path}: there is no such file; `softcal batch` or `softcal demo` makes one"
+    if path.exists() and not os.access(path, os.R_OK):
+        return f"registry {path}: cannot be read by this account"
+    return ""
+
+
+def _read_only_engine(url: URL, path: Path, why: str) -> Engine:
+    """Return the engine of a file that cannot be written; it leaves no file beside it."""
+    # Every transaction looks anew: what somebody else writes meanwhile is seen by the next one.
+    engine = create_engine(url, creator=_opener(path), poolclass=NullPool, execution_options={READ_ONLY: why})
+    event.listen(engine, "begin", _begin_sqlite)
+    event.listen(engine, "begin", partial(_note_state, path))
+    event.listen(engine, "commit", partial(_check_state, path))
+    return engine
+
+
+def _beside(path: Path, suffix: str) -> Path:
+    return path.with_name(path.name + suffix)
+
+
+def _opener(path: Path) -> Callable[[], sqlite3.Connection]:
+    """Return what connects to a file without writing into its folder.
+
+    Without a write-ahead log the file alone is the registry, and SQLite may leave out its locks (`immutable`). With a
+    log it needs the log's index: the one that is there, or else one beside a private copy of both.
+    """
+    copy: list[Path] = []
+
+    def connect() -> sqlite3.Connection:
+        asked = {"timeout": SQLITE_WAIT_S, "check_same_thread": False, "isolation_level": None}
+        name = f"file:{quote(str(path.absolute()))}?mode=ro"
+        if _has_no_log(path):
+            return sqlite3.connect(f"{name}&immutable=1", uri=True, **asked)
+        if os.access(_beside(path, "-shm"), os.R_OK) and not network_share(path.absolute().parent):
+            return sqlite3.connect(name, uri=True, **asked)
+        if not copy:
+            copy.append(_private_copy(path, _beside(path, "-wal")))
+            weakref.finalize(connect, shutil.rmtree, copy[0].parent, ignore_errors=True)
+        return sqlite3.connect(copy[0], **asked)
+
+    return connect
+
+
+def _private_copy(path: Path, wal: Path) -> Path:
+    folder = Path(tempfile.mkdtemp(prefix="softcal-registry-"))
+    try:
+        before, copy = [_state(path), _state(wal)], folder / "registry.db"
+        shutil.copyfile(path, copy)
+        shutil.copyfile(wal, _beside(copy, "-wal"))
+        if [_state(path), _state(wal)] != before:
+            raise _was_written(path)
+    except BaseException as error:
+        shutil.rmtree(folder, ignore_errors=True)
+        if isinstance(error, OSError):
+            raise RegistryError(f"registry {path}: {wal} cannot be read: {error.strerror}") from error
+        raise
+    return copy
+
+
+def _has_no_log(path: Path) -> bool:
+    wal = _beside(path, "-wal")
+    return not wal.exists() or (wal.stat().st_size == 0 and not _beside(path, "-shm").exists())
+
+
+def _state(path: Path) -> tuple[int, int]:
+    return path.stat().st_mtime_ns, path.stat().st_size
+
+
+def _note_state(path: Path, connection: Connection) -> None:
+    connection.info["state"] = _state(path) if _has_no_log(path) else None
+
+
+def _check_state(path: Path, connection: Connection) -> None:
+    """Refuse what was read without locks while somebody else wrote into the file."""
+    if connection.info.pop("state") not in (None, _state(path)):
+        raise _was_written(path)
+
+
+def _was_written(path: Path) -> RegistryError:
+    return RegistryError(f"registry {path} was written by another program while it was read; run the command again")
 
 
 def _set_up_sqlite(connection: sqlite3.Connection, record: object) -> None:
