@@ -1,14 +1,15 @@
 """What commands say: tables and JSON on standard output or in a file, and progress."""
 
 import json
+import os
+import shutil
 import sys
 import textwrap
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from contextvars import ContextVar
 from dataclasses import dataclass
-from itertools import zip_longest
 from pathlib import Path
 from typing import TextIO
 
@@ -16,8 +17,13 @@ from softcal.app.files.atomic import write_text
 from softcal.app.files.spreadsheet import csv_text, write_table
 from softcal.core.errors import InputError
 
-WIDTH, NARROWEST = 100, 4
-"""Characters of a table that no terminal shows, and of its narrowest column."""
+WIDTH, MIN_WIDTH = 100, 20
+"""Characters of a line of sentences that no terminal shows, and of the narrowest terminal."""
+
+NOTHING, BELOW = "–", "    "
+"""A cell without a value; what begins the lines below a row."""
+
+NO_VALUES = frozenset({NOTHING, ""})
 
 COLOURS = {"pass": "green", "conditional": "yellow", "fail": "red", "retest": "magenta"}
 """Of a terminal, which knows colours by name alone."""
@@ -65,8 +71,8 @@ def answering(json_target: str | None, csv_target: str | None) -> Iterator[None]
 def print_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Print a table; floats with four significant digits, None as a dash. With `--csv` it is written as CSV instead.
 
-    Long texts are wrapped to the width of the terminal, or of a page where there is none. On a terminal verdicts have
-    their colour unless NO_COLOR is set.
+    Columns that have no room in a terminal, or in COLUMNS, stand below their row. On a terminal verdicts have their
+    colour unless NO_COLOR is set.
     """
     table, answer = [list(row) for row in rows], _ANSWER.get()
     if answer.csv == "-" and answer.stdout is not None:
@@ -76,48 +82,102 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None
         write_table(Path(answer.csv), header, table)
     if answer.stdout is not None:
         return
-    cells = [[_cell(value) for value in row] for row in table]
-    if sys.stdout.isatty():
-        from rich.box import SIMPLE_HEAD
-        from rich.console import Console
-        from rich.table import Table
-        from rich.text import Text
+    _print_rows(header, [[_cell(value) for value in row] for row in table], _width())
 
-        fitting = Table(box=SIMPLE_HEAD, pad_edge=False, header_style="")
-        for name in header:
-            fitting.add_column(Text(name), overflow="fold")
-        for row in cells:
-            fitting.add_row(*(Text(cell, style=COLOURS.get(cell, "")) for cell in row))
-        Console(highlight=False).print(fitting)
-        return
-    lines = [[*header], *cells]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    # The widest columns give way until a row fits.
-    while sum(widths) > WIDTH - 2 * (len(widths) - 1) and max(widths) > NARROWEST:
-        widths[widths.index(max(widths))] -= 1
-    folded = [
-        [
-            textwrap.wrap(cell, width, break_on_hyphens=False) if len(cell) > width else [cell]
-            for cell, width in zip(line, widths, strict=True)
-        ]
-        for line in lines
-    ]
-    for parts in (folded[0], [["-" * width] for width in widths], *folded[1:]):
-        for shown_parts in zip_longest(*parts, fillvalue=""):
-            print("  ".join(part.ljust(width) for part, width in zip(shown_parts, widths, strict=True)).rstrip())
+
+def _width() -> int | None:
+    """Return how many places a line has: of a terminal, or as COLUMNS says; None in a pipe, where all fits."""
+    if sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdecimal():
+        return max(shutil.get_terminal_size().columns, MIN_WIDTH)
+    return None
+
+
+def _print_rows(header: Sequence[str], rows: Sequence[Sequence[str]], width: int | None) -> None:
+    """Print a table. Where it does not fit, empty columns are left out, and others stand below their row by name."""
+    columns = list(zip(header, *rows, strict=True))
+    if width is not None and _line_width(columns) > width:
+        columns = [column for column in columns if not NO_VALUES.issuperset(column[1:])] or columns
+        header, *rows = zip(*columns, strict=True)
+    beside = len(columns)
+    while width is not None and beside > 1 and _line_width(columns[:beside]) > width:
+        beside -= 1
+    widths = [max(map(_cells_of, column)) for column in columns]
+    widths = widths[:beside] if width is None or beside > 1 else [min(widths[0], width)]
+    print_line = _line_printer()
+    print_line(header, widths)
+    print_line(["-" * one for one in widths], widths)
+    for row in rows:
+        print_line(row, widths)
+        others = zip(header[beside:], row[beside:], strict=True)
+        below = [f"{name}: {cell}" for name, cell in others if cell not in NO_VALUES]
+        for line in _wrapped("; ".join(below), (width or 0) - len(BELOW)) if below else ():
+            print(BELOW + line)
+
+
+def _line_width(columns: Sequence[Sequence[str]]) -> int:
+    return sum(max(map(_cells_of, column)) for column in columns) + 2 * (len(columns) - 1)
+
+
+def _line_printer() -> Callable[[Sequence[str], Sequence[int]], None]:
+    """Return what prints the cells of a line; on a terminal verdicts have their colour."""
+
+    def padded(cells: Sequence[str], widths: Sequence[int]) -> list[str]:
+        if len(widths) == 1 and _cells_of(cells[0]) > widths[0]:
+            return ["\n".join(_wrapped(cells[0], widths[0]))]
+        return [cell + " " * (one - _cells_of(cell)) for cell, one in zip(cells, widths, strict=False)]
+
+    def plain(cells: Sequence[str], widths: Sequence[int]) -> None:
+        print("  ".join(padded(cells, widths)).rstrip())
+
+    if not sys.stdout.isatty():
+        return plain
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(highlight=False, soft_wrap=True)
+
+    def coloured(cells: Sequence[str], widths: Sequence[int]) -> None:
+        console.print(Text("  ").join(Text(cell, COLOURS.get(cell.rstrip(), "")) for cell in padded(cells, widths)))
+
+    return coloured
+
+
+def _cells_of(text: str) -> int:
+    """Return how many places a text takes in a terminal: a Korean letter takes two."""
+    if text.isascii():
+        return len(text)
+    from rich.cells import cell_len
+
+    return cell_len(text)
+
+
+def _wrapped(text: str, width: int) -> list[str]:
+    """Return a text in lines of at most so many places, broken at blanks where it can be."""
+    if text.isascii():
+        return textwrap.wrap(text, width, break_on_hyphens=False)
+    from rich.console import Console
+    from rich.text import Text
+
+    return [line.plain.rstrip() for line in Text(text).wrap(Console(width=width), width)]
 
 
 def _cell(value: object) -> str:
     if value is None:
-        return "–"
+        return NOTHING
     return f"{value:.4g}" if isinstance(value, float) else shown(str(value)).replace("\n", " ")
+
+
+def print_sentence(text: str) -> None:
+    """Print a sentence in as many lines as it needs."""
+    print(*_wrapped(shown(text), min(_width() or WIDTH, WIDTH)), sep="\n")
 
 
 def print_reasons(subject: str, reasons: Iterable[object]) -> None:
     """Print what is said of something: its name, then a reason a line."""
-    print(shown(subject))
+    print_sentence(subject)
     for reason in reasons:
-        print(textwrap.fill(shown(str(reason)), WIDTH, initial_indent="  - ", subsequent_indent="    "))
+        first, *others = _wrapped(shown(str(reason)), min(_width() or WIDTH, WIDTH) - len(BELOW)) or [""]
+        print(f"  - {first}", *(f"{BELOW}{line}" for line in others), sep="\n")
 
 
 def write_json(target: str | None, value: Mapping[str, object]) -> None:
@@ -159,11 +219,16 @@ class ProgressLine:
             return
         self._shown_s = elapsed_s
         speed_per_s = (self._done - self._before) / max(elapsed_s, 1e-9)
-        line = f"{self._done}/{self._total} {self._what}, {_duration(elapsed_s)}"
+        parts = [f"{self._done}/{self._total} {self._what}, {_duration(elapsed_s)}"]
         if speed_per_s:
-            line += f", {speed_per_s:.3g} {self._what}/s"
-            line += "" if is_last else f", about {_duration((self._total - self._done) / speed_per_s)} left"
-        line += f"  {note}" if note else ""
+            parts.append(f", {speed_per_s:.3g} {self._what}/s")
+            if not is_last:
+                parts.append(f", about {_duration((self._total - self._done) / speed_per_s)} left")
+        parts += [f"  {note}"] if note else []
+        # A line that is folded cannot be written over.
+        while is_terminal and len(parts) > 1 and _cells_of("".join(parts)) >= shutil.get_terminal_size().columns:
+            parts.pop()
+        line = "".join(parts)
         print(
             f"\r\x1b[K{line}" if is_terminal else line,
             end="\n" if is_last or not is_terminal else "",

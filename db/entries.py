@@ -183,6 +183,7 @@ class RecordingEntry:
     sample_rate_Hz: float
     output_unit: str
     reference_unit: str | None
+    output_sha256: str | None
     added_at: datetime
 
 

@@ -1,14 +1,17 @@
 """Labelled recordings of audited units out of tables: what becomes of each, where it is kept."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from softcal.app.files.importing import Columns, ImportPlan, look_through
+from softcal.app.files.not_used import NotUsed
 from softcal.app.files.recording_file import replace_recording
+from softcal.app.registry.same_recordings import same_recordings_with
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
-from softcal.core.recording import LabelledRecording
+from softcal.core.quality.same_recording import Pressed, same_recordings
+from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.words.reason import Reason, plain, reason
 from softcal.db.registry import Registry
 
@@ -21,6 +24,29 @@ class AuditFile:
     serial: str
     recording: LabelledRecording | None
     refusal: Reason | None = None
+
+
+def unused_of_audits(
+    lot: Lot,
+    audits: Sequence[AuditFile],
+    registry: Registry | None = None,
+    others: Iterable[OutputRecording | LabelledRecording] = (),
+) -> tuple[tuple[NotUsed, ...], tuple[Reason, ...]]:
+    """Return the audits that are not taken, and the remarks on those that are.
+
+    Args:
+        registry: with whose recordings the audits are compared, too.
+        others: recordings of the lot that they are compared with.
+    """
+    refused = [
+        NotUsed("audit", one.serial, one.refusal, one.file) if one.serial else NotUsed("file", one.file, one.refusal)
+        for one in audits
+        if one.refusal is not None
+    ]
+    taken = [one.recording for one in audits if one.recording is not None]
+    pressed = [Pressed(one.serial, lot.id, one.output_sha256) for one in (*taken, *others)]
+    remarks = same_recordings(pressed) if registry is None else same_recordings_with(registry, pressed)
+    return tuple(refused), remarks
 
 
 def look_at_audits(

@@ -8,13 +8,15 @@ from softcal.app.batch.judging import judge_leaning
 from softcal.app.batch.known import KeptFacts, lot_facts, state_line, state_sources
 from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
 from softcal.app.batch.release import judge_lot
-from softcal.app.batch.report import BatchReport
+from softcal.app.batch.report import BatchReport, unused_audits
 from softcal.app.batch.train import train_or_find
 from softcal.app.files.lot_folder import LotFolder
+from softcal.app.files.not_used import unused_columns
 from softcal.app.files.recording_file import naming
 from softcal.app.registry.golden import keep_golden_of
 from softcal.app.registry.known_loads import keep_loads
 from softcal.app.registry.reference import state_reference
+from softcal.app.registry.same_recordings import same_recordings_of
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.bridge import make_bridge
 from softcal.core.unit.source_model import make_source_model
@@ -63,4 +65,8 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     audit = update_lot(registry, lot_id, actor)
     judge_leaning(registry, lot_id, actor)
     units = tuple(work.told(list(folder.unit_paths)).values())
-    return BatchReport(lot_id, trained[0], units, time.perf_counter() - start_s, audit, config.release, decided)
+    remarks = same_recordings_of(registry, lot_id)
+    unread = unused_columns(folder.root, folder.unit_paths)
+    not_used = (*folder.not_used, *unread, *unused_audits(folder.audit_paths, units))
+    seconds = time.perf_counter() - start_s
+    return BatchReport(lot_id, trained[0], units, seconds, audit, config.release, decided, not_used, remarks)

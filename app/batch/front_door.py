@@ -13,10 +13,13 @@ from softcal.app.batch.known import config_of, stated_sources
 from softcal.app.bootstrap import data_folder
 from softcal.app.files.importing import ImportPlan, LookedAt, import_lot, look_through
 from softcal.app.files.lot_folder import FOLDER_OF, LotFolder, open_lot_folder, write_lot_toml
+from softcal.app.files.not_used import NotUsed, unused_of_import
 from softcal.app.files.recording_file import replace_recording
 from softcal.app.registry.lot_recordings import newest_audits, source_recording
+from softcal.app.registry.same_recordings import same_recordings_with
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.network.config import NetworkConfig
+from softcal.core.quality.same_recording import Pressed
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.findings import contradictions
 from softcal.core.unit.health import check_alive, health_findings, output_limits
@@ -39,11 +42,31 @@ class Expected:
     findings: tuple[Reason, ...] = ()
 
 
-def expect(plan: ImportPlan) -> tuple[Expected, ...]:
+@dataclass(frozen=True)
+class ExpectedLot:
+    """What would become of the tables of a new lot.
+
+    Args:
+        audits: serials of targets whose references would be audits.
+        not_used: what of the tables would not be used; what is refused stands with its unit.
+        remarks: what is odd and no error, here and against the registry.
+    """
+
+    units: tuple[Expected, ...]
+    audits: tuple[str, ...]
+    not_used: tuple[NotUsed, ...]
+    remarks: tuple[Reason, ...]
+
+
+def expect(plan: ImportPlan, registry: Registry) -> ExpectedLot:
     """Say what would become of every unit of a plan; nothing is written and nothing is fitted."""
     looks = look_through(plan)
     source = next((look for look in looks if look.serial == plan.lot.source), None)
-    return tuple(_expected(look, source, plan) for look in looks)
+    units = tuple(_expected(look, source, plan) for look in looks)
+    tables = [(look.path, look.serial, look.unit) for look in looks if look.unit is not None]
+    audits, not_used = unused_of_import(plan, tables)
+    pressed = [Pressed(serial, plan.lot.id, unit.recording.output_sha256) for _, serial, unit in tables]
+    return ExpectedLot(units, tuple(audits), not_used, same_recordings_with(registry, pressed))
 
 
 def _expected(look: LookedAt, source: LookedAt | None, plan: ImportPlan) -> Expected:

@@ -1,16 +1,22 @@
 """What a batch says when it is done: a row per unit, for people and as JSON for programs."""
 
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from softcal.app.batch.audit import LotAudit, audit_json, audit_line
 from softcal.app.batch.train import TrainedOrFound
+from softcal.app.files.not_used import NotUsed
 from softcal.core.quality.lot_release import LotRelease
+from softcal.core.unit.judging import UNREADABLE
 from softcal.core.unit.verdict import VERDICTS, Release, Verdict, worst_of
-from softcal.core.words.reason import Reason
+from softcal.core.words.reason import DOUBT, ENGLISH, PLAIN, Reason, Value, filled
 from softcal.db.entries import UNIT_ERRORS, MadeCalibration
 
 TABLE_HEADER = ("serial", "verdict", "predicted", "before", "after", "own", "after/own", "fit_s", "map")
 ERRORS_AND_TIME = (*UNIT_ERRORS, "fit_s")
+MAX_NAMES = 8
+"""So many units are named where a reason is of many; the table and the JSON have all."""
 
 
 @dataclass(frozen=True)
@@ -25,11 +31,16 @@ class UnitResult:
     made: MadeCalibration | None = None
     is_new: bool = True
 
+    @property
+    def is_audited(self) -> bool:
+        return self.made is not None and self.made.is_audited
+
 
 @dataclass(frozen=True, eq=False)
 class BatchReport:
     """What a batch did: `audit` is where a planned audit of the lot stands, `release` which
-    verdicts release files, `decided` what audits say about the lot's other units.
+    verdicts release files, `decided` what audits say about the lot's other units, `not_used` what of
+    the folder was not used, `remarks` what is odd and no error.
     """
 
     lot_id: str
@@ -39,6 +50,8 @@ class BatchReport:
     audit: LotAudit | None = None
     release: Release = Release.PASS
     decided: LotRelease | None = None
+    not_used: tuple[NotUsed, ...] = ()
+    remarks: tuple[Reason, ...] = ()
 
     @property
     def counts(self) -> dict[str, int]:
@@ -55,6 +68,18 @@ class BatchReport:
         return unit.made is not None and self.release.releases(unit.verdict)
 
 
+def unused_audits(audit_paths: Mapping[str, Path], units: Sequence[UnitResult]) -> list[NotUsed]:
+    """Return the audits in a lot folder that decide about no unit, each with why."""
+    items = []
+    for unit in units:
+        path = audit_paths.get(unit.serial)
+        if path is None or (unit.is_audited and not any(why.code.startswith(DOUBT) for why in unit.reasons)):
+            continue
+        why = next((one for one in unit.reasons if one.code == UNREADABLE or one.code.startswith(DOUBT)), None)
+        items.append(NotUsed("audit", unit.serial, why or unit.reasons[0], f"audit/{path.name}"))
+    return items
+
+
 def report_json(report: BatchReport) -> dict[str, object]:
     """Return the report as the JSON of `softcal batch --json` (schema `softcal.batch/1`)."""
     units = []
@@ -68,7 +93,7 @@ def report_json(report: BatchReport) -> dict[str, object]:
                 "reason_codes": [why.code for why in unit.reasons],
                 **{name: getattr(made, name, None) for name in ERRORS_AND_TIME},
                 "map": made and {"family": made.family, "revision": made.revision, "sha256": made.map_sha256},
-                "audited": made is not None and made.is_audited,
+                "audited": unit.is_audited,
                 "predicted_verdict": made and str(made.decision.predicted.verdict),
                 "knowledge": made and made.knowledge,
                 "released": report.releases(unit),
@@ -87,6 +112,9 @@ def report_json(report: BatchReport) -> dict[str, object]:
         "audit": None if report.audit is None else audit_json(report.audit),
         "release": None if report.decided is None else report.decided.to_json(),
         "units": units,
+        "audits": sum(unit.is_audited for unit in report.units),
+        "not_used": [item.to_json() for item in report.not_used],
+        "remarks": [str(remark) for remark in report.remarks],
     }
 
 
@@ -100,12 +128,71 @@ def table_row(unit: UnitResult) -> list[object]:
     return [unit.serial, unit.verdict, *errors, ratio, fit_s, made.family]
 
 
+@dataclass(frozen=True)
+class _Range:
+    """A number of a sentence that differs from unit to unit."""
+
+    low: float
+    high: float
+
+    def __format__(self, spec: str) -> str:
+        return f"{self.low:{spec}} to {self.high:{spec}}"
+
+
+def reasons_by_verdict(units: Sequence[UnitResult]) -> list[tuple[str, list[str]]]:
+    """Return for each verdict but pass its units and, each once, their reasons: those of most units first.
+
+    Units to press again come first, then those that fail, then those to measure. A number that differs within a
+    reason's units is given as its range.
+    """
+    listed = []
+    for verdict in reversed(VERDICTS[1:]):
+        concerned = [unit for unit in units if unit.verdict == verdict]
+        groups: dict[str, list[tuple[str, Reason, int]]] = {}
+        for unit in concerned:
+            for rank, why in enumerate(unit.reasons):
+                groups.setdefault(str(why) if why.code == PLAIN else why.code, []).append((unit.serial, why, rank))
+        by_weight = sorted(groups.values(), key=lambda group: (min(rank for *_, rank in group), -len(group)))
+        lines = []
+        for group in by_weight:
+            names = dict.fromkeys(serial for serial, *_ in group)
+            of = "" if len(names) == len(concerned) else f"{_names(names)}: "
+            lines.append(f"{of}{_shared([why for _, why, _ in group])}")
+        if concerned:
+            count = "" if len(concerned) == 1 else f"{len(concerned)} units {verdict}: "
+            end = f" {verdict}" if len(concerned) == 1 else ""
+            listed.append((f"{count}{_names([unit.serial for unit in concerned])}{end}", lines))
+    return listed
+
+
+def _names(serials: Collection[str]) -> str:
+    more = f" and {len(serials) - MAX_NAMES} more" if len(serials) > MAX_NAMES else ""
+    return ", ".join(list(serials)[:MAX_NAMES]) + more
+
+
+def _shared(alike: Sequence[Reason]) -> str:
+    """Return one sentence for reasons of one code."""
+    return filled(
+        ENGLISH[alike[0].code], {name: _span([one.values[name] for one in alike]) for name in alike[0].values}
+    )
+
+
+def _span(values: Sequence[Value]) -> object:
+    numbers = [value for value in values if isinstance(value, int | float)]
+    inner = [value for value in values if isinstance(value, Reason)]
+    if len(numbers) == len(values):
+        return numbers[0] if min(numbers) == max(numbers) else _Range(min(numbers), max(numbers))
+    if len(inner) == len(values) and len({one.code for one in inner}) == 1:
+        return _shared(inner)
+    return _names(dict.fromkeys(map(str, values)))
+
+
 def audit_lines(report: BatchReport) -> list[str]:
     """Return what audits say, a line each: units that are not as predicted, and the lot."""
     lines = []
     for unit in report.units:
         made = unit.made
-        if made is not None and made.is_audited and made.decision.predicted.verdict != unit.verdict:
+        if made is not None and unit.is_audited and made.decision.predicted.verdict != unit.verdict:
             lines.append(f"{unit.serial} audited: {unit.verdict}, was predicted {made.decision.predicted.verdict}")
     if report.decided is not None:
         lines.append(f"release: {report.decided.statement}")

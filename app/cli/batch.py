@@ -1,12 +1,21 @@
 """`softcal batch`: calibrate a whole lot without a screen."""
 
 import argparse
-import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import COUNT, DIR, FILE, add_network, add_shared, batch_watch, network_config, registry_of
-from softcal.app.output import WIDTH, print_reasons, print_table, say, shown, write_json
+from softcal.app.cli.options import (
+    COUNT,
+    DIR,
+    FILE,
+    add_network,
+    add_shared,
+    batch_watch,
+    network_config,
+    registry_of,
+    say_unused,
+)
+from softcal.app.output import print_reasons, print_sentence, print_table, say, write_json
 
 if TYPE_CHECKING:
     from softcal.app.batch.report import BatchReport
@@ -67,11 +76,11 @@ def run(options: argparse.Namespace) -> int:
     from softcal.app.batch.batch import run_batch
     from softcal.app.batch.engine import EngineChoice
     from softcal.app.batch.lot_work import BatchConfig
-    from softcal.app.batch.report import TABLE_HEADER, audit_lines, report_json, table_row
+    from softcal.app.batch.report import TABLE_HEADER, audit_lines, reasons_by_verdict, report_json, table_row
     from softcal.app.extras import lacking
     from softcal.app.files.anchors import read_anchors
     from softcal.app.files.lot_folder import open_lot_folder
-    from softcal.core.unit.verdict import Release, Verdict
+    from softcal.core.unit.verdict import Release
 
     folder = open_lot_folder(options.lot)
     for remark in folder.remarks:
@@ -105,14 +114,14 @@ def run(options: argparse.Namespace) -> int:
             explain_units(registry, mapped, options.plots, report.lot_id)
             say(f"{options.plots}: figures of {len(mapped)} units")
     print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
-    for unit in report.units:
-        if unit.verdict != Verdict.PASS:
-            print_reasons(f"{unit.serial} {unit.verdict}", unit.reasons)
+    for subject, reasons in reasons_by_verdict(report.units):
+        print_reasons(subject, reasons)
     for line in audit_lines(report):
-        print(textwrap.fill(shown(line), WIDTH))
+        print_sentence(line)
     words = ", ".join(f"{count} {word}" for word, count in report.counts.items())
     in_all = f"{sum(report.counts.values())} units in {report.wall_s:.1f} s"
     print(f"{in_all}: {words}; errors are RMSE in {folder.lot.reference_unit}")
+    say_unused(report.not_used, report.remarks)
     write_json(options.json, report_json(report))
     return 0 if report.has_passed else 1
 

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.cli.options import COUNT, FILE, add_shared, answer, converted
+from softcal.app.cli.options import COUNT, FILE, add_shared, answer, converted, say_unused, unused_json
 from softcal.app.output import say
 from softcal.core.errors import InputError
 
@@ -72,6 +72,7 @@ def _rows(text: str) -> tuple[int, int]:
 def run(options: argparse.Namespace) -> None:
     """Import, and say what was made."""
     from softcal.app.files.importing import Columns, ImportPlan, import_lot, median_rate_Hz, tables_of
+    from softcal.app.files.not_used import unread_files
     from softcal.core.lot import Lot
 
     time = options.time_column or (None if options.sample_rate else "t_s")
@@ -97,6 +98,12 @@ def run(options: argparse.Namespace) -> None:
         files, columns, lot, options.audit, options.rows, options.audit_rows, options.sheet, options.serial,
         options.most_cells, more_sources=more,
     )  # fmt: skip
-    units = import_lot(plan, options.out, lambda remark: say(f"note: {remark}"))
-    say(f"{options.out}: lot {lot.id!r}, source {', '.join(options.source)}, {len(units)} target units, {rate_Hz:g} Hz")
-    answer(options, "import/1", {"lot": lot.id, "source": lot.source, "units": units})
+    made = import_lot(plan, options.out)
+    not_used = (*(item for path in options.files for item in unread_files(path)), *made.not_used)
+    units, sources = len(made.units), ", ".join(options.source)
+    say(f"{options.out}: lot {lot.id!r}, source {sources}, {units} target units, {rate_Hz:g} Hz")
+    if options.audit:
+        say(f"audits: {len(made.audits)} of {units}")
+    say_unused(not_used, made.remarks)
+    facts = {"lot": lot.id, "source": lot.source, "units": list(made.units), "audits": list(made.audits)}
+    answer(options, "import/1", facts | unused_json(not_used, made.remarks))

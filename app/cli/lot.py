@@ -17,6 +17,8 @@ from softcal.app.cli.options import (
     network_config,
     positive,
     registry_of,
+    say_unused,
+    unused_json,
 )
 from softcal.app.output import print_table, say, write_json
 from softcal.app.texts.catalogue import here
@@ -337,10 +339,11 @@ def _audit(options: argparse.Namespace) -> int:
 
 
 def _bring(options: argparse.Namespace) -> int:
-    from softcal.app.batch.audit_files import look_at_audits, store_audits, write_audits
+    from softcal.app.batch.audit_files import look_at_audits, store_audits, unused_of_audits, write_audits
     from softcal.app.batch.judging import judge_again
     from softcal.app.files.importing import Columns, tables_of
     from softcal.app.files.lot_folder import open_lot_folder
+    from softcal.app.files.not_used import unread_files
     from softcal.app.registry.lot_recordings import target_serials
 
     time = options.time_column or (None if options.sample_rate else "t_s")
@@ -352,18 +355,21 @@ def _bring(options: argparse.Namespace) -> int:
         lot = opened.lot
         _check_rate(options.sample_rate, lot.sample_rate_Hz)
         looked = look_at_audits(lot, opened.unit_paths.keys(), files, columns, options.sheet)
+        refusals, remarks = unused_of_audits(lot, looked, others=opened.readable_audits())
         replaced, then = write_audits(folder, looked), f"next: softcal batch {options.lot}"
     else:
         with registry_of(options) as registry:
             lot = registry.lots.get(options.lot)
             _check_rate(options.sample_rate, lot.sample_rate_Hz)
             looked = look_at_audits(lot, target_serials(registry, lot.id), files, columns, options.sheet)
+            refusals, remarks = unused_of_audits(lot, looked, registry)
             store_audits(registry, lot.id, looked)
             judge_again(registry, [lot.id])
     taken = [audit.serial for audit in looked if audit.recording is not None]
     refused = {audit.file: str(audit.refusal) for audit in looked if audit.recording is None}
+    not_used = (*(item for path in options.files for item in unread_files(path)), *refusals)
     facts = {"lot": lot.id, "audited": taken, "replaced": replaced, "refused": refused}
-    if answer(options, "lot.audit-files/1", facts):
+    if answer(options, "lot.audit-files/1", facts | unused_json(not_used, remarks)):
         rows = [
             [audit.file, audit.serial, "taken" if audit.recording else f"refused: {audit.refusal}"] for audit in looked
         ]
@@ -371,6 +377,7 @@ def _bring(options: argparse.Namespace) -> int:
     if replaced:
         say(f"an older audit of {', '.join(replaced)} was replaced")
     say(f"{len(taken)} of {len(looked)} files taken; {then}")
+    say_unused(not_used, remarks)
     return DONE if len(taken) == len(looked) else REFUSED
 
 

@@ -1,7 +1,7 @@
 """Options that several commands share, and what they mean."""
 
 import argparse
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -11,8 +11,10 @@ from softcal.app.output import ProgressLine, say, write_json
 if TYPE_CHECKING:
     from softcal.app.batch.lot_work import Watch
     from softcal.app.batch.report import UnitResult
+    from softcal.app.files.not_used import NotUsed
     from softcal.app.files.recording_file import ColumnNames
     from softcal.core.network.config import EpochReport, NetworkConfig
+    from softcal.core.words.reason import Reason
     from softcal.db.registry import Registry
 
 T = TypeVar("T")
@@ -182,6 +184,19 @@ def answer(options: argparse.Namespace, schema: str, facts: Mapping[str, object]
     """Write the JSON answer where one is asked for; return whether people read on, too."""
     write_json(options.json, {"schema": f"softcal.{schema}", **facts})
     return options.json != "-" or getattr(options, "csv", None) is not None
+
+
+def say_unused(not_used: "Iterable[NotUsed]", remarks: "Iterable[Reason]") -> None:
+    """Say at the end of a command what of its files is odd, and what was not used and why."""
+    from softcal.app.files.not_used import not_used_lines
+
+    for line in (*(f"note: {remark}" for remark in remarks), *not_used_lines(not_used)):
+        say(line)
+
+
+def unused_json(not_used: "Iterable[NotUsed]", remarks: "Iterable[Reason]") -> dict[str, object]:
+    """Return the same as keys of a JSON answer."""
+    return {"not_used": [item.to_json() for item in not_used], "remarks": list(map(str, remarks))}
 
 
 def lot_id_of(lot: str) -> str:

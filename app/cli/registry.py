@@ -4,7 +4,7 @@ import argparse
 import time
 
 from softcal.app.bootstrap import registry_url
-from softcal.app.cli.options import FILE, actions_of, add_shared, answer, registry_of, say_written
+from softcal.app.cli.options import FILE, actions_of, add_shared, answer, registry_of, say_unused, say_written
 from softcal.app.output import print_table, say, shown
 from softcal.core.errors import RegistryError
 
@@ -70,11 +70,15 @@ def _done(options: argparse.Namespace, action: str, line: str, **facts: object) 
 
 def _list(options: argparse.Namespace) -> None:
     from softcal.app.registry.listing import UNIT_HEADER, unit_json, unit_row
+    from softcal.app.registry.same_recordings import same_recordings_of
 
     with registry_of(options) as registry:
         units = registry.lots.units(options.lot)
-    answer(options, "registry.list/1", {"units": [unit_json(unit) for unit in units]})
+        remarks = same_recordings_of(registry, options.lot)
+    facts = {"units": [unit_json(unit) for unit in units], "remarks": [str(remark) for remark in remarks]}
+    answer(options, "registry.list/1", facts)
     print_table(UNIT_HEADER, [unit_row(unit) for unit in units])
+    say_unused((), remarks)
 
 
 def _history(options: argparse.Namespace) -> None:

@@ -1,9 +1,8 @@
 """Make a lot folder out of tables: one file per unit, or one wide file with a column per unit."""
 
 import fnmatch
-import hashlib
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,12 +10,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from softcal.app.files.atomic import whole_folder
-from softcal.app.files.bounded_table import MOST_CELLS
-from softcal.app.files.lot_folder import alike, same_recording, write_lot_toml
+from softcal.app.files.bounded_table import MOST_CELLS, NAMES
+from softcal.app.files.lot_folder import write_lot_toml
+from softcal.app.files.not_used import NotUsed, unused_of_import
 from softcal.app.files.recording_file import STAGE, SUFFIXES, column, naming, read_table, timed, write_recording
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
+from softcal.core.quality.same_recording import Pressed, same_recordings
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.words.reason import Reason
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -80,10 +82,11 @@ class ImportPlan:
 
 @dataclass(frozen=True, eq=False)
 class ImportedUnit:
-    """One unit as read: the whole recording, and its reference where the table had one."""
+    """One unit as read: the whole recording, its reference where the table had one, and the names of all columns."""
 
     recording: OutputRecording
     reference: Array | None
+    names: tuple[str, ...] = ()
 
     def part(self, rows: tuple[int, int] | None) -> "ImportedUnit":
         """Return the given data rows; the whole where `rows` is None."""
@@ -93,7 +96,23 @@ class ImportedUnit:
         if not 0 <= start < stop <= len(self.recording):
             raise InputError(f"rows {start}:{stop} of {self.recording.serial}: it has {len(self.recording)} rows")
         reference = None if self.reference is None else self.reference[start:stop]
-        return ImportedUnit(self.recording.part(start, stop), reference)
+        return ImportedUnit(self.recording.part(start, stop), reference, self.names)
+
+
+@dataclass(frozen=True)
+class ImportedLot:
+    """What an import wrote, and what of the tables it did not use.
+
+    Args:
+        units: serials of the target units.
+        audits: those of them whose references are kept as audits.
+        remarks: what is odd and no error, such as one recording under two serials.
+    """
+
+    units: tuple[str, ...]
+    audits: tuple[str, ...]
+    not_used: tuple[NotUsed, ...]
+    remarks: tuple[Reason, ...]
 
 
 def tables_of(path: Path) -> list[Path]:
@@ -112,9 +131,8 @@ def tables_of(path: Path) -> list[Path]:
     return tables
 
 
-def import_lot(plan: ImportPlan, folder: Path, on_remark: Callable[[str], None] = lambda line: None) -> list[str]:
-    """Write a lot folder, whole or not at all, and return the serials of its target units.
-    `on_remark` is told what is odd but no error, such as one recording under two serials.
+def import_lot(plan: ImportPlan, folder: Path) -> ImportedLot:
+    """Write a lot folder, whole or not at all, and return what was written and what was not used.
 
     Raises:
         InputError: `folder` exists and is not empty, a table cannot be used, a serial comes twice,
@@ -124,11 +142,12 @@ def import_lot(plan: ImportPlan, folder: Path, on_remark: Callable[[str], None] 
         raise InputError("no file to import; name at least one CSV, Excel or Parquet file")
     if plan.serials is not None and (plan.columns.is_wide or len(plan.serials) != len(plan.files)):
         raise InputError(f"{len(plan.serials)} serials for {len(plan.files)} files; give one serial per file, in order")
-    units = {}
-    for _, serial, unit in _read(plan):
+    units, tables = {}, []
+    for path, serial, unit in _read(plan):
         if isinstance(unit, InputError):
             raise unit
         units[serial] = unit
+        tables.append((path, serial, unit))
     for serial in plan.sources:
         source = units.get(serial)
         if source is None:
@@ -148,10 +167,10 @@ def import_lot(plan: ImportPlan, folder: Path, on_remark: Callable[[str], None] 
             if plan.audit and unit.reference is not None:
                 audit = unit.part(plan.audit_rows)
                 write_recording(part / "audit" / f"{serial}.csv", audit.recording, audit.reference)
-    outputs = {serial: hashlib.sha256(unit.recording.output.tobytes()).digest() for serial, unit in units.items()}
-    for serials in alike(outputs):
-        on_remark(same_recording(serials))
-    return [serial for serial in units if serial not in plan.sources]
+    audits, not_used = unused_of_import(plan, tables)
+    targets = tuple(serial for serial in units if serial not in plan.sources)
+    named = [Pressed(serial, plan.lot.id, unit.recording.output_sha256) for serial, unit in units.items()]
+    return ImportedLot(targets, tuple(audits), not_used, same_recordings(named))
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,10 +179,14 @@ class LookedAt:
     has no serial where the table as a whole cannot be read.
     """
 
-    file: str
+    path: Path
     serial: str
     unit: ImportedUnit | None
     problem: str = ""
+
+    @property
+    def file(self) -> str:
+        return self.path.name
 
 
 def look_through(plan: ImportPlan) -> list[LookedAt]:
@@ -172,9 +195,9 @@ def look_through(plan: ImportPlan) -> list[LookedAt]:
     for path, serial, unit in _read(plan):
         if isinstance(unit, InputError):
             problem = str(unit).replace(f"{path}: ", "").replace(str(path), path.name)
-            looked.append(LookedAt(path.name, serial, None, problem))
+            looked.append(LookedAt(path, serial, None, problem))
         else:
-            looked.append(LookedAt(path.name, serial, unit))
+            looked.append(LookedAt(path, serial, unit))
     return looked
 
 
@@ -226,7 +249,7 @@ def _checked(
             reference = column(table, columns.reference, path)
         recording = OutputRecording(serial, t_s, values, rate_Hz, plan.lot.output_unit, stage_mm)
     taken.add(serial)
-    return ImportedUnit(recording, reference)
+    return ImportedUnit(recording, reference, tuple(map(str, table.attrs.get(NAMES, table.columns))))
 
 
 OTHER_TIMES = re.compile(r"(?:^|[^A-Za-z])(ms|us|µs|μs|ns|msec|usec|min|millis|micros)(?:$|[^A-Za-z])", re.IGNORECASE)

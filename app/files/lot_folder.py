@@ -1,6 +1,5 @@
 """A lot folder: lot.toml, source/, units/, audit/, golden/ into core values."""
 
-import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -12,6 +11,7 @@ import tomlkit
 from softcal.app.files.anchors import read_anchors
 from softcal.app.files.atomic import write_text
 from softcal.app.files.bounded_table import CSV, PARQUET
+from softcal.app.files.not_used import NotUsed, unused_of_lot
 from softcal.app.files.recording_file import naming, read_labelled, read_recording, read_table
 from softcal.app.files.regular import read_regular
 from softcal.app.files.toml_file import read_toml, typed
@@ -64,6 +64,7 @@ class LotFolder:
     unit_paths: Mapping[str, Path]
     audit_paths: Mapping[str, Path]
     remarks: tuple[str, ...] = ()
+    not_used: tuple[NotUsed, ...] = ()
     line: LineSpread | None = None
     reference: Reference | None = None
     golden_path: Path | None = None
@@ -94,6 +95,12 @@ class LotFolder:
     def read_audit(self, serial: str) -> LabelledRecording | None:
         path = self.audit_paths.get(serial)
         return None if path is None else self._labelled(path, serial)
+
+    def readable_audits(self) -> Iterator[LabelledRecording]:
+        """Give every audit that can be read; what cannot be is told as its unit's result."""
+        for serial, path in self.audit_paths.items():
+            with suppress(InputError):
+                yield self._labelled(path, serial)
 
     def read_golden(self) -> OutputRecording | LabelledRecording | None:
         """Read the source's run in the units' sitting, with its reference if it has one."""
@@ -129,17 +136,6 @@ def open_lot_folder(folder: Path) -> LotFolder:
             seen = ", ".join(sources) or "nothing"
             raise InputError(f"{folder / 'source'}: no recording of the source unit {serial!r}; found {seen}")
     units, audits = _recordings(folder / "units"), _recordings(folder / "audit")
-    strangers = sorted(set(audits) - set(units) - {lot.source, *more})
-    if strangers:
-        remarks = (*remarks, f"audit/ holds {', '.join(strangers[:5])}, which units/ does not; not used")
-    # What cannot be read here is told as that unit's result later.
-    sizes = {serial: path.stat().st_size for serial, path in units.items() if path.is_file()}
-    for candidates in alike(sizes):
-        contents = {}
-        for serial in candidates:
-            with suppress(InputError):
-                contents[serial] = hashlib.sha256(read_regular(units[serial], folder)).digest()
-        remarks = (*remarks, *map(same_recording, alike(contents)))
     golden = _recordings(folder / GOLDEN)
     if others := sorted(set(golden) - {lot.source}):
         raise InputError(
@@ -149,20 +145,8 @@ def open_lot_folder(folder: Path) -> LotFolder:
     loads = next((path for path in map(folder.joinpath, ANCHOR_FILES) if path.is_file()), None)
     further, source = {serial: sources[serial] for serial in more}, sources[lot.source]
     run = golden.get(lot.source)
-    return LotFolder(folder, lot, source, units, audits, remarks, line, reference, run, loads, further)
-
-
-def alike(contents: Mapping[str, object]) -> list[list[str]]:
-    """Return the serials that have the same content, several at a time."""
-    holders: dict[object, list[str]] = {}
-    for serial, content in contents.items():
-        holders.setdefault(content, []).append(serial)
-    return [serials for serials in holders.values() if len(serials) > 1]
-
-
-def same_recording(serials: Sequence[str]) -> str:
-    """Return the remark on serials that have one and the same recording."""
-    return f"units {', '.join(serials)} have one and the same recording; check which serial it belongs to"
+    not_used = unused_of_lot(folder, {lot.source: source, **further}, units)
+    return LotFolder(folder, lot, source, units, audits, remarks, not_used, line, reference, run, loads, further)
 
 
 def _recordings(folder: Path) -> dict[str, Path]:

@@ -88,7 +88,7 @@ def read_audit(
     unit, now = (output_level(one, is_rising=audit.direction > 0, rest=rest) for one in (recording, audit.unlabelled))
     gain, zero = line_of(value, audit.reference)
     return AuditReading(
-        output_sha256=content_sha256({"output": audit.unlabelled.output}, {}),
+        output_sha256=audit.output_sha256,
         reference_sha256=content_sha256({"reference": audit.reference}, {}),
         gain=gain,
         unit_rest=unit.rest,

@@ -36,6 +36,24 @@ stale_limit: the limit was changed after this verdict; calibrate the lot again (
 stale_limit_open: the limit of the lot was taken back after this verdict; calibrate the lot again
   (judged against {judged:.4g} {unit})
 
+# What of a table or a lot folder is not used, and why.
+unused.format: it is no table of a kind that is read here ({suffixes})
+unused.folder: folders inside a folder are not read, except source/ and units/
+unused.place: recordings lie in source/, units/, audit/ and golden/
+unused.source: lot.toml does not name this source, it names {sources}
+unused.stranger: units/ has no unit of this serial
+unused.column: no option names it
+unused.unit_column: of a unit, t_s, output and stage_mm are read
+unused.labelled: no fit reads a reference in units/; put the labelled recording into audit/
+unused.reference: the reference of a target unit is read where audits are asked for (--audit)
+unused.no_column: {file} has no column {column}, it has {others}
+unused.rows: {count} of {total} rows are outside {rows}
+
+# One recording under several serials.
+same_recording: units {units} have one and the same recording; check which serial it belongs to
+same_recording.golden: the golden run of {serial} in lot {lot} is its source recording of lot
+  {source_lot} itself; press {serial} again in the sitting of the units
+
 # Why one audit of a lot is set aside.
 doubt.one_recording: its audit does not count for now; its recording is the same as that of {other},
   so one of them is of another unit; bring the right file, or confirm this one

@@ -126,16 +126,16 @@ def _opener(path: Path) -> Callable[[], sqlite3.Connection]:
     copy: list[Path] = []
 
     def connect() -> sqlite3.Connection:
-        asked = {"timeout": SQLITE_WAIT_S, "check_same_thread": False, "isolation_level": None}
+        connected = partial(sqlite3.connect, timeout=SQLITE_WAIT_S, check_same_thread=False, isolation_level=None)
         name = f"file:{quote(str(path.absolute()))}?mode=ro"
         if _has_no_log(path):
-            return sqlite3.connect(f"{name}&immutable=1", uri=True, **asked)
+            return connected(f"{name}&immutable=1", uri=True)
         if os.access(_beside(path, "-shm"), os.R_OK) and not network_share(path.absolute().parent):
-            return sqlite3.connect(name, uri=True, **asked)
+            return connected(name, uri=True)
         if not copy:
             copy.append(_private_copy(path, _beside(path, "-wal")))
             weakref.finalize(connect, shutil.rmtree, copy[0].parent, ignore_errors=True)
-        return sqlite3.connect(copy[0], **asked)
+        return connected(copy[0])
 
     return connect
 

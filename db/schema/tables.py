@@ -10,7 +10,7 @@ from sqlalchemy.types import TypeDecorator
 
 from softcal.core.errors import RegistryError
 
-SCHEMA = "0009"
+SCHEMA = "0010"
 """Revision of the newest migration: what a registry must have to be used by this version."""
 
 metadata = sa.MetaData(
@@ -162,12 +162,13 @@ recordings = table(
     "recordings",
     *keys(sha256=SHA256, lot_id=NAME, kind=String(8)),
     *needed(serial=NAME, samples=Integer, sample_rate_Hz=Double, output_unit=Text),
-    *optional(reference_unit=Text),
+    *optional(reference_unit=Text, output_sha256=SHA256),
     Column("blob_sha256", SHA256, ForeignKey("blobs.sha256"), nullable=False),
     *needed(added_at=UtcTime),
     sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     CheckConstraint("kind IN ('source', 'unit', 'audit')", name="kind"),
     Index("ix_recordings_lot_id_serial", "lot_id", "serial"),
+    Index("ix_recordings_output_sha256", "output_sha256"),
 )
 
 networks = table(
@@ -356,7 +357,7 @@ AUDITED = tuple(
 )
 """Tables whose every row stands in the audit trail, too, in the order rows may be copied."""
 
-LATER_COLUMNS = {"refusals": ("work_sha256",)}
+LATER_COLUMNS = {"refusals": ("work_sha256",), "recordings": ("output_sha256",)}
 """Columns that older schemas did not have: the audit trail of their rows names none."""
 
 APPEND_ONLY = ("blobs", "audit", *AUDITED)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import TYPE_CHECKING, cast
 
-from sqlalchemy import bindparam, select
+from sqlalchemy import RowMapping, and_, bindparam, or_, select
 
 from softcal.core.errors import InputError
 from softcal.db.entries import RecordingEntry
 from softcal.db.schema.arrays import get_arrays, put_arrays
-from softcal.db.schema.database import given
+from softcal.db.schema.database import given, parts
 from softcal.db.schema.tables import recordings
 from softcal.db.truth.registry_base import RegistryBase, of_row
 
@@ -45,6 +46,7 @@ class RecordingTables(RegistryBase):
             if is_first or self.database.row(KNOWN_RECORDING, named) is None:
                 blob = put_arrays(self.database, recording.arrays())
                 facts = {"sha256": sha256, "lot_id": lot_id, "kind": kind, "samples": len(recording)}
+                facts["output_sha256"] = recording.output_sha256
                 values = facts | recording.settings() | {"blob_sha256": blob, "added_at": self.settings.clock()}
                 self._store(recordings, {"reference_unit": None} | values, "add", actor)
             return sha256
@@ -66,6 +68,23 @@ class RecordingTables(RegistryBase):
             if "reference" not in arrays:
                 return unlabelled
             return LabelledRecording(unlabelled, arrays["reference"], row["reference_unit"])
+
+    def shared_outputs(self, lot_id: str | None = None) -> list[str]:
+        """Return the outputs of a lot, or of all, that stand under another serial, too, or as source and audit."""
+        other = recordings.alias("other")
+        mine = recordings.c
+        is_golden = [and_(one.kind == "source", two.kind == "audit") for one, two in ((mine, other.c), (other.c, mine))]
+        query = select(mine.output_sha256).distinct().join(other, mine.output_sha256 == other.c.output_sha256)
+        query = query.where(or_(mine.serial != other.c.serial, *is_golden), *given((mine.lot_id, lot_id)))
+        return self.database.values(query)
+
+    def same_outputs(self, output_sha256s: Collection[str]) -> list[RecordingEntry]:
+        """Return what is known of the recordings of all lots that have one of these outputs."""
+        rows: list[RowMapping] = []
+        for some in parts(sorted(output_sha256s)):
+            query = select(recordings).where(recordings.c.output_sha256.in_(some))
+            rows += self.database.rows(query.order_by(recordings.c.added_at, recordings.c.sha256))
+        return [of_row(RecordingEntry, row) for row in rows]
 
     def of_lot(self, lot_id: str, serial: str | None = None, kind: str | None = None) -> list[RecordingEntry]:
         """Return what is known of a lot's recordings, oldest first, without their samples."""

@@ -3,7 +3,7 @@
 import streamlit as st
 
 from softcal.app.batch.audit import LotAudit, draw_plan, lot_audit
-from softcal.app.batch.audit_files import look_at_audits, store_audits
+from softcal.app.batch.audit_files import look_at_audits, store_audits, unused_of_audits
 from softcal.app.batch.judging import confirm
 from softcal.app.batch.release import lot_standing
 from softcal.app.registry.lot_recordings import target_serials
@@ -91,6 +91,8 @@ def render(lot_id: str) -> None:
                 }
             )
         table(rows)
+        for remark in unused_of_audits(lot, looked, registry())[1]:
+            st.warning(in_words(remark), icon=":material/warning:")
         taken = sum(one.recording is not None for one in looked)
         if st.button(say("audit.take", count=taken), type="primary", disabled=not taken, key="audit-take"):
             permit(ACTION)

@@ -8,6 +8,7 @@ from softcal.app.charts import lot as charts_lot
 from softcal.app.charts import unit as charts_unit
 from softcal.app.charts.audited import error_over_load, estimate_over_reference
 from softcal.app.charts.lot import yield_figure
+from softcal.app.registry.same_recordings import same_recordings_of
 from softcal.app.texts.reasons import said
 from softcal.app.ui.account import allows
 from softcal.app.ui.actions import download
@@ -61,6 +62,8 @@ def render(lot_id: str) -> None:
     for alert in alerts(registry(), view, datetime.now(UTC).astimezone(zone())):
         draw, icon = (st.error, "report") if alert.is_urgent else (st.warning, "notifications")
         draw(say(f"alert.{alert.kind}", **alert.values), icon=f":material/{icon}:")
+    for remark in same_recordings_of(registry(), lot_id):
+        st.warning(in_words(remark), icon=":material/warning:")
     unit, ratio = view.lot.reference_unit, view.after_to_own
     scored = (say("lot.audited"), str(len(view.audited)), say("lot.audited.help"))
     compared = (say("lot.ratio"), number(ratio), say("lot.ratio.help", count=len(view.audited)))

@@ -16,6 +16,7 @@ from softcal.app.texts.reasons import all_said
 from softcal.app.ui.account import actor, permit
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
 from softcal.app.ui.components.lot_upload import choose_columns, dropped_files, first_readable, forget_files
+from softcal.app.ui.components.unused_table import unused_table
 from softcal.app.ui.desk import colours, in_words, say
 from softcal.app.ui.panels import go_to, heading, show_figure, step, table
 from softcal.app.ui.server_memory import registry
@@ -114,7 +115,8 @@ def _facts(files: Sequence[Path], content: pd.DataFrame, columns: Columns) -> tu
 
 def _expected(plan: ImportPlan) -> ImportPlan | None:
     """Draw what would become of every unit; return the plan without what is refused."""
-    expected = expect(plan)
+    lot = expect(plan, registry())
+    expected = lot.units
     refused = [one for one in expected if one.problem]
     doubtful = [one for one in expected if one.findings]
     good = len(expected) - len(refused) - len(doubtful)
@@ -134,6 +136,12 @@ def _expected(plan: ImportPlan) -> ImportPlan | None:
             }
         )
     table(rows)
+    for remark in lot.remarks:
+        st.warning(in_words(remark), icon=":material/warning:")
+    if plan.audit:
+        targets = sum(not one.problem and one.serial not in plan.sources for one in expected)
+        st.caption(say("not_used.audits", audits=len(lot.audits), units=targets))
+    unused_table(lot.not_used)
     source = next((one for one in expected if one.serial == plan.lot.source), None)
     if source is None or source.problem or plan.columns.reference is None:
         st.error(say("new_lot.no_source", source=plan.lot.source), icon=":material/error:")
