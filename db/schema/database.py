@@ -223,7 +223,8 @@ class Database:
         phase = {"is_committing": False}
         try:
             yield phase
-        except (SQLAlchemyError, sqlite3.Error) as error:
+        # SQLite may quote a damaged name, which is no text.
+        except (SQLAlchemyError, sqlite3.Error, UnicodeDecodeError) as error:
             what = without_password(first_line(error), self.engine.url)
             if phase["is_committing"] and not self.is_sqlite and isinstance(error, OperationalError):
                 raise ConnectionCut(
