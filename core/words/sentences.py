@@ -42,10 +42,10 @@ unused.folder: folders inside a folder are not read, except source/ and units/
 unused.place: recordings lie in source/, units/, audit/ and golden/
 unused.source: lot.toml does not name this source, it names {sources}
 unused.stranger: units/ has no unit of this serial
-unused.column: no option names it
+unused.column: nobody asked for this column
 unused.unit_column: of a unit, t_s, output and stage_mm are read
 unused.labelled: no fit reads a reference in units/; put the labelled recording into audit/
-unused.reference: the reference of a target unit is read where audits are asked for (--audit)
+unused.reference: the reference of a target unit is read where audits are asked for
 unused.no_column: {file} has no column {column}, it has {others}
 unused.rows: {count} of {total} rows are outside {rows}
 

@@ -135,6 +135,15 @@ def test_of_people_the_line_may_count_wrong_pins_only(as_role, column):
         connection.execute(statement)
 
 
+def test_a_reader_lists_and_is_told_in_one_line_that_it_may_not_write(as_role, make_factory):
+    make_factory(as_role("manager")).calibrate("A1", 1)
+    reader = as_role("reader")
+    assert [unit.serial for unit in reader.lots.units("L1")] == ["A1", "S0"]
+    with pytest.raises(RegistryError, match="read-only for the database account") as refused:
+        reader.trail.add("use", "unit", ("L1", "A1"), {"verdict": "fail"})
+    assert "\n" not in str(refused.value)
+
+
 def test_a_reader_reads_units_and_no_pins(as_role, make_factory):
     make_factory(as_role("manager")).calibrate("A1", 1)
     reader = as_role("reader")
