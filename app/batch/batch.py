@@ -20,6 +20,7 @@ from softcal.app.registry.same_recordings import same_recordings_of
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.bridge import make_bridge
 from softcal.core.unit.source_model import make_source_model
+from softcal.core.words.reason import Reason
 from softcal.db.registry import Registry
 
 
@@ -65,7 +66,7 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     audit = update_lot(registry, lot_id, actor)
     judge_leaning(registry, lot_id, actor)
     units = tuple(work.told(list(folder.unit_paths)).values())
-    remarks = same_recordings_of(registry, lot_id)
+    remarks = (*same_recordings_of(registry, lot_id), *([] if units else [Reason("lot.no_units")]))
     unread = unused_columns(folder.root, folder.unit_paths)
     not_used = (*folder.not_used, *unread, *unused_audits(folder.audit_paths, units))
     seconds = time.perf_counter() - start_s

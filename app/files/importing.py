@@ -170,7 +170,8 @@ def import_lot(plan: ImportPlan, folder: Path) -> ImportedLot:
     audits, not_used = unused_of_import(plan, tables)
     targets = tuple(serial for serial in units if serial not in plan.sources)
     named = [Pressed(serial, plan.lot.id, unit.recording.output_sha256) for serial, unit in units.items()]
-    return ImportedLot(targets, tuple(audits), not_used, same_recordings(named))
+    remarks = (*same_recordings(named), *([] if targets else [Reason("lot.no_units")]))
+    return ImportedLot(targets, tuple(audits), not_used, remarks)
 
 
 @dataclass(frozen=True, eq=False)

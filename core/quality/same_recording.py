@@ -37,11 +37,11 @@ def same_recordings(recordings: Iterable[Pressed]) -> tuple[Reason, ...]:
     remarks = []
     for names in largest:
         units = ", ".join(f"{serial} ({lot_id})" for serial, lot_id in sorted(names))
-        remarks.append(reason("same_recording", units=units))
+        remarks.append(reason("lot.same_recording", units=units))
     for group in groups.values():
         sources = {one.serial: one.lot_id for one in group if one.kind == "source"}
         for serial, lot_id in sorted({(one.serial, one.lot_id) for one in group if one.kind == "audit"}):
             if serial in sources:
                 lots = {"lot": lot_id, "source_lot": sources[serial]}
-                remarks.append(reason("same_recording.golden", serial=serial, **lots))
+                remarks.append(reason("lot.golden_is_source", serial=serial, **lots))
     return tuple(remarks)

@@ -40,18 +40,19 @@ stale_limit_open: the limit of the lot was taken back after this verdict; calibr
 unused.format: it is no table of a kind that is read here ({suffixes})
 unused.folder: folders inside a folder are not read, except source/ and units/
 unused.place: recordings lie in source/, units/, audit/ and golden/
-unused.source: lot.toml does not name this source, it names {sources}
+unused.source: the lot does not name this source (it names: {sources})
 unused.stranger: units/ has no unit of this serial
 unused.column: nobody asked for this column
 unused.unit_column: of a unit, t_s, output and stage_mm are read
 unused.labelled: no fit reads a reference in units/; put the labelled recording into audit/
 unused.reference: the reference of a target unit is read where audits are asked for
 unused.no_column: {file} has no column {column}, it has {others}
-unused.rows: {count} of {total} rows are outside {rows}
+unused.rows: they are outside {rows} (rows: {count}, in all: {total})
 
-# One recording under several serials.
-same_recording: units {units} have one and the same recording; check which serial it belongs to
-same_recording.golden: the golden run of {serial} in lot {lot} is its source recording of lot
+# What is odd of a lot and no error.
+lot.no_units: the lot has no unit beside its source
+lot.same_recording: units {units} have one and the same recording; check which serial it belongs to
+lot.golden_is_source: the golden run of {serial} in lot {lot} is its source recording of lot
   {source_lot} itself; press {serial} again in the sitting of the units
 
 # Why one audit of a lot is set aside.

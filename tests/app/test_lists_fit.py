@@ -142,7 +142,7 @@ def test_equal_reasons_are_one_line_with_their_units() -> None:
 def test_a_reason_whose_numbers_differ_is_said_once_with_their_range() -> None:
     units = [unit(f"A{count}", "retest", dead(count)) for count in (3, 88, 7)]
     ((_, (line,)),) = listed(units)
-    assert "3 to 88 of 1500" in line
+    assert "rows: 3 to 88, in all: 1500" in line
 
 
 def test_what_is_to_be_done_next_comes_first_and_a_reason_of_some_names_them() -> None:

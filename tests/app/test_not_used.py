@@ -66,6 +66,11 @@ def test_all_that_is_used_leaves_an_empty_list(tables, tmp_path) -> None:
     assert answer["not_used"] == [] and answer["remarks"] == [] and answer["audits"] == ["S2", "S3"]
 
 
+def test_a_lot_without_a_unit_is_said(tables, tmp_path, capsys) -> None:
+    remarks = imported(tmp_path, files=[tables / "S1.csv"])["remarks"]
+    assert remarks == ["the lot has no unit beside its source"] and remarks[0] in capsys.readouterr().err
+
+
 def test_columns_that_no_option_names_and_references_nobody_asked_for_are_listed(tables, tmp_path) -> None:
     frame = pd.read_csv(tables / "S3.csv").assign(temp_C=21.0)
     frame.to_csv(tables / "S3.csv", index=False)
@@ -80,7 +85,7 @@ def test_rows_outside_what_was_asked_for_are_counted(tables, tmp_path, rows, aud
     items = [item for item in imported(tmp_path, *parts)["not_used"] if item["kind"] == "rows"]
     of_targets = [item for item in items if item["name"] != "S1"]
     assert {item["name"] for item in of_targets} == {"S2", "S3"}
-    assert all(f"{left} of 60" in item["why"] for item in of_targets)
+    assert all(f"rows: {left}, in all: 60" in item["why"] for item in of_targets)
 
 
 def test_files_of_a_folder_that_are_no_tables_are_named(tables, tmp_path) -> None:
@@ -166,7 +171,7 @@ def test_the_page_of_a_new_lot_knows_what_is_not_used_and_what_the_registry_has(
 
 
 def test_why_something_is_not_used_is_said_in_korean_too() -> None:
-    codes = [key for key in catalogue()["en"] if key.startswith(("reason.unused.", "reason.same_recording"))]
+    codes = [key for key in catalogue()["en"] if key.startswith(("reason.unused.", "reason.lot."))]
     assert len(codes) > 10 and all(catalogue()["ko"][code] != catalogue()["en"][code] for code in codes)
 
 
