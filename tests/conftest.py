@@ -12,6 +12,7 @@ import random
 import re
 import shutil
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from scipy.signal import lfilter
 
 from softcal.core.errors import SoftcalError
 from softcal.db.access import people
+from tests.system_packages import PACKAGES
 
 sys.dont_write_bytecode = False
 
@@ -73,6 +75,19 @@ def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
         report.outcome = "failed"
         report.longrepr = f"{item.nodeid} was skipped: {report.longrepr[2]}; in CI a missing part is a failure"
     return report
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Write one line that counts what was not proven, by what it needs."""
+    reasons = [report.longrepr[2].removeprefix("Skipped: ") for report in terminalreporter.stats.get("skipped", [])]
+    if not reasons:
+        return
+    packages = [re.findall(r"apt-get install ([\w+. -]+)", reason) for reason in reasons]
+    needs = Counter(name for one in packages for names in one for name in names.split())
+    others = Counter(reason for one, reason in zip(packages, reasons, strict=True) if not one)
+    lacks = [f"apt-get install {' '.join(sorted(needs))}"] if needs else []
+    lacks += [f"{reason} ({count})" for reason, count in others.most_common()]
+    terminalreporter.write_line(f"NOT PROVEN HERE: {len(reasons)} tests were skipped. They need: {'; '.join(lacks)}")
 
 
 @pytest.fixture(autouse=True)
@@ -144,13 +159,26 @@ def english_in() -> Callable[[str], list[str]]:
 
 @pytest.fixture(scope="session")
 def require() -> Callable[[object, str], None]:
-    """`require(condition, reason)`: go on only where an optional part (PostgreSQL, a browser, QEMU) is there."""
+    """`require(condition, reason)`: go on only where an optional part (PostgreSQL, a header, a library) is there."""
 
     def check(condition: object, reason: str) -> None:
         if not condition:
             pytest.skip(reason)
 
     return check
+
+
+@pytest.fixture(scope="session")
+def require_program(require: Callable[[object, str], None]) -> Callable[[str], str]:
+    """`require_program("gcc")`: the path of a program of `PACKAGES`; where it is missing the test is skipped."""
+
+    def find(program: str) -> str:
+        # Debian installs daemons where only root looks.
+        path = shutil.which(program) or shutil.which(program, path="/usr/sbin")
+        require(path, f"{program} is missing; apt-get install {PACKAGES[program]}")
+        return str(path)
+
+    return find
 
 
 @pytest.fixture(scope="session")

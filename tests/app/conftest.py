@@ -327,10 +327,9 @@ def wait_for(url: str) -> None:
 
 
 @pytest.fixture(scope="session")
-def chromium(require: Callable[[object, str], None]) -> Iterator[Browser]:
+def chromium(require_program: Callable[[str], str]) -> Iterator[Browser]:
     """One headless Chromium for all tests."""
-    path = shutil.which("chromium")
-    require(path, "no chromium on this machine; install Debian's package chromium")
+    path = require_program("chromium")
     expect.set_options(timeout=1000 * START_S)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=CHROMIUM_FLAGS)

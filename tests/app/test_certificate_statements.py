@@ -1,7 +1,6 @@
 """What a certificate states: only what somebody stated or the line measured, from the lot folder to PDF and DCC."""
 
 import re
-import subprocess
 import xml.etree.ElementTree as ET
 from datetime import UTC, datetime
 from pathlib import Path
@@ -10,6 +9,7 @@ import pandas as pd
 import pytest
 
 from softcal.app.cli.main import main
+from tests.app.pdf_text import read_text
 
 DCC = {"dcc": "https://ptb.de/dcc"}
 TOP = 'sample_rate_Hz = 50.0\nsource = "A0"\n[lot]\nid = "small"\n'
@@ -42,9 +42,7 @@ class Exported:
         file.write_text(laboratory)
         command = ["export", "--registry", self.url, "--serial", "A1", "--format", "pdf", "--format", "dcc"]
         assert main([*command, "--laboratory", str(file), "--out", str(out)]) == 0
-        told = ["pdftotext", "-layout", str(out / "certificate-A1.pdf"), "-"]
-        text = subprocess.run(told, capture_output=True, text=True, check=True).stdout
-        return text, ET.parse(out / "certificate-A1.xml").getroot()
+        return read_text(out / "certificate-A1.pdf"), ET.parse(out / "certificate-A1.xml").getroot()
 
 
 @pytest.fixture

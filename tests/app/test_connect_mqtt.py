@@ -1,7 +1,6 @@
 """MQTT with a real broker: every verdict arrives across restarts of broker and publisher; states stay; TLS."""
 
 import json
-import shutil
 import signal
 import subprocess
 import time
@@ -35,6 +34,7 @@ VERDICTS = 1000
 class Broker:
     """mosquitto as a process of its own, which keeps what it has taken over a restart."""
 
+    program: str
     folder: Path
     port: int
     lines: str = ""
@@ -46,7 +46,7 @@ class Broker:
         file = self.folder / "mosquitto.conf"
         file.write_text(f"{listen}allow_anonymous true\n{kept}max_queued_messages 0\nuser root\n{self.lines}")
         with (self.folder / "log").open("wb") as log:
-            self.process = subprocess.Popen([MOSQUITTO, "-c", file], stdout=log, stderr=log)
+            self.process = subprocess.Popen([self.program, "-c", file], stdout=log, stderr=log)
         wait_until(self.is_listening, "the broker listens")
 
     def is_listening(self) -> bool:
@@ -64,9 +64,6 @@ class Broker:
         self.start()
 
 
-MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
-
-
 def wait_until(is_so: Callable[[], object], what: str) -> None:
     end_s = time.monotonic() + LATEST_S
     while not is_so():
@@ -75,10 +72,10 @@ def wait_until(is_so: Callable[[], object], what: str) -> None:
 
 
 @pytest.fixture
-def broker(tmp_path: Path, require, some_port) -> Iterator[Broker]:
-    require(MOSQUITTO, "no mosquitto; install Debian's package mosquitto")
+def broker(tmp_path: Path, require_program, some_port) -> Iterator[Broker]:
+    program = require_program("mosquitto")
     (tmp_path / "broker").mkdir()
-    made = Broker(tmp_path / "broker", some_port())
+    made = Broker(program, tmp_path / "broker", some_port())
     made.start()
     yield made
     made.end()

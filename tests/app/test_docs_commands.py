@@ -176,7 +176,7 @@ def test_the_readme_runs_as_written(workplace: Callable[[str], Path]) -> None:
     ],
 )
 def test_a_page_runs_as_written(
-    workplace: Callable[[str], Path], page: str, serial: str, least: int, require: Callable[[object, str], None]
+    workplace: Callable[[str], Path], page: str, serial: str, least: int, require_program: Callable[[str], str]
 ) -> None:
     folder = workplace(serial)
     shutil.copy(folder / "plain.csv", folder / "new.csv")
@@ -185,7 +185,7 @@ def test_a_page_runs_as_written(
     with open_registry(f"sqlite:///{folder}/registry.db") as registry:
         registry.people.set("MES", "operator", "2580", actor="kim")
     for line in _commands(ROOT / page, re.compile("openssl gen")):
-        require(shutil.which("openssl"), "no openssl")
+        require_program("openssl")
         subprocess.run(line.replace("'&&'", "&&"), shell=True, check=True, capture_output=True)
     assert _run(page, folder) >= least
 

@@ -2,9 +2,8 @@
 
 import io
 import re
-import subprocess
+import unicodedata
 import xml.etree.ElementTree as ET
-from collections.abc import Callable
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -18,7 +17,8 @@ from PIL import ImageCms
 
 from softcal.app.export.certificates.content import METHODS, WITHHELD, Certificate, Uncertainty
 from softcal.app.export.certificates.dcc import certificate_xml
-from softcal.app.export.certificates.fonts import CANDIDATES
+from softcal.app.export.certificates.fonts import KOREAN as KOREAN_FONT
+from softcal.app.export.certificates.fonts import PLAIN, has_all, register_file, writable
 from softcal.app.export.certificates.laboratory import (
     NOT_STATED,
     Conditions,
@@ -30,12 +30,14 @@ from softcal.app.export.certificates.laboratory import (
     read_laboratory,
 )
 from softcal.app.export.certificates.pdf import certificate_pdf
+from softcal.app.texts.catalogue import catalogue
 from softcal.core.errors import InputError
 from softcal.core.maps.catalogue import FAMILIES
 from softcal.core.unit.budget import SIMULATED, Reference, measured_budget
 from softcal.core.unit.estimate import Estimate
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Limit, decide_audited, default_limit
+from tests.app.pdf_text import read_fonts, read_pages, read_text
 
 CELL = Reference(
     "LC-7", "D-K-1", "DAkkS", date(2026, 1, 1), date(2028, 1, 1), date(2026, 2, 1), uncertainty=0.012, drift=0.01
@@ -106,11 +108,6 @@ def schema(measured_data: Path) -> xmlschema.XMLSchema:
     if not folder.is_dir():
         pytest.skip(f"no DCC schema in {folder}")
     return xmlschema.XMLSchema(folder / "dcc.xsd", locations={"https://ptb.de/si": str(folder / "SI_Format.xsd")})
-
-
-def _text_of(pdf: Path, *options: str) -> str:
-    command = ["pdftotext", "-layout", *options, str(pdf), "-"]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
 def _variants(facts: Certificate) -> list[Certificate]:
@@ -246,7 +243,7 @@ def test_the_statement_follows_from_the_numbers_on_the_page(
             continue
         path = tmp_path / "drawn.pdf"
         path.write_bytes(certificate_pdf(drawn))
-        rows = re.findall(r"^(E|E_lower|E_upper|TL|U_ref|AL):.*? ([\d.e-]+) ?N\b", _text_of(path), re.M)
+        rows = re.findall(r"^(E|E_lower|E_upper|TL|U_ref|AL):.*? ([\d.e-]+) ?N\b", "\n".join(read_pages(path)), re.M)
         assert len(rows) == 6
         assert {symbol: float(value) for symbol, value in rows} == pytest.approx(
             {symbol: number[symbol] for symbol, _ in rows}, rel=1e-6
@@ -257,7 +254,7 @@ def test_the_statement_follows_from_the_numbers_on_the_page(
 def test_no_symbol_stands_for_two_things(facts: Certificate, tmp_path: Path) -> None:
     path = tmp_path / "facts.pdf"
     path.write_bytes(certificate_pdf(facts))
-    for text in (_text_of(path), certificate_xml(facts).decode()):
+    for text in (read_text(path), certificate_xml(facts).decode()):
         assert not re.search(r"\bU\b(?! squared)", text)
         assert {"U_est", "U_ref", "U_cell"} <= set(re.findall(r"U_[a-z]+", text))
 
@@ -300,22 +297,20 @@ def test_a_place_is_the_one_that_was_stated(facts: Certificate) -> None:
 def test_a_pass_is_read_on_no_page_where_nothing_vouches_for_the_reference(facts: Certificate, tmp_path: Path) -> None:
     path = tmp_path / "nobody.pdf"
     path.write_bytes(certificate_pdf(replace(facts, **NOBODY)))
-    assert "PASS" not in _text_of(path).split()
+    assert "PASS" not in read_text(path).split()
     path.write_bytes(certificate_pdf(replace(facts, reference=SIMULATED)))
-    assert "PASS" not in _text_of(path).split()
+    assert "PASS" not in read_text(path).split()
     path.write_bytes(certificate_pdf(facts))
-    assert "PASS" in _text_of(path).split()
+    assert "PASS" in read_text(path).split()
 
 
 def test_every_page_of_a_simulated_lot_says_so(facts: Certificate, tmp_path: Path) -> None:
     for name, reference, is_marked in (("simulated", SIMULATED, True), ("measured", CELL, False)):
         path = tmp_path / f"{name}.pdf"
         path.write_bytes(certificate_pdf(replace(facts, reference=reference)))
-        with pikepdf.open(path) as pdf:
-            assert len(pdf.pages) > 1
-            pages = range(1, len(pdf.pages) + 1)
-        for page in pages:
-            assert ("SIMULATED" in _text_of(path, "-f", str(page), "-l", str(page))) == is_marked
+        pages = read_pages(path)
+        assert len(pages) > 1
+        assert all(("SIMULATED" in page) == is_marked for page in pages)
 
 
 def test_every_family_of_maps_has_a_name_on_paper_and_the_certificate_bears_it(facts: Certificate) -> None:
@@ -342,22 +337,15 @@ def test_the_pdf_is_archival_and_carries_the_dcc(facts: Certificate, tmp_path: P
             assert file.EF.F.read_bytes() == certificate_xml(variant)
             assert not pdf.is_encrypted and pdf.trailer["/ID"]
             assert all("/ca" not in str(page.obj.get("/Resources")) for page in pdf.pages)
-        text = _text_of(path)
-        assert _embedded_fonts(path) and variant.identifier in text and "ZZ" not in text
-
-
-def _embedded_fonts(path: Path) -> int:
-    """How many fonts a PDF has; each of them is embedded."""
-    fonts = subprocess.run(["pdffonts", str(path)], capture_output=True, text=True, check=True).stdout.splitlines()[2:]
-    assert all(line.split()[-5] == "yes" for line in fonts)
-    return len(fonts)
+        text = read_text(path)
+        assert all(read_fonts(path).values()) and variant.identifier in text and "ZZ" not in text
 
 
 def test_everything_that_iso_17025_asks_for_stands_on_it(facts: Certificate, tmp_path: Path) -> None:
     """ISO/IEC 17025:2017, 7.8.2.1 a to p and 7.8.4.1."""
     path = tmp_path / "full.pdf"
     path.write_bytes(certificate_pdf(facts))
-    text = " ".join(_text_of(path).split())
+    text = read_text(path)
     for wanted in (
         "Calibration certificate",  # a
         "Press shop & Söhne, Teheran-ro 1, 06234, Seoul, KR",  # b
@@ -401,20 +389,58 @@ KOREAN = Laboratory(
 )
 
 
-def test_names_in_other_letters_and_long_serials_are_written_in_full(
-    facts: Certificate, tmp_path: Path, require: Callable[[object, str], None]
-) -> None:
-    require(Path(CANDIDATES["linux"][0]).exists(), "a Korean font is missing; apt-get install fonts-nanum")
+def test_names_in_other_letters_and_long_serials_are_written_in_full(facts: Certificate, tmp_path: Path) -> None:
     serial = "LINE-4-UNIT-" + "0123456789" * 12
     named = replace(facts, laboratory=KOREAN, serial=serial)
     content = certificate_pdf(named)
     assert content == certificate_pdf(named)
     path = tmp_path / "korean.pdf"
     path.write_bytes(content)
-    text = "".join(_text_of(path).split())
+    text = "".join(read_text(path).split())
     assert "한국소프트센서교정실" in text and "전상훈,교정책임자" in text
     assert serial in text
-    assert _embedded_fonts(path) == 3
+    fonts = read_fonts(path)
+    assert len(fonts) == 3 and all(fonts.values())
+    # The package's own: two computers write the same bytes.
+    assert any("KoreanSans" in name for name in fonts)
+
+
+def test_the_packages_font_has_every_korean_syllable_and_all_that_the_korean_texts_say() -> None:
+    font = register_file(KOREAN_FONT)
+    assert has_all(font, "".join(map(chr, range(0xAC00, 0xD7A4))))
+    for said in catalogue()["ko"].values():
+        assert all(has_all(PLAIN, letter) or has_all(font, letter) for letter in writable(said)), said
+    assert Path(KOREAN_FONT).with_name("OFL.txt").is_file() and Path(KOREAN_FONT).stat().st_size < 2_000_000
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("A\t1", "A 1"),
+        ("A\r\n1", "A 1"),
+        ("A\u00a01\u2009x\u2028y", "A 1 x y"),
+        ("\ufeffA\u200b1\u202e", "A1"),
+        ("A\x00\x1b[2J1", r"A\x00\x1b[2J1"),
+        ("A\udc801", r"A\udc801"),
+        (unicodedata.normalize("NFD", "로트 é"), "로트 é"),
+        ("뉴턴 µ Ω α Ж ㎜ × ≤", "뉴턴 µ Ω α Ж ㎜ × ≤"),
+        ("<b>&amp;", "<b>&amp;"),
+    ],
+)
+def test_no_character_of_a_name_breaks_a_paper(facts: Certificate, name: str, shown: str) -> None:
+    laboratory = replace(KOREAN, laboratory=replace(KOREAN.laboratory, name=name), person=Person(name, name))
+    named = replace(
+        facts, laboratory=laboratory, lot=name, sensor_model=name, reference_unit=name, output_unit=name,
+        identifier=name, reasons=(name,),
+    )  # fmt: skip
+    pdf = certificate_pdf(named)
+    text = "".join(read_text(pdf).split())
+    # Lot, laboratory, person, and the footer.
+    assert text.count("".join(shown.split())) >= 4
+    dcc = " ".join(ET.fromstring(certificate_xml(named)).itertext())
+    assert shown in unicodedata.normalize("NFC", dcc) or not name.isprintable()
+    with pikepdf.open(io.BytesIO(pdf)) as opened, opened.open_metadata() as metadata:
+        assert shown in " ".join(str(metadata["dc:title"]).split())
 
 
 def test_a_name_no_font_can_write_is_refused_with_what_to_do(
@@ -427,6 +453,9 @@ def test_a_name_no_font_can_write_is_refused_with_what_to_do(
     monkeypatch.setenv("SOFTCAL_FONT", str(tmp_path / "broken.ttf"))
     with pytest.raises(InputError, match="broken.ttf"):
         certificate_pdf(replace(facts, laboratory=KOREAN))
+    monkeypatch.delenv("SOFTCAL_FONT")
+    with pytest.raises(InputError, match="SOFTCAL_FONT"):
+        certificate_pdf(replace(facts, serial="\N{GOTHIC LETTER AHSA}"))
 
 
 LABORATORY = """

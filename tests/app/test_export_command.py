@@ -242,9 +242,9 @@ def test_check_answers_three_questions_apart(run: Run, tmp_path: Path, capsys: p
 
 
 def test_a_certificate_carries_a_signature_that_other_programs_verify(
-    run: Run, tmp_path: Path, require: Callable[[object, str], None]
+    run: Run, tmp_path: Path, require_program: Callable[[str], str]
 ) -> None:
-    require(shutil.which("openssl"), "openssl is missing")
+    require_program("openssl")
     out, (private, public) = tmp_path / "out", _keys(tmp_path)
     formats = ["--format", "dcc", "--format", "pdf"]
     assert run("--serial", "A1", *formats, "--sign", private, "--check", "--public-key", public) == 0

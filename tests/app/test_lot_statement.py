@@ -1,11 +1,8 @@
 """The one page on a lot, read back with a tool that is not ours."""
 
-import shutil
-import subprocess
 from dataclasses import replace
 from datetime import date
 from functools import partial
-from pathlib import Path
 
 import pytest
 
@@ -20,6 +17,7 @@ from softcal.core.quality.qualification import Qualification
 from softcal.core.quality.release import AuditedUnit
 from softcal.core.unit.verdict import Limit
 from softcal.core.words.reason import plain, reason
+from tests.app.pdf_text import read_pages
 
 LOT, LIMIT = Lot("lot-1", "S0", 50.0, sensor_model="EG <3 mm>", limit_rmse=0.5), Limit("N", 0.5)
 
@@ -46,17 +44,13 @@ FACTS = facts_of([AuditedUnit(f"A{k}", 0.2, 0.2 + 0.005 * k, "lot-1") for k in r
 say = partial(text_of, "en")
 
 
-def _text(pdf: bytes, tmp_path: Path) -> tuple[str, int]:
-    if shutil.which("pdftotext") is None:
-        pytest.skip("pdftotext (poppler-utils) is not installed")
-    file = tmp_path / "statement.pdf"
-    file.write_bytes(pdf)
-    text = subprocess.run(["pdftotext", "-layout", str(file), "-"], capture_output=True, check=True).stdout.decode()
-    return " ".join(text.split()), text.count("\f")
+def _read(pdf: bytes) -> tuple[str, int]:
+    pages = read_pages(pdf)
+    return " ".join(" ".join(pages).split()), len(pages)
 
 
-def test_one_page_says_what_is_promised_on_what_evidence_at_what_risk(tmp_path: Path) -> None:
-    text, pages = _text(lot_statement_pdf(FACTS), tmp_path)
+def test_one_page_says_what_is_promised_on_what_evidence_at_what_risk() -> None:
+    text, pages = _read(lot_statement_pdf(FACTS))
     assert pages == 1
     drawn, promise = say("paper.drawn.is", drawn=10, population=40), say("paper.promise.is", risk=0.1, confidence=0.9)
     for one in (str(FACTS.decided.statement), say("paper.given"), "EG <3 mm>", "0.5 N", drawn, promise, "SERIAL-00019"):
@@ -66,23 +60,34 @@ def test_one_page_says_what_is_promised_on_what_evidence_at_what_risk(tmp_path: 
 
 
 @pytest.mark.parametrize("language", ["en", "ko"])
-def test_a_large_lot_still_fits_one_page_and_says_what_is_left_out(tmp_path: Path, language: str) -> None:
+def test_a_large_lot_still_fits_one_page_and_says_what_is_left_out(language: str) -> None:
     audits = [AuditedUnit(f"LONG-AUDIT-{k:04d}", 0.2, 0.2 + 0.001 * k, f"lot-{k % 7}") for k in range(80)]
     facts = facts_of(audits, 2000, waiting=300, withdrawn=50)
-    text, pages = _text(lot_statement_pdf(facts, partial(text_of, language)), tmp_path)
+    text, pages = _read(lot_statement_pdf(facts, partial(text_of, language)))
     assert pages == 1 and text_of(language, "paper.more", count=70) in text and "1980" in text
     assert "WAITS-00000" in text and "GONE-00000" in text and "300" in text
 
 
 @pytest.mark.parametrize("language", ["en", "ko"])
-def test_without_a_promise_the_page_says_so_in_the_language_of_the_reader(tmp_path: Path, language: str) -> None:
+def test_without_a_promise_the_page_says_so_in_the_language_of_the_reader(language: str) -> None:
     say, facts = partial(text_of, language), facts_of([], 5)
-    text, pages = _text(lot_statement_pdf(facts, say), tmp_path)
+    text, pages = _read(lot_statement_pdf(facts, say))
     assert pages == 1
     title, origin = say("paper.title", lot="lot-1"), said(LIMIT.origin, say)
     statement = said(facts.decided.statement, say).partition(":")[0]
     for one in (title, say("paper.not_given"), say("paper.none"), origin, statement):
         assert one in text, one
+
+
+def test_a_simulated_lot_is_marked_in_korean_and_no_character_of_its_name_breaks_the_page() -> None:
+    korean = partial(text_of, "ko")
+    lot = replace(LOT, id="로트 1+", sensor_model="모델\n2\x00", reference_unit="뉴턴", reference_quantity="힘\u200b")
+    audits = [AuditedUnit("단위\t1", 0.2, 0.21, "로트\t2")]
+    facts = replace(facts_of(audits, 5), lot=lot, is_simulated=True, identifier="로트\t1")
+    text, pages = _read(lot_statement_pdf(facts, korean))
+    assert pages == 1
+    for one in (korean("paper.simulated"), "로트 1+", r"모델 2\x00", "뉴턴", "단위 1", "로트 2"):
+        assert one.replace(" ", "") in text.replace(" ", ""), one
 
 
 def test_equal_facts_make_equal_bytes() -> None:

@@ -12,6 +12,7 @@ from softcal.app.batch import calibrating
 from softcal.app.cli.main import main
 from softcal.core.errors import InputError
 from softcal.db.connection import open_registry
+from tests.system_packages import NO_POSTGRESQL
 
 SMALL = ("--hidden", "16,8", "--no-own")
 
@@ -24,7 +25,7 @@ def postgresql(require):
     try:
         connection = engine.connect()
     except Exception:
-        require(False, "no PostgreSQL")
+        require(False, NO_POSTGRESQL)
     name = f"softcal_test_{uuid.uuid4().hex[:12]}"
     connection.execute(text(f"CREATE DATABASE {name}"))
     yield engine.url.set(database=name).render_as_string(hide_password=False)

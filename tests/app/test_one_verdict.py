@@ -1,7 +1,6 @@
 """One unit, one word: every surface says the verdict that was decided, whatever was forecast, found and measured."""
 
 import shutil
-import subprocess
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import replace
@@ -50,6 +49,7 @@ from softcal.db.connection import open_registry
 from softcal.db.entries import MadeCalibration
 from softcal.db.registry import Registry
 from softcal.db.truth.lot_pages import UnitFilter
+from tests.app.pdf_text import read_text
 
 DRAWS = 200
 DCC = {"dcc": "https://ptb.de/dcc"}
@@ -167,7 +167,7 @@ def test_every_surface_says_the_same_word(lot, rng):
 
 
 @pytest.mark.parametrize("word", list(Verdict))
-def test_documents_and_files_say_the_same_word(lot, word, tmp_path, require):
+def test_documents_and_files_say_the_same_word(lot, word, tmp_path):
     registry, lot_id = lot
     rng = np.random.default_rng(7)
     first = registry.calibrations.get("A1", 1).record
@@ -175,9 +175,8 @@ def test_documents_and_files_say_the_same_word(lot, word, tmp_path, require):
     registry.calibrations.add(lot_id, replace(record, input_sha256=f"{hash(word) % 2**60:064x}"))
     assert documents(registry) == (word, word, word if word in ("pass", "conditional") else "not released")
     unit = UnitLoader(registry, ExportOptions()).load("A1")
-    (tmp_path / "c.pdf").write_bytes(certificate_pdf(certificate_of(unit)))
-    read = subprocess.run(["pdftotext", str(tmp_path / "c.pdf"), "-"], capture_output=True, text=True, check=True)
-    shown = {other for other in Verdict if other.upper() in read.stdout.split()}
+    read = read_text(certificate_pdf(certificate_of(unit))).split()
+    shown = {other for other in Verdict if other.upper() in read}
     assert shown == {word} - {Verdict.RETEST}, "nothing can be stated of a unit that has to be tested again"
     title = why_figure(unit_view(registry, "A1"), palette("light"), partial(text, "en")).layout.title.text
     assert text("en", f"verdict.{word}") in title

@@ -14,6 +14,7 @@ from sqlalchemy.exc import OperationalError
 from softcal.app.cli.main import main
 from softcal.db.access.grants import grant_statements
 from softcal.db.connection import open_registry
+from tests.system_packages import NO_POSTGRESQL
 
 pytestmark = pytest.mark.long
 
@@ -28,7 +29,7 @@ def line_url(require):
     try:
         admin = engine.connect()
     except OperationalError:
-        require(False, "no PostgreSQL")
+        require(False, NO_POSTGRESQL)
     mark = uuid.uuid4().hex[:8]
     name, line = f"softcal_test_{mark}", f"line_{mark}"
     reader, manager = f"reader_{mark}", f"manager_{mark}"

@@ -2,7 +2,6 @@
 
 import json
 import locale
-import shutil
 import struct
 import subprocess
 import zlib
@@ -311,9 +310,9 @@ RELEASES = {"1.0": ("unit", "linear", "both"), "1.1": ("mix",)}
 
 
 def test_a_foreign_tool_reads_the_hex_back(
-    unit_file: UnitFile, tmp_path: Path, require: Callable[[object, str], None]
+    unit_file: UnitFile, tmp_path: Path, require_program: Callable[[str], str]
 ) -> None:
-    require(shutil.which("objcopy"), "objcopy is missing; apt-get install binutils")
+    require_program("objcopy")
     source, target = tmp_path / "unit.hex", tmp_path / "unit.bin"
     source.write_text(intel_hex(unit_file.to_bytes(), 0x3FF00))
     subprocess.run(["objcopy", "-I", "ihex", "-O", "binary", str(source), str(target)], check=True)

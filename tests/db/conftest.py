@@ -23,10 +23,10 @@ from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
 from softcal.db.schema.tables import metadata
+from tests.system_packages import NO_POSTGRESQL
 
 ADMIN_URL = os.environ.get("SOFTCAL_TEST_POSTGRESQL", "postgresql+psycopg://postgres@127.0.0.1:5432/postgres")
 CASES_ON_SERVER = 3
-NO_SERVER = f"no PostgreSQL at {ADMIN_URL.rpartition('@')[2]}; set SOFTCAL_TEST_POSTGRESQL"
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -64,7 +64,7 @@ def new_url(request, tmp_path, require) -> Iterator[Callable[[], str]]:
 
     def on_postgresql() -> str:
         admin = request.getfixturevalue("postgresql_admin")
-        require(admin is not None, NO_SERVER)
+        require(admin is not None, NO_POSTGRESQL)
         made.append(f"softcal_test_{uuid.uuid4().hex[:12]}")
         admin.execute(text(f"CREATE DATABASE {made[-1]}"))
         return admin.engine.url.set(database=made[-1]).render_as_string(hide_password=False)
@@ -109,7 +109,7 @@ def emptied(url: URL) -> str:
 def registry_url(request, tmp_path, require) -> str:
     """The URL of a registry with nothing in it."""
     if request.param == "postgresql":
-        require(request.getfixturevalue("postgresql_admin") is not None, NO_SERVER)
+        require(request.getfixturevalue("postgresql_admin") is not None, NO_POSTGRESQL)
         return emptied(request.getfixturevalue("postgresql_registry"))
     shutil.copy(request.getfixturevalue("sqlite_template"), tmp_path / "registry.db")
     return f"sqlite:///{tmp_path / 'registry.db'}"

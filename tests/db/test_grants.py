@@ -18,12 +18,13 @@ from softcal.db.entries import CellCertificate
 from softcal.db.queues.work_queue import WorkSet
 from softcal.db.registry import Registry
 from softcal.db.schema.tables import metadata
+from tests.system_packages import NO_POSTGRESQL
 
 
 @pytest.fixture
 def as_role(postgresql_admin, require):
     """`as_role("line" | "manager" | "reader")` gives a registry of somebody who signed in with that role."""
-    require(postgresql_admin is not None, "no PostgreSQL")
+    require(postgresql_admin is not None, NO_POSTGRESQL)
     mark = uuid.uuid4().hex[:8]
     name, roles = f"softcal_test_{mark}", {kind: f"{kind}_{mark}" for kind in ("line", "manager", "reader")}
     postgresql_admin.execute(text(f"CREATE DATABASE {name}"))

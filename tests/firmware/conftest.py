@@ -83,10 +83,11 @@ def examples() -> Path:
 
 
 @pytest.fixture(scope="session")
-def build(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+def build(tmp_path_factory: pytest.TempPathFactory, require_program: Callable[[str], str]) -> Callable[..., Path]:
     """`build(source, *options)`: compile one C file for this machine with warnings as errors; returns the program."""
 
     def compile_for_host(source: Path, *options: str) -> Path:
+        require_program("gcc")
         program = tmp_path_factory.mktemp("host") / source.stem
         command = ["gcc", *WARNINGS, *options, f"-I{RUNTIME}", str(source), "-o", str(program)]
         done = subprocess.run(command, capture_output=True, text=True)

@@ -41,10 +41,13 @@ def _numpy(unit: Path, text: str) -> tuple[int, list[str]]:
 
 
 @pytest.fixture(scope="module")
-def readers(build_checked: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Reader]:
-    source, program = FIRMWARE / "examples" / "cpp" / "softsensor_reader.cpp", tmp_path_factory.mktemp("cpp") / "reader"
+def readers(
+    build_checked: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory, require_program: Callable[[str], str]
+) -> dict[str, Reader]:
+    compiler, program = require_program("g++"), tmp_path_factory.mktemp("cpp") / "reader"
+    source = FIRMWARE / "examples" / "cpp" / "softsensor_reader.cpp"
     warnings = ["-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror", "-fsanitize=address,undefined"]
-    subprocess.run(["g++", "-std=c++17", "-O1", *warnings, str(source), "-o", str(program)], check=True)
+    subprocess.run([compiler, "-std=c++17", "-O1", *warnings, str(source), "-o", str(program)], check=True)
     return {
         "C": _program(str(build_checked(FIRMWARE / "examples" / "pc" / "softsensor_pc.c"))),
         "C++": _program(str(program)),

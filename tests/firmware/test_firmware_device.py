@@ -1,7 +1,6 @@
 """The runtime on an emulated Cortex-M0: the same integers, within its budget of time, code and memory."""
 
 import re
-import shutil
 import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -27,7 +26,6 @@ TOOLS = {
     "uno": ("avr-gcc", "simavr"),
     "mega": ("avr-gcc", "simavr"),
 }
-PACKAGES = "gcc-arm-none-eabi qemu-system-arm gcc-riscv64-unknown-elf qemu-system-misc gcc-avr avr-libc simavr"
 CONFORMANCE = Path(__file__).parents[2] / "firmware" / "conformance"
 RELEASED = Path(__file__).parent / "released"
 
@@ -45,12 +43,12 @@ class Run:
 
 
 @pytest.fixture
-def run_on_board(require: Callable[[object, str], None], examples: Path, tmp_path: Path) -> Callable[..., Run]:
+def run_on_board(require_program: Callable[[str], str], examples: Path, tmp_path: Path) -> Callable[..., Run]:
     """`run_on_board(network, unit, codes)`: build the example for a board (default: Cortex-M0) and run it emulated."""
 
     def run(network: NetworkFile, unit: UnitFile, codes: Any, board: str = "m0", options: str = "-O2") -> Run:
         for tool in TOOLS[board]:
-            require(shutil.which(tool), f"{tool} is missing; apt-get install {PACKAGES}")
+            require_program(tool)
         (tmp_path / "network.h").write_text(network_header(network))
         (tmp_path / "unit.h").write_text(unit_header(unit))
         listed = ",".join(map(str, codes))
@@ -190,9 +188,9 @@ def test_the_portable_loop_gives_the_same_integers(run_on_board: Callable[..., R
 
 @pytest.mark.parametrize(("core", "most_bytes"), [("cortex-m0plus", 1920), ("cortex-m4", 1920)])
 def test_code_and_tables_stay_small(
-    require: Callable[[object, str], None], runtime: Path, tmp_path: Path, core: str, most_bytes: int
+    require_program: Callable[[str], str], runtime: Path, tmp_path: Path, core: str, most_bytes: int
 ) -> None:
-    require(shutil.which("arm-none-eabi-gcc"), "arm-none-eabi-gcc is missing; apt-get install gcc-arm-none-eabi")
+    require_program("arm-none-eabi-gcc")
     source, image = tmp_path / "size.c", tmp_path / "size.o"
     source.write_text("""
 #include "softsensor.h"
@@ -211,9 +209,9 @@ ss_estimate tick(uint16_t code, uint32_t t) { ss_push(&sensor, code, t); return 
 
 
 def test_the_runtime_needs_nothing_from_libc(
-    require: Callable[[object, str], None], runtime: Path, tmp_path: Path
+    require_program: Callable[[str], str], runtime: Path, tmp_path: Path
 ) -> None:
-    require(shutil.which("arm-none-eabi-gcc"), "arm-none-eabi-gcc is missing; apt-get install gcc-arm-none-eabi")
+    require_program("arm-none-eabi-gcc")
     source, image = tmp_path / "alone.c", tmp_path / "alone.o"
     source.write_text("""
 #include "softsensor.h"

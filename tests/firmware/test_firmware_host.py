@@ -245,7 +245,9 @@ inline uint32_t millis() {
 
 
 @pytest.fixture
-def sketch(runtime: Path, examples: Path, real_case: Any, tmp_path: Path) -> Path:
+def sketch(
+    runtime: Path, examples: Path, real_case: Any, tmp_path: Path, require_program: Callable[[str], str]
+) -> Path:
     """The Arduino example as a program: argument 1 a stall in ms, prints the flags of every estimate."""
     text = (examples / "arduino" / "softsensor_arduino" / "softsensor_arduino.ino").read_text()
     (tmp_path / "network-0123456789abcdef.h").write_text(network_header(real_case.network_file))
@@ -260,7 +262,7 @@ def sketch(runtime: Path, examples: Path, real_case: Any, tmp_path: Path) -> Pat
     )
     program = tmp_path / "sketch"
     flags = ["-std=c++11", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror", f"-I{tmp_path}", f"-I{runtime}"]
-    subprocess.run(["g++", *flags, str(tmp_path / "main.cpp"), "-o", str(program)], check=True)
+    subprocess.run([require_program("g++"), *flags, str(tmp_path / "main.cpp"), "-o", str(program)], check=True)
     return program
 
 
@@ -274,12 +276,14 @@ def test_the_arduino_sketch_gives_no_wrong_window_after_a_stall(sketch: Path, st
 
 
 @pytest.mark.parametrize("command", [("gcc", "-std=c99", "only.c"), ("g++", "-std=c++11", "only.cpp")])
-def test_the_header_alone_gives_no_warning(runtime: Path, tmp_path: Path, command: tuple[str, ...]) -> None:
+def test_the_header_alone_gives_no_warning(
+    runtime: Path, tmp_path: Path, command: tuple[str, ...], require_program: Callable[[str], str]
+) -> None:
     compiler, standard, name = command
     (tmp_path / name).write_text('#include "softsensor.h"\n')
     warnings = ["-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wshadow", "-Wcast-qual", "-Werror"]
     done = subprocess.run(
-        [compiler, standard, *warnings, f"-I{runtime}", "-c", name, "-o", "only.o"],
+        [require_program(compiler), standard, *warnings, f"-I{runtime}", "-c", name, "-o", "only.o"],
         cwd=tmp_path, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -191,12 +191,22 @@ def _files_of(root: Path) -> list[str]:
 def test_the_sdist_holds_what_a_packager_needs(sdist: Path) -> None:
     with tarfile.open(sdist) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
+    assert not _tracked() - {".gitignore"} - names
+
+
+def _tracked() -> set[str]:
+    """What git knows; without git, as in an unpacked archive, every file but those that are made here."""
     git = ["git", "-c", f"safe.directory={ROOT}", "ls-files"]
-    tracked = subprocess.run(git, cwd=ROOT, capture_output=True, text=True)
-    # Without git, as in an unpacked archive: every file but those that are made here.
-    files = tracked.stdout.splitlines() if tracked.returncode == 0 else _files_of(ROOT)
-    wanted = {n for n in files if (ROOT / n).is_file()} - {".gitignore"}
-    assert not wanted - names
+    listed = subprocess.run(git, cwd=ROOT, capture_output=True, text=True)
+    files = listed.stdout.splitlines() if listed.returncode == 0 else _files_of(ROOT)
+    return {name for name in files if (ROOT / name).is_file()}
+
+
+def test_the_wheel_holds_every_file_of_the_packages_fonts_and_licences_too(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+    files = {name for name in _tracked() if name.startswith(("app/", "core/", "db/", "station/"))}
+    assert not {f"softcal/{name.replace('app/face/', '')}" for name in files} - names
 
 
 def test_the_wheel_says_its_licence_and_the_pythons_it_runs_on(wheel: Path) -> None:

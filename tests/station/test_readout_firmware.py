@@ -1,6 +1,5 @@
 """The project's own readout sketch, compiled for an ATmega328P, run in simavr, read by our driver."""
 
-import shutil
 import subprocess
 import time
 from pathlib import Path
@@ -11,9 +10,11 @@ from softcal.station.clock import HostClock
 from softcal.station.drivers.arduino import ArduinoReadout
 from softcal.station.tasks.identify import identify
 from softcal.station.wire.link import Link
+from tests.system_packages import ARDUINO
 
 SKETCH = Path(__file__).parents[2] / "firmware" / "readout" / "readout.ino"
 CORE = Path("/usr/share/arduino/hardware/arduino/avr")
+SIMAVR = Path("/usr/include/simavr/sim_avr.h")
 SOURCES = """wiring.c wiring_analog.c wiring_digital.c hooks.c main.cpp HardwareSerial.cpp HardwareSerial0.cpp
 Print.cpp new.cpp abi.cpp""".split()
 TARGET = ["-mmcu=atmega328p", "-std=gnu++11", "-DF_CPU=16000000L", "-DARDUINO=10819"]
@@ -21,7 +22,6 @@ BOARD = ["-DARDUINO_AVR_UNO", "-DARDUINO_ARCH_AVR"]
 SIZE = ["-Os", "-ffunction-sections", "-fdata-sections", "-Wl,--gc-sections"]
 CHANNELS = 2
 LONGEST_S = 120.0
-NEEDED = "gcc-avr, avr-libc, arduino-core-avr, libsimavr-dev and libelf-dev are needed to run the sketch"
 
 
 def compile_sketch(folder: Path) -> Path:
@@ -48,12 +48,11 @@ def _run(command: list[str]) -> None:
 
 
 @pytest.fixture(scope="module")
-def port(tmp_path_factory):
+def port(tmp_path_factory, require, require_program):
     """The pty of a running board with 1000 mV at A0 and 2500 mV at A1."""
-    here = (shutil.which("avr-gcc"), shutil.which("gcc"), Path("/usr/include/simavr/sim_avr.h").exists(), CORE.is_dir())
-    if not all(here):
-        yield ""
-        return
+    require_program("avr-gcc")
+    require_program("gcc")
+    require(CORE.is_dir() and SIMAVR.exists(), f"no simulated Arduino; apt-get install {ARDUINO}")
     folder = tmp_path_factory.mktemp("avr")
     board = subprocess.Popen(
         [str(compile_host(folder)), str(compile_sketch(folder)), "1000", "2500"], stdout=subprocess.PIPE, text=True
@@ -78,8 +77,7 @@ def read(port, count):
     return samples, unreadable
 
 
-def test_the_sketch_is_read_by_the_driver(port, require):
-    require(port, NEEDED)
+def test_the_sketch_is_read_by_the_driver(port):
     samples, unreadable = read(port, 50)
     assert unreadable == 0
     steps_ms = {round(1000 * (b.device_s - a.device_s)) for a, b in zip(samples, samples[1:], strict=False)}
@@ -88,8 +86,7 @@ def test_the_sketch_is_read_by_the_driver(port, require):
     assert samples[-1].values == pytest.approx((204 * 5 / 1023, 511 * 5 / 1023))
 
 
-def test_the_sketch_is_identified(port, require):
-    require(port, NEEDED)
+def test_the_sketch_is_identified(port):
     device = identify(port, HostClock())
     assert (device.role, device.kind, device.channels) == ("readout", "arduino", CHANNELS)
     assert device.rate_Hz == pytest.approx(50.0)

@@ -4,6 +4,7 @@ import xml.etree.ElementTree as ET
 
 from softcal.app.export.certificates.content import DECISION_RULE, ONLY_THIS, SIMULATED, Certificate
 from softcal.app.export.certificates.laboratory import NOT_STATED, Party
+from softcal.core.errors import printable
 
 SCHEMA_VERSION = "3.1.2"
 """Each schema accepts its own version alone: another one is another writer."""
@@ -44,7 +45,7 @@ def _node(name: str, *content: ET.Element | str | None, **attributes: str) -> ET
     for part in content:
         if isinstance(part, str):
             # The PTB's strings neither begin nor end with a space.
-            element.text = " ".join(part.split())
+            element.text = printable(" ".join(part.split()))
         elif part is not None:
             element.append(part)
     return element

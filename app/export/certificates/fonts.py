@@ -1,9 +1,11 @@
-"""Embedded fonts: ReportLab's own for Latin letters, one of the computer's for all else."""
+"""Embedded fonts: ReportLab's own for Latin letters, the package's for Korean, one of the computer's for all else."""
 
 import html
 import itertools
 import os
 import sys
+import unicodedata
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -11,18 +13,21 @@ from reportlab.graphics.shapes import STATE_DEFAULTS
 from reportlab.pdfbase import pdfmetrics
 from reportlab.pdfbase.ttfonts import TTFError, TTFont
 
-from softcal.core.errors import InputError
+from softcal.core.errors import InputError, printable
 
 PLAIN, BOLD = "Vera", "VeraBd"
 OTHER = "other letters"
 VARIABLE = "SOFTCAL_FONT"
+
+KOREAN = str(Path(__file__).with_name("static") / "KoreanSans.ttf")
+"""All Korean syllables, Greek, Cyrillic, kana and signs: papers in Korean need no font of the computer."""
 
 CANDIDATES = {
     "linux": ("/usr/share/fonts/truetype/nanum/NanumGothic.ttf", "/usr/share/fonts/truetype/dejavu/DejaVuSans.ttf"),
     "win32": (r"C:\Windows\Fonts\malgun.ttf", r"C:\Windows\Fonts\arial.ttf"),
     "darwin": ("/System/Library/Fonts/Supplemental/AppleGothic.ttf", "/Library/Fonts/Arial Unicode.ttf"),
 }
-"""TrueType fonts with Korean first; ReportLab cannot embed the outlines of most others (CFF)."""
+"""TrueType fonts of other letters; ReportLab cannot embed the outlines of most others (CFF)."""
 
 
 @cache
@@ -35,42 +40,66 @@ def register() -> None:
 
 def has_all(font: str, text: str) -> bool:
     """Return whether a registered font has a glyph for every character."""
+    register()
     glyphs = pdfmetrics.getFont(font).face.charToGlyph
     return all(ord(character) in glyphs for character in text)
 
 
-def font_for(text: str) -> str:
-    """Return the font to draw a text with (`InputError`: no font at hand has all its characters)."""
-    register()
-    if has_all(PLAIN, text):
+def runs_of(text: str) -> list[tuple[str, str]]:
+    """Return a text as paper can show it, as pairs of a font and letters (`InputError`: no font has a letter)."""
+    grouped = itertools.groupby(writable(text), key=_font_for)
+    return [(font, "".join(letters)) for font, letters in grouped]
+
+
+def width_of(runs: list[tuple[str, str]], size: float) -> float:
+    """Return how wide runs of letters are, in points."""
+    return sum(float(pdfmetrics.stringWidth(letters, font, size)) for font, letters in runs)
+
+
+def _font_for(letter: str) -> str:
+    if has_all(PLAIN, letter):
         return PLAIN
-    wanted = os.environ.get(VARIABLE)
-    for place in (wanted,) if wanted else CANDIDATES.get(sys.platform, ()):
-        if _registered(place) and has_all(f"{OTHER} {place}", text):
-            return f"{OTHER} {place}"
+    for path in _font_files():
+        name = register_file(path)
+        if has_all(name, letter):
+            return name
     raise InputError(
-        f"the certificate's fonts cannot write {text!r}; install a TrueType font that can (fonts-nanum for Korean) or "
-        f"name one: {VARIABLE}=/path/to/font.ttf; no certificate was written"
+        f"no font at hand can write {letter!r}; name a TrueType font that can: {VARIABLE}=/path/to/font.ttf; "
+        "no certificate was written"
     )
 
 
+def _font_files() -> Iterator[str]:
+    if named := os.environ.get(VARIABLE):
+        yield named
+    yield KOREAN
+    yield from filter(os.path.isfile, CANDIDATES.get(sys.platform, ()))
+
+
 @cache
-def _registered(place: str) -> bool:
-    if not Path(place).is_file():
-        return False
+def register_file(path: str) -> str:
+    """Make a font file known to ReportLab and return its name."""
     try:
-        pdfmetrics.registerFont(TTFont(f"{OTHER} {place}", place))
+        pdfmetrics.registerFont(TTFont(f"{OTHER} {path}", path))
     except (TTFError, OSError) as error:
-        raise InputError(f"{place} is no TrueType font that can be embedded: {error}") from error
-    return True
+        raise InputError(f"{VARIABLE}={path} is no TrueType font that can be embedded: {error}") from error
+    return f"{OTHER} {path}"
+
+
+def writable(text: str) -> str:
+    """Return a text as paper can show it.
+
+    Letters are composed (macOS takes Korean in file names apart), white space is a space, what has no width is left
+    out, and other control characters show as codes.
+    """
+    composed = (" " if letter.isspace() else letter for letter in unicodedata.normalize("NFC", text))
+    return printable("".join(letter for letter in composed if unicodedata.category(letter) != "Cf"))
 
 
 def marked_up(text: str) -> str:
     """Return a text as ReportLab's markup, every run of letters in a font that has them."""
-    register()
     marked = ""
-    for is_plain, characters in itertools.groupby(text, key=lambda character: has_all(PLAIN, character)):
-        run = "".join(characters)
-        escaped = html.escape(run)
-        marked += escaped if is_plain else f'<font name="{html.escape(font_for(run))}">{escaped}</font>'
+    for font, letters in runs_of(text):
+        escaped = html.escape(letters)
+        marked += escaped if font == PLAIN else f'<font name="{html.escape(font)}">{escaped}</font>'
     return marked

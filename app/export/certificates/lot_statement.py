@@ -8,11 +8,11 @@ from importlib.metadata import version
 
 import numpy as np
 from reportlab.lib.units import mm
-from reportlab.platypus import Flowable, Paragraph, Spacer, Table
+from reportlab.platypus import Flowable, Paragraph, Spacer
 
 from softcal.app.batch.audit import lot_audit
 from softcal.app.export.certificates import parts
-from softcal.app.export.certificates.fonts import BOLD, PLAIN, has_all, marked_up
+from softcal.app.export.certificates.fonts import BOLD, marked_up
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import Words, said
 from softcal.core.lot import Lot
@@ -144,9 +144,7 @@ def _audit_table(facts: LotStatementFacts, words: Words) -> Flowable:
         rows.append([a.serial, a.lot_id or facts.lot.id, *numbers, word])
     if len(audits) > MOST_AUDITS:
         rows.append([words("paper.more", count=len(audits) - MOST_AUDITS), *[""] * 5])
-    # A text as it stands is lower than a paragraph; it needs a font that has its letters.
-    cells = [[text if has_all(PLAIN, text) else parts.paragraph(text, 7) for text in row] for row in rows]
-    return Table(cells, colWidths=[parts.WIDTH / 6] * 6, style=parts.grid(7))
+    return parts.text_table(rows, [parts.WIDTH / 6] * 6, 7)
 
 
 def _serials(serials: Sequence[str], words: Words, most: int = MOST_SERIALS) -> str:

@@ -17,7 +17,7 @@ from reportlab.lib.units import mm
 from reportlab.pdfgen.canvas import Canvas
 from reportlab.platypus import Flowable, KeepTogether, Paragraph, SimpleDocTemplate, Spacer, Table, TableStyle
 
-from softcal.app.export.certificates.fonts import BOLD, PLAIN, font_for, marked_up, register
+from softcal.app.export.certificates.fonts import BOLD, PLAIN, has_all, marked_up, register, runs_of, width_of, writable
 
 MARGIN = 18 * mm
 WIDTH = A4[0] - 2 * MARGIN
@@ -30,7 +30,11 @@ VERDICT_COLOURS = {"pass": "#1b7f3b", "conditional": "#8a6100", "fail": "#b3261e
 
 @dataclass(frozen=True)
 class Document:
-    """What holds for every page of a document (`across`: word written across every page; empty for none)."""
+    """What holds for every page of a document, as paper can show it.
+
+    Args:
+        across: word written across every page; empty for none.
+    """
 
     title: str
     author: str
@@ -39,6 +43,10 @@ class Document:
     made_on: date
     across: str = ""
     numbering: str = "Page {number} of {count}"
+
+    def __post_init__(self) -> None:
+        for name in ("title", "author", "software", "footer", "across", "numbering"):
+            object.__setattr__(self, name, writable(getattr(self, name)))
 
 
 def document_pdf(story: Sequence[Flowable], page: Document) -> bytes:
@@ -86,10 +94,9 @@ class _NumberedCanvas(Canvas):  # type: ignore[misc]
             self.__dict__.update(page)
             said = self._page.numbering.format(number=number, count=len(pages))
             self.setFillColor(QUIET)
-            self.setFont(font_for(self._page.footer), 7)
-            self.drawString(MARGIN, 12 * mm, self._page.footer)
-            self.setFont(font_for(said), 7)
-            self.drawRightString(A4[0] - MARGIN, 12 * mm, said)
+            self._write(MARGIN, 12 * mm, runs_of(self._page.footer), 7)
+            numbering = runs_of(said)
+            self._write(A4[0] - MARGIN - width_of(numbering, 7), 12 * mm, numbering, 7)
             super().showPage()
         super().save()
 
@@ -99,11 +106,18 @@ class _NumberedCanvas(Canvas):  # type: ignore[misc]
             return
         self.saveState()
         self.setFillColor(ACROSS)
-        self.setFont(BOLD, 84)
+        word = [(BOLD, self._page.across)] if has_all(BOLD, self._page.across) else runs_of(self._page.across)
         self.translate(A4[0] / 2, A4[1] / 2)
         self.rotate(54)
-        self.drawCentredString(0, -30, self._page.across)
+        self._write(-width_of(word, 84) / 2, -30, word, 84)
         self.restoreState()
+
+    def _write(self, x: float, y: float, runs: list[tuple[str, str]], size: float) -> None:
+        """Write runs of letters beside each other."""
+        for font, letters in runs:
+            self.setFont(font, size)
+            self.drawString(x, y, letters)
+            x += width_of([(font, letters)], size)
 
 
 def section(title: str, body: Flowable) -> list[Flowable]:
@@ -116,6 +130,13 @@ def facts_table(rows: Sequence[tuple[str, str]], size: float = 8) -> Flowable:
     """Return a table of names and what is to be said of them."""
     cells = [[paragraph(name, size, QUIET), paragraph(value, size)] for name, value in rows]
     return Table(cells, colWidths=[38 * mm, WIDTH - 38 * mm], style=grid(size))
+
+
+def text_table(rows: Sequence[Sequence[str]], widths: Sequence[float], size: float) -> Table:
+    """Return a table of texts in columns of these widths in points."""
+    # A text as it stands is lower than a paragraph; it needs a font that has its letters.
+    cells = [[text if has_all(PLAIN, text) else paragraph(text, size) for text in row] for row in rows]
+    return Table(cells, colWidths=list(widths), style=grid(size))
 
 
 def grid(size: float) -> TableStyle:

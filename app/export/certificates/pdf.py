@@ -8,7 +8,7 @@ from reportlab.platypus import Flowable, Paragraph, Spacer, Table
 from softcal.app.export.certificates import parts
 from softcal.app.export.certificates.content import DECISION_RULE, ONLY_THIS, Certificate
 from softcal.app.export.certificates.dcc import certificate_xml
-from softcal.app.export.certificates.fonts import BOLD
+from softcal.app.export.certificates.fonts import BOLD, writable
 from softcal.app.export.certificates.laboratory import NO_COUNTRY, NOT_STATED, Party
 from softcal.app.export.certificates.plots import SHOWN_S, estimate_plot, map_plot
 from softcal.core.unit.uncertainty import ErrorForecast
@@ -31,7 +31,8 @@ def certificate_pdf(facts: Certificate) -> bytes:
     colour = parts.VERDICT_COLOURS[facts.verdict if is_made else "retest"]
     word = facts.verdict.upper() if is_made else "NO STATEMENT OF CONFORMITY"
     picture = Drawing(24 * mm, 24 * mm)
-    picture.add(QrCodeWidget(f"{facts.identifier} {dict(facts.hashes)['map']}", barWidth=24 * mm, barHeight=24 * mm))
+    code = f"{writable(facts.identifier)} {dict(facts.hashes)['map']}"
+    picture.add(QrCodeWidget(code, barWidth=24 * mm, barHeight=24 * mm))
     laboratory, issued_on = facts.laboratory.laboratory, facts.issued_on.isoformat()
     head = [
         Paragraph("Calibration certificate", parts.style(18, BOLD)),
@@ -47,7 +48,7 @@ def certificate_pdf(facts: Certificate) -> bytes:
             [f"U_est (k = 2), {unit}", *(f"{band.expanded:.3g}" for band in facts.bands)],
         ]
         widths = [first, *[(parts.WIDTH - first) / len(facts.bands)] * len(facts.bands)]
-        bands = Table(rows, colWidths=widths, style=parts.grid(8))
+        bands = parts.text_table(rows, widths, 8)
     recorded = f"Estimates of the unit's own recording with U_est (k = 2), first {SHOWN_S:g} s"
     story = [
         Table([[head, picture]], colWidths=[parts.WIDTH - 26 * mm, 26 * mm], style=parts.flush()),
@@ -155,7 +156,7 @@ def _budget(facts: Certificate) -> list[Flowable]:
     rows.append(["combined", "", "", "", "", f"{budget.standard:.3g}"])
     rows.append(["expanded, k = 2", "", "normal", "", "", f"U_est = {budget.expanded:.3g}"])
     first = 48 * mm
-    table = Table([head, *rows], colWidths=[first, *[(parts.WIDTH - first) / 5] * 5], style=parts.grid(7))
+    table = parts.text_table([head, *rows], [first, *[(parts.WIDTH - first) / 5] * 5], 7)
     unsaid = "" if facts.reference is not None else " The reference's own uncertainty was not stated and is not in it."
     said = parts.paragraph(f"At {budget.load:.4g} {unit}, the RMS load of the source (GUM, JCGM 100:2008).{unsaid}", 7)
     return [*parts.section("Uncertainty budget of an estimate", table), said]

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 from reportlab.graphics.charts.axes import XValueAxis, YValueAxis
-from reportlab.graphics.shapes import Drawing, Line, Polygon, PolyLine, String
+from reportlab.graphics.shapes import Drawing, Group, Line, Polygon, PolyLine, String
 from reportlab.lib import colors
 
 from softcal.app.export.certificates.content import Certificate
-from softcal.app.export.certificates.fonts import font_for
+from softcal.app.export.certificates.fonts import PLAIN, runs_of, width_of
 from softcal.core.recording import Array
 
 SIZE = 7
@@ -122,7 +122,7 @@ class _Axes:
             axis.valueMin, axis.valueMax = (0.0 if is_count and axis is up else low - margin), high + margin
             axis.maximumTicks, axis.labelTextFormat = MOST_TICKS, "%g"
             axis.strokeColor, axis.strokeWidth = AXIS, 0.5
-            axis.labels.fontName, axis.labels.fontSize, axis.labels.fillColor = font_for("0"), SIZE, AXIS
+            axis.labels.fontName, axis.labels.fontSize, axis.labels.fillColor = PLAIN, SIZE, AXIS
             if is_count and axis is up:
                 axis.valueStep = max(1, math.ceil(axis.valueMax / MOST_TICKS))
             axis.setPosition(LEFT, BOTTOM, length)
@@ -138,5 +138,11 @@ class _Axes:
         return [round(at, 2) for one, other in pairs for at in (self.across.scale(one), self.up.scale(other))]
 
 
-def _label(x: float, y: float, text: str, anchor: str, colour: colors.Color = AXIS) -> String:
-    return String(x, y, text, fontName=font_for(text), fontSize=SIZE, fillColor=colour, textAnchor=anchor)
+def _label(x: float, y: float, text: str, anchor: str, colour: colors.Color = AXIS) -> Group:
+    """A text that begins, ends or has its middle (`anchor`) at x, every run of letters in a font that has them."""
+    runs, label = runs_of(text), Group()
+    x -= {"start": 0.0, "middle": 0.5, "end": 1.0}[anchor] * width_of(runs, SIZE)
+    for font, letters in runs:
+        label.add(String(x, y, letters, fontName=font, fontSize=SIZE, fillColor=colour))
+        x += width_of([(font, letters)], SIZE)
+    return label
