@@ -1,13 +1,17 @@
-"""Speed: estimates per second through f∘γ, and seconds and memory to fit one map.
+"""Speed: estimates per second through f∘γ, seconds and memory to fit one map, and what a command costs to start.
 
-python benchmarks/speed.py estimate|fit [--quick]
+python benchmarks/speed.py estimate|fit|start [--quick]
 """
 
 import argparse
+import subprocess
+import sys
+import tempfile
 import time
 import tracemalloc
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 import ot
@@ -201,10 +205,84 @@ def unit(count: int, seed: int, gain: float, offset_V: float) -> LabelledRecordi
     return LabelledRecording(OutputRecording(f"U{seed}", np.arange(count) / 50.0, output_V, 50.0), force_N)
 
 
+def start(options: argparse.Namespace) -> None:
+    """CPU and memory of commands that people wait for, beside `python -c pass` and the libraries they stand on.
+
+    Every row is the least of several runs in a process of its own, the rows in turn, so that all have the same machine.
+    The estimate is of 1,000 rows, with a network of 16 and 8 nodes.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        registry, recording, out = _calibrated_unit(Path(name))
+        softcal, where = str(Path(sys.executable).with_name("softcal")), ["--registry", registry]
+        commands = {
+            "python -c pass": [sys.executable, "-c", "pass"],
+            "*import numpy*": [sys.executable, "-c", "import numpy"],
+            "*import sqlalchemy*": [sys.executable, "-c", "import sqlalchemy"],
+            "*import pandas*": [sys.executable, "-c", "import pandas"],
+            "softcal --help": [softcal, "--help"],
+            "softcal estimate --help": [softcal, "estimate", "--help"],
+            "softcal registry list": [softcal, "registry", "list", *where],
+            "softcal estimate": [
+                softcal,
+                "estimate",
+                "--serial",
+                "S2",
+                recording,
+                "--out",
+                out,
+                "--registry",
+                registry,
+            ],
+        }
+        costs: dict[str, list[tuple[float, float]]] = {name: [] for name in commands}
+        for _ in range(3 if options.quick else 15):
+            for name, command in commands.items():
+                costs[name].append(_cost(command))
+    least = {name: min(runs) for name, runs in costs.items()}
+    floor_s = least["python -c pass"][0]
+    rows = ((name, cpu_s, cpu_s / floor_s, f"{peak_MB:.0f}") for name, (cpu_s, peak_MB) in least.items())
+    print_table("command | CPU, s | times python -c pass | memory, MB", rows)
+
+
+MEASURE = """import os, sys
+quiet = [(os.POSIX_SPAWN_OPEN, number, os.devnull, os.O_WRONLY, 0) for number in (1, 2)]
+_, status, used = os.wait4(os.posix_spawn(sys.argv[1], sys.argv[1:], os.environ, file_actions=quiet), 0)
+print(status, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
+"""
+"""A process begins with the peak memory of the one that starts it: a small one does."""
+
+
+def _cost(command: Sequence[str]) -> tuple[float, float]:
+    """CPU in s and peak memory in MB of one run."""
+    small = [sys.executable, "-I", "-S", "-c", MEASURE, *command]
+    status, cpu_s, peak_MB = subprocess.run(small, capture_output=True, text=True, check=True).stdout.split()
+    if status != "0":
+        raise RuntimeError(f"{' '.join(command)} failed")
+    return float(cpu_s), float(peak_MB)
+
+
+def _calibrated_unit(folder: Path) -> tuple[str, str, str]:
+    """Calibrate a unit S2 by the commands; return the registry's URL, 1,000 further rows of it, and a file to write."""
+    registry, tables = f"sqlite:///{folder / 'registry.db'}", []
+    for serial, samples, seed, gain in (("S1", 1500, 1, 1.0), ("S2", 1500, 2, GAIN), ("new", 1000, 3, GAIN)):
+        pressed = unit(samples, seed, gain, 0.0)
+        table = folder / f"{serial}.csv"
+        columns = np.column_stack([pressed.unlabelled.t_s, pressed.unlabelled.output, pressed.reference])
+        np.savetxt(table, columns, delimiter=",", header="t_s,output,reference", comments="")
+        tables.append(str(table))
+    softcal, lot = str(Path(sys.executable).with_name("softcal")), str(folder / "lot")
+    names = ["--source", "S1", "--output-column", "output", "--reference-column", "reference", "--time-column", "t_s"]
+    subprocess.run([softcal, "import", *tables[:2], *names, "--sample-rate", "50", "--out", lot], check=True)
+    small = ["--hidden", "16,8", "--no-own", "--registry", registry]
+    subprocess.run([softcal, "batch", lot, *small], stdout=subprocess.DEVNULL, check=False)
+    return registry, tables[2], str(folder / "estimate.csv")
+
+
 def main() -> None:
     every = Commands(__doc__)
     every.add(estimate, "a tenth of the samples")
     every.add(fit, "POT at 1,500 windows instead of 6,250")
+    every.add(start, "3 runs a command instead of 15")
     every.run()
 
 

@@ -284,6 +284,10 @@ class GoldenRun:
         object.__setattr__(self, "reasons", tuple(map(Reason.of, self.reasons)))
 
 
+ROLES = ("operator", "engineer", "quality")
+"""Of people and programs; `access.people` says what each may do."""
+
+
 @dataclass(frozen=True)
 class User:
     """A person with a role, never the PIN; `is_alone`: nobody else has an account, and the role decides on people."""

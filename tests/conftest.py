@@ -78,16 +78,17 @@ def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Write one line that counts what was not proven, by what it needs."""
+    """Write one line that counts what was not proven, by the Debian package or the reason."""
     reasons = [report.longrepr[2].removeprefix("Skipped: ") for report in terminalreporter.stats.get("skipped", [])]
-    if not reasons:
-        return
-    packages = [re.findall(r"apt-get install ([\w+. -]+)", reason) for reason in reasons]
-    needs = Counter(name for one in packages for names in one for name in names.split())
-    others = Counter(reason for one, reason in zip(packages, reasons, strict=True) if not one)
-    lacks = [f"apt-get install {' '.join(sorted(needs))}"] if needs else []
-    lacks += [f"{reason} ({count})" for reason, count in others.most_common()]
-    terminalreporter.write_line(f"NOT PROVEN HERE: {len(reasons)} tests were skipped. They need: {'; '.join(lacks)}")
+    packages, others = Counter[str](), Counter[str]()
+    for reason in reasons:
+        named = re.search(r"apt-get install (.*)", reason)
+        packages.update(named[1].split() if named else [])
+        others.update([] if named else [reason])
+    lacks = [f"Debian's {name} ({count})" for name, count in sorted(packages.items())]
+    lacks += [f"{reason} ({count})" for reason, count in sorted(others.items())]
+    if lacks:
+        terminalreporter.write_line(f"NOT PROVEN HERE: skipped {len(reasons)}, for want of {', '.join(lacks)}")
 
 
 @pytest.fixture(autouse=True)

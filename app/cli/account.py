@@ -8,8 +8,7 @@ from pathlib import Path
 from softcal.app.cli.options import actions_of, add_shared, answer, registry_of
 from softcal.app.output import print_table, say
 from softcal.core.errors import InputError
-from softcal.db.access.people import ROLES
-from softcal.db.entries import User
+from softcal.db.entries import ROLES, User
 
 EXAMPLES = """examples:
   softcal account set "Mina Park" --role quality --reason "first account of line 3"     asks for the PIN
@@ -19,7 +18,6 @@ EXAMPLES = """examples:
 
 Operators need no account. The page People shows and changes the same accounts.
 """
-HELP = "people and programs, their roles and PINs"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

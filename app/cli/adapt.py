@@ -30,7 +30,6 @@ Only t_s and output of IN are read. Row k of OUT depends on rows up to k alone; 
 (`recalibrate` once a calibration with a reference is due), and whether its map is `unwatched` (nothing to compare the
 use with yet), `held` (use or drift, which cannot be told) or `followed`. Damaged samples are flagged and move nothing.
 """
-HELP = "estimate over long use, the map following the drift"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

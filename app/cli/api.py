@@ -22,7 +22,6 @@ EXAMPLES = """examples:
 
 A token may do what the role of its account may; `softcal account` makes accounts.
 """
-HELP = "the REST interface for other programs, and their tokens"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

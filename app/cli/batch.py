@@ -29,7 +29,6 @@ EXAMPLES = """examples:
 Stopped in the middle? Run the same command again: finished units are kept.
 Exit code 0: every unit passed; 1: done, but some unit did not pass.
 """
-HELP = "calibrate a lot: train or reuse f, fit every map, verdicts, registry, exports"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

@@ -6,7 +6,6 @@ EXAMPLES = """examples:
   softcal completion bash > ~/.local/share/bash-completion/completions/softcal
   softcal completion zsh > ~/.zfunc/_softcal         # with fpath+=~/.zfunc before compinit
 """
-HELP = "print what a shell needs to complete commands and options"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

@@ -10,13 +10,10 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from softcal.app.bootstrap import REGISTRY_VARIABLE
 from softcal.app.cli.parser import suggestion
 from softcal.core.errors import InputError
 
 HERE = Path("softcal.toml")
-VARIABLES = {"registry": REGISTRY_VARIABLE}
-"""Options that an environment variable gives, too."""
 
 
 def user_file() -> Path:
@@ -51,6 +48,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def _apply(path: Path, table: Mapping[str, object], parser: argparse.ArgumentParser, command: str = "") -> None:
+    from softcal.app.bootstrap import REGISTRY_VARIABLE
+
     below = _commands(parser)
     for key, value in table.items():
         if isinstance(value, Mapping):
@@ -63,7 +62,7 @@ def _apply(path: Path, table: Mapping[str, object], parser: argparse.ArgumentPar
         if not takers:
             known = suggestion(key, {name for each in _leaves(parser) for name in _options(each)})
             raise InputError(f"{path}: no option --{key} of {command or 'any command'} takes a value{known}")
-        if key not in VARIABLES or not os.environ.get(VARIABLES[key]):
+        if key != "registry" or not os.environ.get(REGISTRY_VARIABLE):
             for owner, action in takers:
                 _set(path, owner, action, value)
 

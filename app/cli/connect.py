@@ -16,7 +16,6 @@ EXAMPLES = """examples:
   softcal connect status                                how far every destination is, and what is wrong
   softcal adapt --serial A1 - --out - | softcal connect estimates plant.toml --serial A1
 """
-HELP = "send verdicts and alerts: webhooks, mail, MQTT, OPC UA"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

@@ -15,7 +15,6 @@ then look around:
   softcal registry list --registry sqlite:///softcal-demo/registry.db
   softcal ui --registry sqlite:///softcal-demo/registry.db
 """
-HELP = "the main job from end to end on a simulated station"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

@@ -14,7 +14,6 @@ EXAMPLES = """examples:
 
 No password, PIN or recording goes into the report; logs go in with the passwords of URLs masked.
 """
-HELP = "look the installation over; collect what support needs"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

@@ -13,7 +13,6 @@ EXAMPLES = """examples:
 
 Columns of the result: t_s, estimate, lower, upper (a 90 % interval), flag (why a row is not to be trusted).
 """
-HELP = "estimate the reference from a unit's output"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

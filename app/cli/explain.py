@@ -12,7 +12,6 @@ EXAMPLES = """examples:
   softcal explain --serial A1 --method                every number it was calibrated with, and where each comes from
   softcal batch lot-1 --plots why                     a figure of every unit
 """
-HELP = "why the verdict of a unit is what it is: reasons, error budget, one figure"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

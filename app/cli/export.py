@@ -34,7 +34,6 @@ A unit file takes the least of 256, 512 and 1024 bytes that keeps the device wit
 --unit-bytes holds all units to one size. The table shows what the device form changes: `map` by its small curve,
 `error` in all, both as changes of the estimate on the unit's own recording.
 """
-HELP = "write calibration files for devices, PCs and auditors"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

@@ -51,7 +51,6 @@ _EFFECTS_EXAMPLES = """examples:
   softcal gap effects
   softcal gap effects --json effects.json
 """
-HELP = "diagnose the sim-to-real gap: where, which cause, how far it shrinks"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

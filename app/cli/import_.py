@@ -16,7 +16,6 @@ EXAMPLES = """examples:
         --time-column t_s --reference-quantity pressure --reference-unit bar --output-unit count --out lot-2
 then: softcal batch lot-1
 """
-HELP = "make a lot folder out of CSV, Excel or Parquet files"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

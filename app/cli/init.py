@@ -23,7 +23,6 @@ then: softcal station check --station station.toml; softcal batch lot-1
 
 NO_CELL = "none"
 T = TypeVar("T")
-HELP = "make a lot folder or a station file by questions"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

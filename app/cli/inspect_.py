@@ -12,7 +12,6 @@ EXAMPLES = """examples:
 
 A damaged file is refused with the reason; with --network the unit's self-tests are run as a device would.
 """
-HELP = "say what a calibration file holds, and whether it is whole"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

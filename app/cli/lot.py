@@ -24,7 +24,6 @@ from softcal.app.output import print_table, say, write_json
 from softcal.app.texts.catalogue import here
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.quality.line_rules import LETTERS, RETESTS
-from softcal.core.quality.lot_standing import Way
 
 DONE, SOME_UNIT_NOT_PASSED, REFUSED = 0, 1, 2
 MOST_TOLD = 20
@@ -56,7 +55,6 @@ AUDIT_EXAMPLES = """examples:
 LOT is a lot folder: the recordings go into its audit/, and `softcal batch LOT` judges by them. Or it is a lot of the
 registry: they are kept there, and scored at once.
 """
-HELP = "watch a lot folder; set the limit of a lot; plan and judge its audit"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -153,6 +151,7 @@ def _release(options: argparse.Namespace) -> int:
     from softcal.app.export.certificates.lot_statement import lot_statement_facts, lot_statement_pdf
     from softcal.app.files.atomic import write_bytes
     from softcal.app.texts.catalogue import text
+    from softcal.core.quality.lot_standing import Way
 
     lot_id = lot_id_of(options.lot)
     with registry_of(options) as registry:

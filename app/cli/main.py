@@ -3,8 +3,8 @@
 import argparse
 import importlib
 import sys
-from collections.abc import Sequence
-from importlib.metadata import version
+from collections.abc import Collection
+from functools import partial
 
 from softcal.app.cli.configuration import configure, files_in_use
 from softcal.app.cli.parser import Parser
@@ -14,12 +14,35 @@ from softcal.core.errors import DeviceError, InputError, RegistryError, SoftcalE
 
 DONE, SOME_UNIT_NOT_PASSED, WRONG_USE, RIG_FAILED, REGISTRY_FAILED = 0, 1, 2, 3, 4
 
-COMMANDS = tuple(
-    "demo init import_ train batch estimate explain trim adapt station export inspect_ registry lot quality gap report "
-    "ui account api connect doctor completion".split()
-)
-"""Modules of `softcal.app.cli`, in the order of `softcal --help`; each has `HELP`, `EXAMPLES`, `arguments` and
-`run`, or actions that set it."""
+COMMANDS = {
+    "demo": "the main job from end to end on a simulated station",
+    "init": "make a lot folder or a station file by questions",
+    "import_": "make a lot folder out of CSV, Excel or Parquet files",
+    "train": "train the shared network f on the source unit",
+    "batch": "calibrate a lot: train or reuse f, fit every map, verdicts, registry, exports",
+    "estimate": "estimate the reference from a unit's output",
+    "explain": "why the verdict of a unit is what it is: reasons, error budget, one figure",
+    "trim": "two or more known loads at the place of use re-anchor a unit's map",
+    "adapt": "estimate over long use, the map following the drift",
+    "station": "the rig: find devices, self-test, press and record a unit",
+    "export": "write calibration files for devices, PCs and auditors",
+    "inspect_": "say what a calibration file holds, and whether it is whole",
+    "registry": "the database: list, history, verify, backup, restore, sync, rollback, upgrade",
+    "lot": "watch a lot folder; set the limit of a lot; plan and judge its audit",
+    "quality": "gauge R&R, capability, yields, golden-unit trends",
+    "gap": "diagnose the sim-to-real gap: where, which cause, how far it shrinks",
+    "report": "one HTML page of a lot: verdicts, errors, process, every unit",
+    "ui": "the operator's screen and the engineer's desk",
+    "account": "people and programs, their roles and PINs",
+    "api": "the REST interface for other programs, and their tokens",
+    "connect": "send verdicts and alerts: webhooks, mail, MQTT, OPC UA",
+    "doctor": "look the installation over; collect what support needs",
+    "completion": "print what a shell needs to complete commands and options",
+}
+"""Modules of `softcal.app.cli`, in the order of `softcal --help`, and what each command is for.
+
+Each has `EXAMPLES`, `arguments`, and `run` or actions that set it, and is imported when its command is called.
+"""
 
 LOGGED = ("demo", "import_", "train", "batch", "trim", "adapt", "station", "lot", "ui", "account", "api", "connect")
 """Commands whose runs are in the log: with what they were called, what they did, how they ended."""
@@ -31,10 +54,8 @@ def main(arguments: list[str] | None = None) -> int:
     A defect of softcal itself is one line for the person, too; its traceback goes to the log.
     """
     given = sys.argv[1:] if arguments is None else arguments
-    # The modules of the commands that can matter: the one that is named, else all
-    named = [name for name in COMMANDS if name.rstrip("_") in given[:1]]
     # A configuration file is checked whole, with the options of every command.
-    parser = command_parser(COMMANDS if not named or files_in_use() else named)
+    parser = command_parser(COMMANDS if files_in_use() else ())
     try:
         configure(parser)
     except InputError as error:
@@ -79,22 +100,39 @@ def _outcome(options: argparse.Namespace) -> tuple[int, str]:
         return WRONG_USE, lacking or log_crash(error, str(options.run.__module__))
 
 
-def command_parser(modules: Sequence[str] = COMMANDS) -> argparse.ArgumentParser:
-    """Return the parser of the commands in these modules."""
+def command_parser(loaded: Collection[str] = COMMANDS) -> argparse.ArgumentParser:
+    """Return the parser of all commands; of those in `loaded` the options are there, of others once they are called."""
     parser = Parser(
         prog="softcal",
         description="Calibrate soft sensors: one shared network, one optimal-transport map per unit.",
         epilog="Start with: softcal demo",
     )
-    parser.add_argument("--version", action="version", version=f"softcal {version('softcal')}")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show program's version number and exit")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for name in modules:
-        module = importlib.import_module(f"softcal.app.cli.{name}")
-        what = " ".join((module.arguments.__doc__ or "").split())
-        command = commands.add_parser(name.rstrip("_"), help=module.HELP, description=what, epilog=module.EXAMPLES)
-        module.arguments(command)
-        command.set_defaults(run=getattr(module, "run", None))
+    for name, purpose in COMMANDS.items():
+        command = commands.add_parser(name.rstrip("_"), help=purpose, load=partial(_load, name))
+        if name in loaded:
+            command.load()
     return parser
+
+
+def _load(name: str, parser: Parser) -> None:
+    """Import the module of a command and give its parser what it says."""
+    module = importlib.import_module(f"softcal.app.cli.{name}")
+    parser.description = " ".join((module.arguments.__doc__ or "").split())
+    parser.epilog = module.EXAMPLES
+    module.arguments(parser)
+    parser.set_defaults(run=getattr(module, "run", None))
+
+
+class _Version(argparse.Action):
+    """Prints the version; only then is the metadata of the package read, which takes longer than any help."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *arguments: object) -> None:
+        from importlib.metadata import version
+
+        print(f"{parser.prog} {version('softcal')}")
+        parser.exit()
 
 
 if __name__ == "__main__":

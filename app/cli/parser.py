@@ -2,16 +2,36 @@
 
 import argparse
 import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 
-class Parser(argparse.ArgumentParser):
-    """Says what a mistyped command, option or choice may have meant; keeps lines of examples."""
+class _Formatter(argparse.HelpFormatter):
+    """Fills a text as a paragraph; one of several lines, such as examples, stays as it is."""
 
-    def __init__(self, *, epilog: str | None = None, **options: Any) -> None:
-        shape = argparse.RawDescriptionHelpFormatter if "\n" in (epilog or "") else argparse.HelpFormatter
-        super().__init__(epilog=epilog, formatter_class=shape, **options)
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        if "\n" not in text:
+            return super()._fill_text(text, width, indent)
+        return "".join(indent + line for line in text.splitlines(keepends=True))
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what a mistyped command, option or choice may have meant; keeps lines of examples.
+
+    Args:
+        load: gives the parser its description and options when the command is called. So a command imports only its
+            own module, and `softcal --help` none.
+    """
+
+    def __init__(self, *, load: Callable[["Parser"], None] | None = None, **options: Any) -> None:
+        super().__init__(formatter_class=_Formatter, **options)
+        self._load = load
+
+    def load(self) -> None:
+        """Have the description and the options of the command, where it has not been called yet."""
+        load, self._load = self._load, None
+        if load is not None:
+            load(self)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         try:
@@ -23,6 +43,7 @@ class Parser(argparse.ArgumentParser):
         self, args: Sequence[str] | None = None, namespace: Any = None
     ) -> tuple[argparse.Namespace, list[str]]:
         """Parse; an unknown option is refused here, by the command that knows its own options."""
+        self.load()
         options, left = super().parse_known_args(args, namespace)
         if left:
             unknown = next((word for word in left if word.startswith("-")), left[0]).partition("=")[0]

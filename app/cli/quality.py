@@ -16,7 +16,6 @@ EXAMPLES = """examples:
 
 A capability is refused while the process is not stable: the number would promise what nobody can keep.
 """
-HELP = "gauge R&R, capability, yields, golden-unit trends"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

@@ -22,7 +22,6 @@ EXAMPLES = """examples:
 The registry is an SQLite file or a PostgreSQL database:
   --registry sqlite:///relative.db, sqlite:////absolute/file.db or postgresql://USER@HOST/DATABASE
 """
-HELP = "the database: list, history, verify, backup, restore, sync, rollback, upgrade"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

@@ -13,7 +13,6 @@ EXAMPLES = """examples:
   softcal report lot-1                              writes lot-1.html
   softcal report lot-1 --out report.html --language ko
 """
-HELP = "one HTML page of a lot: verdicts, errors, process, every unit"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

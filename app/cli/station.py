@@ -40,8 +40,6 @@ EXAMPLES = """examples:
 Exit code 3: a device is missing or failed; the stage was stopped and no file was written.
 """
 
-HELP = "the rig: find devices, self-test, press and record a unit"
-
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """The rig: find its devices, test it, press a unit with a profile and record it."""

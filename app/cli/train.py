@@ -10,7 +10,6 @@ EXAMPLES = """examples:
   softcal train lot-1
   softcal train lot-1 --registry sqlite:///line-3.db --hidden 32,16 --seed 7 --json -
 """
-HELP = "train the shared network f on the source unit"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

@@ -11,7 +11,6 @@ EXAMPLES = """examples:
 Two loads fix zero and span: nothing on the unit, and a weight near the top of its range. Every trim is a
 revision of its own; `softcal registry rollback` takes it back.
 """
-HELP = "two or more known loads at the place of use re-anchor a unit's map"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

@@ -13,7 +13,6 @@ EXAMPLES = """examples:
 
 Closing the application never stops the station: its service is a process of its own (softcal station serve).
 """
-HELP = "the operator's screen and the engineer's desk"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

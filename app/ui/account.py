@@ -16,8 +16,8 @@ from softcal.app.ui.pins import Pauses, is_code, new_code
 from softcal.app.ui.server_memory import registry
 from softcal.core.errors import InputError
 from softcal.core.words.reason import Reason, reason
-from softcal.db.access.people import PERMISSIONS, ROLES, may
-from softcal.db.entries import User
+from softcal.db.access.people import PERMISSIONS, may
+from softcal.db.entries import ROLES, User
 
 SHIFT = timedelta(hours=10)
 """A sign-in ends after this time, though Streamlit's cookie of a company account lives 30 days."""

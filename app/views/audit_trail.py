@@ -8,8 +8,7 @@ from typing import Any
 
 from softcal.app.texts.reasons import Words
 from softcal.app.views.common import percent
-from softcal.db.access.people import ROLES
-from softcal.db.entries import AuditRow
+from softcal.db.entries import ROLES, AuditRow
 
 _ENTITIES = {
     "results": "calibrations refusals in_use adaptations unit lot_release audit_plan audit_result",

@@ -10,7 +10,7 @@ from sqlalchemy import RowMapping, func, insert, select, update
 
 from softcal.core.errors import InputError
 from softcal.core.words.reason import Reason
-from softcal.db.entries import User
+from softcal.db.entries import ROLES, User
 from softcal.db.schema.database import Database
 from softcal.db.schema.tables import users
 from softcal.db.truth.registry_base import RegistryBase
@@ -18,7 +18,6 @@ from softcal.db.truth.registry_base import RegistryBase
 if TYPE_CHECKING:
     from argon2 import PasswordHasher
 
-ROLES = ("operator", "engineer", "quality")
 SHORTEST_PIN = 4
 MOST_FAILURES = 5
 LOCKED_FOR = timedelta(minutes=5)

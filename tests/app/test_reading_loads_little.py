@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from softcal.app.cli.main import main
+from softcal.app.cli.main import COMMANDS, main
 from softcal.db.connection import open_registry
 
 HEAVY = {"scipy", "pandas", "pyarrow", "alembic", "torch", "numba", "ot", "structlog", "argon2", "psycopg", "openpyxl",
@@ -55,6 +55,26 @@ def loaded(*arguments: str, codes: tuple[int, ...] = (0,)) -> set[str]:
 def test_a_command_that_reads_loads_only_what_it_uses(calibrated, command, without):
     found = loaded(*(part.format(**calibrated) for part in command.split()))
     assert found & without == set()
+
+
+def asked(*arguments: str) -> set[str]:
+    """Ask a command for its help or version and return the names of all modules it loaded."""
+    call = f"with contextlib.suppress(SystemExit): main({list(arguments)!r})"
+    return modules_of(f"import contextlib\nfrom softcal.app.cli.main import main\n{call}")
+
+
+@pytest.mark.parametrize("option", ["--help", "--version"])
+def test_what_is_asked_of_softcal_itself_loads_no_command(option):
+    found = asked(option)
+    assert not found & (HEAVY | NUMBERS | {"sqlalchemy"})
+    assert not {f"softcal.app.cli.{name}" for name in COMMANDS} & found
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_help_of_a_command_loads_that_command_and_no_library(command):
+    found = asked(command.rstrip("_"), "--help")
+    assert not found & (HEAVY | NUMBERS | {"sqlalchemy"})
+    assert {name for name in COMMANDS if f"softcal.app.cli.{name}" in found} == {command}
 
 
 def test_listing_loads_no_other_command_and_no_queue(calibrated):

@@ -10,8 +10,7 @@ from softcal.app.ui.desk import named, say
 from softcal.app.ui.panels import heading, rest_may_follow, table
 from softcal.app.ui.pins import check_pin
 from softcal.app.ui.server_memory import registry
-from softcal.db.access.people import ROLES
-from softcal.db.entries import User
+from softcal.db.entries import ROLES, User
 
 NEW = User("", "operator", True, 0)
 
