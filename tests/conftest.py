@@ -170,14 +170,16 @@ def require() -> Callable[[object, str], None]:
 
 
 @pytest.fixture(scope="session")
-def require_program(require: Callable[[object, str], None]) -> Callable[[str], str]:
-    """`require_program("gcc")`: the path of a program of `PACKAGES`; where it is missing the test is skipped."""
+def require_program(require: Callable[[object, str], None]) -> Callable[..., str]:
+    """`require_program("gcc")`: the path of a program of `PACKAGES`; where it or others are missing, skip the test."""
 
-    def find(program: str) -> str:
+    def find(program: str, *others: str) -> str:
         # Debian installs daemons where only root looks.
-        path = shutil.which(program) or shutil.which(program, path="/usr/sbin")
-        require(path, f"{program} is missing; apt-get install {PACKAGES[program]}")
-        return str(path)
+        paths = {name: shutil.which(name) or shutil.which(name, path="/usr/sbin") for name in (program, *others)}
+        lacking = [name for name, path in paths.items() if path is None]
+        packages = " ".join(PACKAGES[name] for name in lacking)
+        require(not lacking, f"{', '.join(lacking)} missing; apt-get install {packages}")
+        return str(paths[program])
 
     return find
 

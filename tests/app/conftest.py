@@ -327,7 +327,7 @@ def wait_for(url: str) -> None:
 
 
 @pytest.fixture(scope="session")
-def chromium(require_program: Callable[[str], str]) -> Iterator[Browser]:
+def chromium(require_program: Callable[..., str]) -> Iterator[Browser]:
     """One headless Chromium for all tests."""
     path = require_program("chromium")
     expect.set_options(timeout=1000 * START_S)

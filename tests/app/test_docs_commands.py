@@ -176,7 +176,7 @@ def test_the_readme_runs_as_written(workplace: Callable[[str], Path]) -> None:
     ],
 )
 def test_a_page_runs_as_written(
-    workplace: Callable[[str], Path], page: str, serial: str, least: int, require_program: Callable[[str], str]
+    workplace: Callable[[str], Path], page: str, serial: str, least: int, require_program: Callable[..., str]
 ) -> None:
     folder = workplace(serial)
     shutil.copy(folder / "plain.csv", folder / "new.csv")

@@ -242,7 +242,7 @@ def test_check_answers_three_questions_apart(run: Run, tmp_path: Path, capsys: p
 
 
 def test_a_certificate_carries_a_signature_that_other_programs_verify(
-    run: Run, tmp_path: Path, require_program: Callable[[str], str]
+    run: Run, tmp_path: Path, require_program: Callable[..., str]
 ) -> None:
     require_program("openssl")
     out, (private, public) = tmp_path / "out", _keys(tmp_path)

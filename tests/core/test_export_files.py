@@ -310,7 +310,7 @@ RELEASES = {"1.0": ("unit", "linear", "both"), "1.1": ("mix",)}
 
 
 def test_a_foreign_tool_reads_the_hex_back(
-    unit_file: UnitFile, tmp_path: Path, require_program: Callable[[str], str]
+    unit_file: UnitFile, tmp_path: Path, require_program: Callable[..., str]
 ) -> None:
     require_program("objcopy")
     source, target = tmp_path / "unit.hex", tmp_path / "unit.bin"

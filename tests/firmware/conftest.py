@@ -83,7 +83,7 @@ def examples() -> Path:
 
 
 @pytest.fixture(scope="session")
-def build(tmp_path_factory: pytest.TempPathFactory, require_program: Callable[[str], str]) -> Callable[..., Path]:
+def build(tmp_path_factory: pytest.TempPathFactory, require_program: Callable[..., str]) -> Callable[..., Path]:
     """`build(source, *options)`: compile one C file for this machine with warnings as errors; returns the program."""
 
     def compile_for_host(source: Path, *options: str) -> Path:

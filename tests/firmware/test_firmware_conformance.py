@@ -42,7 +42,7 @@ def _numpy(unit: Path, text: str) -> tuple[int, list[str]]:
 
 @pytest.fixture(scope="module")
 def readers(
-    build_checked: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory, require_program: Callable[[str], str]
+    build_checked: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory, require_program: Callable[..., str]
 ) -> dict[str, Reader]:
     compiler, program = require_program("g++"), tmp_path_factory.mktemp("cpp") / "reader"
     source = FIRMWARE / "examples" / "cpp" / "softsensor_reader.cpp"

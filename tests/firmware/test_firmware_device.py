@@ -43,12 +43,11 @@ class Run:
 
 
 @pytest.fixture
-def run_on_board(require_program: Callable[[str], str], examples: Path, tmp_path: Path) -> Callable[..., Run]:
+def run_on_board(require_program: Callable[..., str], examples: Path, tmp_path: Path) -> Callable[..., Run]:
     """`run_on_board(network, unit, codes)`: build the example for a board (default: Cortex-M0) and run it emulated."""
 
     def run(network: NetworkFile, unit: UnitFile, codes: Any, board: str = "m0", options: str = "-O2") -> Run:
-        for tool in TOOLS[board]:
-            require_program(tool)
+        require_program(*TOOLS[board])
         (tmp_path / "network.h").write_text(network_header(network))
         (tmp_path / "unit.h").write_text(unit_header(unit))
         listed = ",".join(map(str, codes))
@@ -188,7 +187,7 @@ def test_the_portable_loop_gives_the_same_integers(run_on_board: Callable[..., R
 
 @pytest.mark.parametrize(("core", "most_bytes"), [("cortex-m0plus", 1920), ("cortex-m4", 1920)])
 def test_code_and_tables_stay_small(
-    require_program: Callable[[str], str], runtime: Path, tmp_path: Path, core: str, most_bytes: int
+    require_program: Callable[..., str], runtime: Path, tmp_path: Path, core: str, most_bytes: int
 ) -> None:
     require_program("arm-none-eabi-gcc")
     source, image = tmp_path / "size.c", tmp_path / "size.o"
@@ -209,7 +208,7 @@ ss_estimate tick(uint16_t code, uint32_t t) { ss_push(&sensor, code, t); return 
 
 
 def test_the_runtime_needs_nothing_from_libc(
-    require_program: Callable[[str], str], runtime: Path, tmp_path: Path
+    require_program: Callable[..., str], runtime: Path, tmp_path: Path
 ) -> None:
     require_program("arm-none-eabi-gcc")
     source, image = tmp_path / "alone.c", tmp_path / "alone.o"

@@ -245,9 +245,7 @@ inline uint32_t millis() {
 
 
 @pytest.fixture
-def sketch(
-    runtime: Path, examples: Path, real_case: Any, tmp_path: Path, require_program: Callable[[str], str]
-) -> Path:
+def sketch(runtime: Path, examples: Path, real_case: Any, tmp_path: Path, require_program: Callable[..., str]) -> Path:
     """The Arduino example as a program: argument 1 a stall in ms, prints the flags of every estimate."""
     text = (examples / "arduino" / "softsensor_arduino" / "softsensor_arduino.ino").read_text()
     (tmp_path / "network-0123456789abcdef.h").write_text(network_header(real_case.network_file))
@@ -277,7 +275,7 @@ def test_the_arduino_sketch_gives_no_wrong_window_after_a_stall(sketch: Path, st
 
 @pytest.mark.parametrize("command", [("gcc", "-std=c99", "only.c"), ("g++", "-std=c++11", "only.cpp")])
 def test_the_header_alone_gives_no_warning(
-    runtime: Path, tmp_path: Path, command: tuple[str, ...], require_program: Callable[[str], str]
+    runtime: Path, tmp_path: Path, command: tuple[str, ...], require_program: Callable[..., str]
 ) -> None:
     compiler, standard, name = command
     (tmp_path / name).write_text('#include "softsensor.h"\n')
