@@ -131,7 +131,9 @@ def _memory(text: str) -> bytes:
     return b"".join(line[4:-1] for line in raw if line[3] == 0)
 
 
-def test_all_forms_of_a_unit_agree_on_the_same_windows(run: Run, tmp_path: Path, rng: np.random.Generator) -> None:
+def test_all_forms_of_a_unit_agree_on_the_same_windows(
+    run: Run, tmp_path: Path, rng: np.random.Generator, require_program: Callable[..., str]
+) -> None:
     """ONNX, C, hex, blob, JSON and NumPy; windows of the unit's own range and far outside it."""
     run("--serial", "A2", *[word for name in ("blob", "c", "hex", "json", "onnx") for word in ("--format", name)])
     out = tmp_path / "out"
@@ -150,7 +152,6 @@ def test_all_forms_of_a_unit_agree_on_the_same_windows(run: Run, tmp_path: Path,
     codes = np.clip(np.rint(start + np.cumsum(rng.normal(0, 0.01 * span, (600, 15)), axis=1)), 0, 65_535).astype(int)
     numpy = sensor.estimate(codes)
     by_numpy = np.stack([numpy.value, numpy.lower, numpy.upper, numpy.flags], axis=1)
-    assert np.array_equal(_by_c(tmp_path, (network_path, out / "unit-A2.ssc"), codes), by_numpy)
     assert {0, OUT_OF_RANGE} <= set(numpy.flags.tolist())
 
     session = onnxruntime.InferenceSession(out / "unit-A2.onnx")
@@ -165,6 +166,9 @@ def test_all_forms_of_a_unit_agree_on_the_same_windows(run: Run, tmp_path: Path,
     assert np.abs(np.stack([estimate - lower, upper - estimate], axis=1) - reach)[inside].max() < 0.02 * full_scale
     assert np.array_equal(flag & OUT_OF_RANGE, numpy.flags & OUT_OF_RANGE)
     assert np.mean((flag & CLAMPED) == (numpy.flags & CLAMPED)) > 0.95
+
+    require_program("gcc")
+    assert np.array_equal(_by_c(tmp_path, (network_path, out / "unit-A2.ssc"), codes), by_numpy)
 
 
 def test_the_json_holds_the_calibration_without_loss(run: Run, calibrated: str, tmp_path: Path) -> None:
