@@ -37,6 +37,14 @@ THEN = {
 }
 """The cell changes at a drawn moment, after the unit has shown a fifth of its largest force."""
 
+LOOSE = {
+    "output 0 V": lambda value: 0.0,
+    "output halved": lambda value: 0.5 * value,
+    "output at its rail": lambda value: 5.0,
+}
+LOOSE_SAMPLES = (1, 2, 3)
+"""The output's cable is loose at a drawn moment, over so many samples."""
+
 STUCK_S = (0.5, 1.0, 2.0, 100.0)
 SLIPPED_MM = (0.3, 0.6, 1.0)
 EVERY = {"changed": 8, "broken": 16}
@@ -86,6 +94,9 @@ def _change(rig: GoodRig) -> Iterator[Row]:
     for what, value in [(what, value) for what, values in THEN.items() for value in values]:
         changed, wrong = _then(run, what, value, rng)
         yield {"what": what, "value": value, "said": _assembled(changed), "wrong": wrong}
+    for what, lost in LOOSE.items():
+        for count in LOOSE_SAMPLES:
+            yield {"what": what, "value": float(count), "said": _assembled(_loosened(run, lost, count, rng))}
 
 
 def _break(rig: GoodRig) -> Iterator[Row]:
@@ -145,6 +156,17 @@ def _then(run: SpooledRun, what: str, value: float, rng: np.random.Generator) ->
     return replace(run, force=force), wrong
 
 
+def _loosened(run: SpooledRun, lost: Callable[[float], float], count: int, rng: np.random.Generator) -> SpooledRun:
+    """Lose some samples of the output in the profile."""
+    begun_s, ended_s = run.facts["span_s"]
+    inside = [k for k, sample in enumerate(run.output) if begun_s < sample.host_s < ended_s]
+    begin = int(rng.choice(inside[count : -2 * count]))
+    output = list(run.output)
+    for k in range(begin, begin + count):
+        output[k] = replace(output[k], values=(lost(output[k].values[0]),))
+    return replace(run, output=tuple(output))
+
+
 Breaks = Callable[[SimulatedStation, float], None]
 
 
@@ -187,6 +209,7 @@ def _print(rows: list[Row]) -> None:
         "gain then": "gain of the load cell from a drawn moment on, times",
         "zero then": "zero of the load cell from a drawn moment on, N",
         "lag then": "delay of the load cell from a drawn moment on, s",
+        **{what: f"{what}, samples" for what in LOOSE},
         "stuck": "load cell stuck but noisy, s",
         "slipped": "motor loses steps in a press, mm",
     }

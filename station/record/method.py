@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from softcal.core.inspection.dropouts import DropoutConfig
 from softcal.core.settings import NumberedMethod, setting
 
 RIGS = "good rigs of benchmarks/station_proof.py, seeds 0 to 99, 156, 400 to 519 and 600 to 1099"
@@ -143,6 +144,7 @@ class ProofMethod(NumberedMethod):
     hang: HangConfig = field(default_factory=HangConfig)
     press: PressConfig = field(default_factory=PressConfig)
     output: OutputConfig = field(default_factory=OutputConfig)
+    dropout: DropoutConfig = field(default_factory=DropoutConfig)
 
 
 METHOD = ProofMethod()

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from softcal.core.errors import BadReply
+from softcal.core.inspection.dropouts import find_dropouts
 from softcal.core.recording import Array
 from softcal.core.words.reason import reason
 from softcal.station.record.method import METHOD
@@ -161,6 +162,23 @@ def check_follows(t_s: Array, output: Array, stage_mm_at: Callable[[Array], Arra
         followed = 1.0 - _misfit(basis, values) / spread if spread else 0.0
         if followed < OUTPUT.follows:
             raise BadReply(reason("rig.follows", percent=100 * followed))
+
+
+def check_converter(t_s: Array, output: Array, stage_mm: Array, unit: str) -> None:
+    """Raise `BadReply` when a bit of an output, (n, channels), hangs, or it jumps away for a moment and back.
+
+    A rail may be the only reading with some bit, and a bit that hangs makes jumps: bits are read beside the dropouts.
+    """
+    dropouts = [dropout for values in output.T for dropout in find_dropouts(t_s, values, stage_mm, METHOD.dropout)]
+    is_off = np.zeros(len(t_s), dtype=bool)
+    for dropout in dropouts:
+        is_off[dropout.begin : dropout.end] = True
+    check_bits(output[~is_off])
+    if dropouts:
+        first = min(dropouts, key=lambda dropout: dropout.begin)
+        at_s, lasts_s = t_s[first.begin], (first.end - first.begin) * np.median(np.diff(t_s))
+        levels = {"level": first.level, "expected": first.expected, "unit": unit}
+        raise BadReply(reason("rig.dropout", at_s=float(at_s), lasts_s=float(lasts_s), **levels))
 
 
 def check_bits(output: Array) -> None:

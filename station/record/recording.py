@@ -13,7 +13,7 @@ from softcal.station.device_names import CELL, named
 from softcal.station.interfaces import Sample, StagePosition
 from softcal.station.record.method import METHOD
 from softcal.station.record.proof import (
-    check_bits,
+    check_converter,
     check_follows,
     check_gain,
     check_lag,
@@ -156,7 +156,7 @@ def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
     moves = [DrivenMove(Trapezoid(*row[:4]), *row[4:]) for row in facts.moves]
     track = reconstruct([poll for poll in raw.polls if poll.host_s >= moves[0].begun_s], moves)
     stage_mm = track.at(host_s) - facts.zero_mm
-    check_bits(output)
+    check_converter(sensor_s - sensor_s[0], output, stage_mm, facts.output_unit)
     check_follows(host_s, output, track.at, facts.contact_mm)
     force_N, (behind_s, offset_s, cell_drift, cell_late_s) = None, (float("nan"),) * 4
     if not raw.force:

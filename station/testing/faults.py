@@ -111,6 +111,16 @@ def hang(station: SimulatedStation, seconds: float) -> None:
     station.rig.force_fault = hanging
 
 
+def loosen(station: SimulatedStation, seconds: float, change: Callable[[float], float]) -> None:
+    """The output's cable is loose for so long: the readout gets something else meanwhile."""
+    since_s = station.world.now_s()
+    station.rig.output_fault = lambda now_s, output_V: change(output_V) if now_s < since_s + seconds else output_V
+
+
+def _loosen(seconds: float, change: Callable[[float], float]) -> Inject:
+    return lambda station: loosen(station, seconds, change)
+
+
 def _floating(now_s: float, value: float) -> float:
     """An input that nothing drives: hum of the mains, far larger than any noise."""
     return 2.0 + 0.4 * math.sin(2 * math.pi * 49.0 * now_s) + 0.2 * math.sin(977.0 * now_s)
@@ -247,6 +257,11 @@ FAULTS: tuple[Fault, ...] = (
         _pressing("readout's amplifier clips at 1.6 V", _output(lambda x: min(x, 1.6)), 0.0),
         _from_the_start("readout's converter has bit 5 at 0", _output(_bit(5 / 1023, 5, False))),
         _from_the_start("readout's converter has bit 6 at 1", _output(_bit(5 / 1023, 6, True))),
+        *(
+            _pressing(f"output's cable loose for {seconds:g} s {when}: {what}", _loosen(seconds, change), after_s)
+            for what, change in (("0 V", lambda x: 0.0), ("halved", lambda x: 0.5 * x), ("rail", lambda x: 5.0))
+            for seconds, when, after_s in ((0.025, "in a hold", HOLD_S), (0.06, "while pressing", DOWN_S))
+        ),
         _pressing("unit's wire breaks", _output(lambda x: 5.0)),
         _pressing("unit's wires touch", _output(lambda x: 0.0)),
         _pressing("unit falls out between two presses", _GONE, BETWEEN_S),

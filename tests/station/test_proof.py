@@ -7,7 +7,7 @@ import pytest
 from common.proof_trial import draw_good_rig, open_good_rig, press_good_rig
 
 from softcal.core.errors import BadReply
-from softcal.core.profiles import ramps
+from softcal.core.profiles import moves, ramps
 from softcal.core.twin.simulate import Twin, simulate
 from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.devices.config import UNKNOWN_S
@@ -21,9 +21,10 @@ from softcal.station.record.proof import (
     lag_s,
     press_gains,
 )
-from softcal.station.record.recording import Raw, RunFacts, assemble
+from softcal.station.record.recording import Raw, RunFacts, assemble, restore
 from softcal.station.record.spool import read_spool
 from softcal.station.tasks.acquisition import record
+from softcal.station.testing.faults import loosen
 from tests.layers import layered
 
 TURNS_S, DEPTHS_MM = np.arange(0.0, 31.0, 1.5), np.tile([0.0, 3.0, 0.0, 2.0], 6)[:21]
@@ -188,6 +189,39 @@ def test_a_bit_that_hangs_is_found(bit, is_one, rng):
     check_bits(step_V * counts[:, None])
     stuck = counts | 1 << bit if is_one else counts & ~(1 << bit)
     assert refused("rig.bit", check_bits, step_V * stuck[:, None])["bit"] == bit
+
+
+@pytest.mark.parametrize(
+    "kind", ["arduino", "scpi_lcr", *(pytest.param(kind, marks=pytest.mark.long) for kind in ("scpi_dmm", "labjack"))]
+)
+def test_a_loose_cable_of_the_output_is_said_through_every_readout(kind):
+    profile, pending = moves("short", [0.0, 2.0, 0.0], [2.0, 2.0, 2.0], [0.5, 0.5, 0.5]), [1.2]
+    with open_simulated_bench(seed=3, readout_kind=kind) as (bench, station):
+
+        def loosen_once(progress):
+            if progress.phase == "pressing" and pending and progress.force_N > 0.5:
+                pending.clear()
+                loosen(station, 0.05, lambda output_V: 0.5 * output_V)
+
+        with pytest.raises(BadReply) as bad:
+            record(bench, "A1", profile, True, loosen_once)
+        assert not station.axis.is_moving
+    about = bad.value.reason.values["why"]
+    assert about.code == "rig.dropout"
+    assert about.values["level"] == pytest.approx(0.5 * about.values["expected"], rel=0.1)
+    assert 0.5 < about.values["at_s"] < 2.5 and 0.02 <= about.values["lasts_s"] <= 0.1
+
+
+def test_a_loose_cable_is_said_of_a_spooled_run_too(tmp_path):
+    rig = draw_good_rig(2003)
+    press_good_rig(rig, tmp_path / "run.spool")
+    run = read_spool(tmp_path / "run.spool")
+    at = next(k for k, sample in enumerate(run.output) if sample.host_s > run.facts["span_s"][0] + 5.0)
+    rail = [replace(s, values=(5.0,)) if at <= k < at + 2 else s for k, s in enumerate(run.output)]
+    with pytest.raises(BadReply) as bad:
+        restore(replace(run, output=tuple(rail)))
+    assert bad.value.reason.code == "rig.dropout"
+    assert bad.value.reason.values["at_s"] == pytest.approx(5.0, abs=0.1)
 
 
 def test_an_instrument_without_steps_has_no_bits(rng):

@@ -1,0 +1,127 @@
+"""Dropouts of an output: it jumps away and back as no unit does, but a loose cable. No I/O here."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.recording import Array, Indices
+from softcal.core.settings import setting
+
+RIGS = "good rigs of benchmarks/station_proof.py, seeds 2000 to 2149"
+
+THIRD_DIFFERENCE = 0.6745 * np.sqrt(20.0)
+"""Median size of the third differences of white noise by its standard deviation; motion hardly has any."""
+
+
+@dataclass(frozen=True)
+class DropoutConfig:
+    """What makes a dropout.
+
+    Args:
+        max_s: it lasts so long at most.
+        neighbours: an edge is compared with so many steps outside of it, one guard step left out: a converter that
+            averages may show the edge in two samples.
+        edge_steps: an edge is so many times the largest of these.
+        edge_share: and this share of the dropout, and of the other edge.
+        range_share, noises, counts: and this share of the recording's range, so many standard deviations of its noise,
+            so many steps of its converter.
+        stage_share: the stage's own excursion meanwhile, as a share of its range, is at most so many times the
+            output's: a short press is none.
+    """
+
+    max_s: float = setting(1.0, RIGS)
+    neighbours: int = setting(5, RIGS)
+    edge_steps: float = setting(3.0, RIGS)
+    edge_share: float = setting(0.45, RIGS)
+    range_share: float = setting(0.05, RIGS)
+    noises: float = setting(10.0, RIGS)
+    counts: float = setting(4.0, RIGS)
+    stage_share: float = setting(0.25, RIGS)
+
+
+CONFIG = DropoutConfig()
+
+
+@dataclass(frozen=True)
+class Dropout:
+    """One dropout.
+
+    Args:
+        begin, end: its samples, the end excluded.
+        level: the output where it is furthest off.
+        expected: what the samples beside the dropout let expect there.
+    """
+
+    begin: int
+    end: int
+    level: float
+    expected: float
+
+
+def find_dropouts(
+    t_s: Array, output: Array, stage_mm: Array | None = None, config: DropoutConfig = CONFIG
+) -> list[Dropout]:
+    """Return the dropouts of an output, first ones first; none overlap.
+
+    Args:
+        t_s: (n,) in s, strictly increasing.
+        output: (n,) in any unit.
+        stage_mm: (n,) position of the stage; None where it is unknown.
+    """
+    guard = config.neighbours + 1
+    if len(output) < 2 * guard:
+        return []
+    # At the ends the first and the last sample go on: sample i is padded[i + guard + 1].
+    padded = np.pad(output, guard + 1, mode="edge")
+    begins, ends = _edges(output, np.diff(padded), config)
+    max_samples = max(1, round(config.max_s / float(np.median(np.diff(t_s)))))
+    dropouts: list[Dropout] = []
+    for begin in begins:
+        if dropouts and begin - guard < dropouts[-1].end:
+            continue
+        for end in ends[(ends > begin) & (ends <= begin + max_samples)]:
+            dropout = _between(padded, int(begin), int(end), config)
+            if dropout and (stage_mm is None or not _is_press(output, stage_mm, dropout, config)):
+                dropouts.append(dropout)
+                break
+    return dropouts
+
+
+def _edges(output: Array, steps: Array, config: DropoutConfig) -> tuple[Indices, Indices]:
+    """Return the steps at which a dropout may begin and end: far larger than those before, or after."""
+    sizes, guard = np.abs(steps), config.neighbours + 1
+    noise = float(np.median(np.abs(np.diff(output, 3)))) / THIRD_DIFFERENCE
+    changes = np.abs(np.diff(output))
+    count = float(np.min(changes[changes > 0.0], initial=np.inf))
+    by_range = config.range_share * float(np.subtract(*np.quantile(output, (0.99, 0.01))))
+    least = max(by_range, config.noises * noise, config.counts * count)
+    neighbours = np.max(np.lib.stride_tricks.sliding_window_view(sizes, config.neighbours), axis=1)
+    inner = np.arange(guard, len(steps) - guard)
+    is_large = sizes[inner] > least
+    before, after = neighbours[inner - guard], neighbours[inner + 2]
+    return inner[is_large & (sizes[inner] > config.edge_steps * before)], inner[
+        is_large & (sizes[inner] > config.edge_steps * after)
+    ]
+
+
+def _between(padded: Array, begin: int, end: int, config: DropoutConfig) -> Dropout | None:
+    """Return the dropout between two steps; None where they are not its edges."""
+    inside = np.arange(begin + 1, end + 1)
+    expected = np.interp(inside, (begin - 1, end + 2), (padded[begin - 1], padded[end + 2]))
+    off = np.abs(padded[inside] - expected)
+    furthest = int(np.argmax(off))
+    left, right = padded[begin + 1] - padded[begin], padded[end + 1] - padded[end]
+    sizes = abs(left), abs(right)
+    if left * right >= 0.0 or min(sizes) < config.edge_share * max(off[furthest], *sizes):
+        return None
+    first = begin - config.neighbours - 1
+    return Dropout(first, first + end - begin, float(padded[inside[furthest]]), float(expected[furthest]))
+
+
+def _is_press(output: Array, stage_mm: Array, dropout: Dropout, config: DropoutConfig) -> bool:
+    """Whether the stage went down and up, or up and down, meanwhile."""
+    beside = max(0, dropout.begin - 2), min(len(stage_mm) - 1, dropout.end + 1)
+    inside = np.arange(dropout.begin, dropout.end)
+    off_mm = np.abs(stage_mm[inside] - np.interp(inside, beside, stage_mm[list(beside)]))
+    off_share = abs(dropout.level - dropout.expected) / float(np.ptp(output))
+    return bool(np.max(off_mm) > config.stage_share * off_share * float(np.ptp(stage_mm)))
