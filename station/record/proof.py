@@ -177,8 +177,8 @@ def check_converter(t_s: Array, output: Array, stage_mm: Array, unit: str) -> No
     if dropouts:
         first = min(dropouts, key=lambda dropout: dropout.begin)
         at_s, lasts_s = t_s[first.begin], (first.end - first.begin) * np.median(np.diff(t_s))
-        levels = {"level": first.level, "expected": first.expected, "unit": unit}
-        raise BadReply(reason("rig.dropout", at_s=float(at_s), lasts_s=float(lasts_s), **levels))
+        levels = {"level": first.level, "expected": first.expected}
+        raise BadReply(reason("rig.dropout", at_s=float(at_s), lasts_s=float(lasts_s), unit=unit, **levels))
 
 
 def check_bits(output: Array) -> None:
