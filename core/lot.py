@@ -1,27 +1,91 @@
 """What a lot is: the facts of `lot.toml`, and how a serial may look."""
 
+import hashlib
 import re
+import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from softcal.core.errors import InputError
 from softcal.core.words.reason import reason
 
-SERIAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
-"""Serials become file names and bar codes: letters, digits, dot, dash, underscore, at most 64."""
-
+MAX_CHARACTERS, MAX_ESCAPED = 64, 215
+"""Of a serial, and of its escaped form: the name of any file with it stays below the 255 bytes of file systems."""
 
 RESERVED = re.compile(r"(?:con|prn|aux|nul|com[0-9]|lpt[0-9])(?:\..*)?", re.IGNORECASE)
 """Devices on Windows, whatever their suffix (Microsoft, Naming Files, Paths, and Namespaces)."""
 
+INVISIBLE = frozenset("\u115f\u1160\u3164\uffa0")
+"""Fillers of Hangul: letters without a glyph (Unicode, Default_Ignorable_Code_Point)."""
+
+ESCAPED, NO_FILE_NAME = "~", frozenset('<>:"/\\|?*%')
+"""What marks an escaped serial, and what no file name holds on one system or another."""
+
 
 def check_serial(serial: str) -> str:
-    """Return the serial, or raise `InputError` saying which characters are allowed."""
+    """Return the serial in NFC; `InputError` says which character is not allowed.
+
+    Serials become file names and bar codes: letters and digits of any script, dot, dash, underscore.
+    """
+    serial, shown = unicodedata.normalize("NFC", serial), repr(serial[:80])
+    for character in serial:
+        if not (_is_alphanumeric(character) or character in "._-"):
+            name = f"U+{ord(character):04X} {unicodedata.name(character, '')}".strip()
+            raise InputError(reason("name.character", serial=shown, character=name))
     if RESERVED.fullmatch(serial) or serial.endswith("."):
-        raise InputError(reason("name.windows", serial=repr(serial[:80])))
-    if not SERIAL.fullmatch(serial) or ".." in serial:
-        raise InputError(reason("name.serial", serial=repr(serial[:80])))
+        raise InputError(reason("name.windows", serial=shown))
+    lengths = {"count": len(serial), "length": len(escape_serial(serial))}
+    if lengths["count"] > MAX_CHARACTERS or lengths["length"] > MAX_ESCAPED:
+        raise InputError(reason("name.long", serial=shown, max_length=MAX_ESCAPED, **lengths))
+    if not _is_alphanumeric(serial[:1]) or ".." in serial:
+        raise InputError(reason("name.serial", serial=shown))
     return serial
+
+
+def _is_alphanumeric(character: str) -> bool:
+    category = unicodedata.category(character) if character else ""
+    return (category.startswith("L") or category == "Nd") and character not in INVISIBLE
+
+
+def serial_key(serial: str) -> str:
+    """Return what two serials share that nobody can tell apart on every file system: NFC, whatever the case."""
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFC", serial).casefold())
+
+
+def escape_serial(serial: str) -> str:
+    """Return a serial in ASCII, for file names and devices: itself, or `~` and its Punycode (RFC 3492)."""
+    return serial if serial.isascii() else ESCAPED + serial.encode("punycode").decode("ascii")
+
+
+def unescape_serial(escaped: str) -> str:
+    """Return the serial of `escape_serial`; `ValueError`: there is none."""
+    if not escaped.startswith(ESCAPED):
+        return escaped
+    serial = escaped[1:].encode("ascii").decode("punycode")
+    if escape_serial(serial) != escaped:
+        raise ValueError(f"{escaped!r} is no escaped serial")
+    return serial
+
+
+def row_name(name: str) -> str:
+    """Return a name that is no serial as a row of a table shows it: visible, and short enough."""
+    shown = "".join(c if c.isprintable() else _percent(c) for c in unicodedata.normalize("NFC", name))
+    if len(shown) > MAX_CHARACTERS:
+        digest = hashlib.sha256(shown.encode()).hexdigest()[:8]
+        shown = f"{shown[: MAX_CHARACTERS - 9]}~{digest}"
+    return shown
+
+
+def file_stem(name: str) -> str:
+    """Return a name that is no serial as the stem of a file on every system: what none may hold is percent-encoded."""
+    stem = "".join(_percent(c) if c in NO_FILE_NAME else c for c in row_name(name))
+    if RESERVED.fullmatch(stem) or stem.startswith("."):
+        stem = _percent(stem[0]) + stem[1:]
+    return stem[:-1] + _percent(stem[-1]) if stem.endswith((".", " ")) else stem
+
+
+def _percent(character: str) -> str:
+    return "".join(f"%{byte:02X}" for byte in character.encode("utf-8", "surrogatepass"))
 
 
 @dataclass(frozen=True)
@@ -44,7 +108,7 @@ class Lot:
     limit_rmse: float | None = None
 
     def __post_init__(self) -> None:
-        check_serial(self.source)
+        object.__setattr__(self, "source", check_serial(self.source))
         if not re.fullmatch(r"[\w][\w .+-]{0,63}", self.id):
             raise InputError(reason("name.lot", lot=repr(self.id[:80])))
         for name, value in (("sample_rate_Hz", self.sample_rate_Hz), ("limit rmse", self.limit_rmse)):

@@ -1,5 +1,6 @@
 """Values between page, registry and station: orders, their progress, the station's heartbeat."""
 
+import unicodedata
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
@@ -99,6 +100,7 @@ class Order:
     def __post_init__(self) -> None:
         if self.kind.presses and not self.serial:
             raise ValueError(f"an order of kind {self.kind} needs the serial of a unit")
+        object.__setattr__(self, "serial", unicodedata.normalize("NFC", self.serial))
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ from softcal.core.lot import Lot
 from softcal.core.maps.interface import Anchors
 from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.unit.verdict import Release, Verdict
-from softcal.core.words.reason import plain
+from softcal.core.words.reason import Reason, plain
 from softcal.db.queues.work_queue import WorkItem, WorkSet
 from softcal.db.registry import Registry
 
@@ -143,6 +143,9 @@ class LotWork:
             serial = self._unread.popleft()
             if serial in self._works:
                 continue
+            if problem := self._folder.problems.get(serial):
+                self._refuse(serial, problem)
+                continue
             try:
                 files = self._contents(serial)
             except InputError as error:
@@ -171,9 +174,9 @@ class LotWork:
                 self._ended.add(serial)
         return left
 
-    def _refuse(self, serial: str, reason: str, work_sha256: str | None = None) -> None:
+    def _refuse(self, serial: str, reason: Reason | str, work_sha256: str | None = None) -> None:
         asked = {"actor": self._config.actor, "work_sha256": work_sha256}
-        self._registry.calibrations.refuse(self._lot_id, serial, str(Verdict.RETEST), (plain(reason),), **asked)
+        self._registry.calibrations.refuse(self._lot_id, serial, str(Verdict.RETEST), (Reason.of(reason),), **asked)
         self._ended.add(serial)
 
     def told(self, serials: Sequence[str]) -> dict[str, UnitResult]:
@@ -212,6 +215,7 @@ class LotWork:
 
     def _contents(self, serial: str) -> Files:
         folder = self._folder
+        folder.check_name(serial)
         path, audit_path = folder.unit_paths[serial], folder.audit_paths.get(serial)
         audit = None if audit_path is None else FileContent(audit_path, read_regular(audit_path, folder.root))
         return FileContent(path, read_regular(path, folder.root)), audit

@@ -5,6 +5,7 @@ import importlib
 import sys
 from collections.abc import Collection
 from functools import partial
+from unicodedata import normalize
 
 from softcal.app.cli.configuration import configure, files_in_use
 from softcal.app.cli.parser import Parser
@@ -62,6 +63,10 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"softcal: {error}", file=sys.stderr)
         return WRONG_USE
     options = parser.parse_args(given)
+    # A keyboard or a file name of a Mac gives letters in parts.
+    if serial := getattr(options, "serial", None):
+        normal = partial(normalize, "NFC")
+        options.serial = normal(serial) if isinstance(serial, str) else list(map(normal, serial))
     log, command = None, str(options.run.__module__).rpartition(".")[2]
     if command in LOGGED:
         from softcal.app.logs import begin_run, end_run

@@ -8,9 +8,11 @@ from datetime import UTC, datetime
 from functools import partial
 from importlib.metadata import version
 from typing import Annotated, Any, Literal
+from unicodedata import normalize
 
 from fastapi import APIRouter, Depends, Header, Path, Query, Request, Response
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
+from pydantic import AfterValidator
 from starlette.exceptions import HTTPException
 
 from softcal.app.connect import rest_models as answers
@@ -25,7 +27,7 @@ from softcal.app.registry.listing import history_json, unit_json
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import told
 from softcal.core.errors import InputError
-from softcal.core.lot import Lot
+from softcal.core.lot import Lot, escape_serial
 from softcal.core.orders import RunState
 from softcal.core.unit.verdict import Release
 from softcal.db.access.people import PERMISSIONS, may, permissions
@@ -43,7 +45,7 @@ BEARER = HTTPBearer(auto_error=False, description="a token of `softcal api token
 SIGN_IN = {"WWW-Authenticate": "Bearer"}
 NAME = r"^[^\x00-\x1f\x7f/]{1,64}$"
 LotId = Annotated[str, Path(pattern=NAME, description="id of a lot")]
-Serial = Annotated[str, Path(pattern=NAME, description="serial of a unit")]
+Serial = Annotated[str, Path(pattern=NAME, description="serial of a unit"), AfterValidator(partial(normalize, "NFC"))]
 Limit = Annotated[int, Query(ge=1, le=MOST, description="rows of one answer")]
 
 
@@ -184,7 +186,7 @@ def files(
         for name, content in contents.items():
             archive.writestr(zipfile.ZipInfo(name), content)
     registry.trail.add("export", "units", (serial,), {"lot_id": lot, "formats": [format]}, actor=user.name)
-    name = f"{serial}-{format}.zip".encode("ascii", "replace").decode().replace('"', "_")
+    name = f"{escape_serial(serial)}-{format}.zip"
     return Response(
         packed.getvalue(), 200, {"content-disposition": f'attachment; filename="{name}"'}, "application/zip"
     )

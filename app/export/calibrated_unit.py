@@ -13,7 +13,7 @@ from softcal.core.errors import InputError, UnitRefused
 from softcal.core.export.blob import NetworkFile
 from softcal.core.export.compile_map import InputScale
 from softcal.core.export.device import DeviceOptions, DeviceUnit, UnitFacts, build_network_file, build_unit_file
-from softcal.core.lot import Lot
+from softcal.core.lot import Lot, escape_serial
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration, CalibrationRecord
@@ -110,6 +110,11 @@ class CalibratedUnit:
     @property
     def serial(self) -> str:
         return self.stored.serial
+
+    @property
+    def escaped_serial(self) -> str:
+        """The serial in ASCII, as names of files hold it."""
+        return escape_serial(self.serial)
 
     @property
     def network(self) -> Network:

@@ -49,7 +49,7 @@ def _json_files(unit: CalibratedUnit) -> dict[str, bytes]:
     except UnitRefused as error:
         values["device"] = None
         values["device_refused"] = str(error)
-    return {f"unit-{unit.serial}.json": json_text(values).encode(), **files}
+    return {f"unit-{unit.escaped_serial}.json": json_text(values).encode(), **files}
 
 
 def calibration_values(unit: CalibratedUnit) -> dict[str, object]:
@@ -80,13 +80,16 @@ def calibration_values(unit: CalibratedUnit) -> dict[str, object]:
 
 def _blob_files(unit: CalibratedUnit) -> dict[str, bytes]:
     network, device = unit.shared.file, unit.device_unit
-    return {f"unit-{unit.serial}.ssc": device.file.to_bytes(), f"network-{network.id.hex()}.ssc": network.to_bytes()}
+    return {
+        f"unit-{unit.escaped_serial}.ssc": device.file.to_bytes(),
+        f"network-{network.id.hex()}.ssc": network.to_bytes(),
+    }
 
 
 def _c_files(unit: CalibratedUnit) -> dict[str, bytes]:
     network, device = unit.shared.file, unit.device_unit
     return {
-        f"unit-{unit.serial}.h": unit_header(device.file).encode(),
+        f"unit-{unit.escaped_serial}.h": unit_header(device.file).encode(),
         f"network-{network.id.hex()}.h": network_header(network).encode(),
         "softsensor.h": runtime_header(),
     }
@@ -99,7 +102,10 @@ def _hex_files(unit: CalibratedUnit) -> dict[str, bytes]:
         network_hex = intel_hex(network.to_bytes(), options.network_address)
     except ValueError as error:
         raise InputError(f"no Intel HEX: {error}") from error
-    return {f"unit-{unit.serial}.hex": unit_hex.encode(), f"network-{network.id.hex()}.hex": network_hex.encode()}
+    return {
+        f"unit-{unit.escaped_serial}.hex": unit_hex.encode(),
+        f"network-{network.id.hex()}.hex": network_hex.encode(),
+    }
 
 
 def _onnx_files(unit: CalibratedUnit) -> dict[str, bytes]:
@@ -129,21 +135,21 @@ def _onnx_files(unit: CalibratedUnit) -> dict[str, bytes]:
         "softcal": version("softcal"),
     }
     graph = compose(compiled.form, unit.network, limits_of_unit(unit.facts, unit.network, unit.options.scaled_device))
-    return {f"unit-{unit.serial}.onnx": onnx_bytes(graph, metadata)}
+    return {f"unit-{unit.escaped_serial}.onnx": onnx_bytes(graph, metadata)}
 
 
 def _pdf_files(unit: CalibratedUnit) -> dict[str, bytes]:
     from softcal.app.export.certificates.content import certificate_of
     from softcal.app.export.certificates.pdf import certificate_pdf
 
-    return {f"certificate-{unit.serial}.pdf": certificate_pdf(certificate_of(unit))}
+    return {f"certificate-{unit.escaped_serial}.pdf": certificate_pdf(certificate_of(unit))}
 
 
 def _dcc_files(unit: CalibratedUnit) -> dict[str, bytes]:
     from softcal.app.export.certificates.content import certificate_of
     from softcal.app.export.certificates.dcc import certificate_xml
 
-    return {f"certificate-{unit.serial}.xml": certificate_xml(certificate_of(unit))}
+    return {f"certificate-{unit.escaped_serial}.xml": certificate_xml(certificate_of(unit))}
 
 
 def device_summary(unit: CalibratedUnit) -> dict[str, object]:
@@ -218,11 +224,9 @@ def _plugin_files(point: EntryPoint, write: Callable[[CalibratedUnit], Any], uni
             f"{who(point, KIND)}: cannot write unit {unit.serial} ({error}); repair the package"
         ) from error
     is_whole = isinstance(files, dict) and all(
-        isinstance(content, bytes) and re.fullmatch(r"[\w][\w.-]*", str(name)) and unit.serial in str(name)
+        isinstance(content, bytes) and re.fullmatch(r"[\w][\w.~-]*", str(name)) and unit.escaped_serial in str(name)
         for name, content in files.items()
     )
     if not is_whole:
-        raise InputError(
-            f"{who(point, KIND)}: gave no files; names with the serial {unit.serial} and bytes were expected"
-        )
+        raise InputError(f"{who(point, KIND)}: gave no files; names with {unit.escaped_serial} and bytes were expected")
     return dict(files)

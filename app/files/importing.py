@@ -2,6 +2,7 @@
 
 import fnmatch
 import re
+import unicodedata
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,10 +16,10 @@ from softcal.app.files.lot_folder import write_lot_toml
 from softcal.app.files.not_used import NotUsed, unused_of_import
 from softcal.app.files.recording_file import STAGE, SUFFIXES, column, naming, read_table, timed, write_recording
 from softcal.core.errors import InputError
-from softcal.core.lot import Lot, check_serial
+from softcal.core.lot import Lot, check_serial, file_stem, serial_key
 from softcal.core.quality.same_recording import Pressed, same_recordings
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.words.reason import Reason
+from softcal.core.words.reason import Reason, reason
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -77,7 +78,7 @@ class ImportPlan:
     @property
     def sources(self) -> tuple[str, ...]:
         """Serials of the units whose references train a network, the lot's own source first."""
-        return (self.lot.source, *self.more_sources)
+        return (self.lot.source, *map(check_serial, self.more_sources))
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,19 +136,30 @@ def import_lot(plan: ImportPlan, folder: Path) -> ImportedLot:
     """Write a lot folder, whole or not at all, and return what was written and what was not used.
 
     Raises:
-        InputError: `folder` exists and is not empty, a table cannot be used, a serial comes twice,
+        InputError: `folder` exists and is not empty, a table cannot be used, a source comes twice,
             or the source is not among the units or has no reference.
     """
     if not plan.files:
         raise InputError("no file to import; name at least one CSV, Excel or Parquet file")
     if plan.serials is not None and (plan.columns.is_wide or len(plan.serials) != len(plan.files)):
         raise InputError(f"{len(plan.serials)} serials for {len(plan.files)} files; give one serial per file, in order")
-    units, tables = {}, []
+    rows: list[tuple[Path, str, ImportedUnit]] = []
     for path, serial, unit in _read(plan):
         if isinstance(unit, InputError):
             raise unit
-        units[serial] = unit
-        tables.append((path, serial, unit))
+        rows.append((path, serial, unit))
+    problems = _name_problems([(path, serial) for path, serial, _ in rows])
+    units, tables, unnamed = {}, [], list[NotUsed]()
+    for number, ((path, serial, unit), problem) in enumerate(zip(rows, problems, strict=True), start=1):
+        stem = serial
+        if problem is not None:
+            if serial in plan.sources:
+                raise InputError(problem)
+            # Its file keeps a name that is no serial: the batch gives it a row that says why it is not calibrated.
+            stem = file_stem(f"{serial} (file {number})" if problem.code == "name.twice" else serial)
+            unnamed.append(NotUsed("file", path.name, problem))
+        units[stem] = unit
+        tables.append((path, stem, unit))
     for serial in plan.sources:
         source = units.get(serial)
         if source is None:
@@ -168,6 +180,7 @@ def import_lot(plan: ImportPlan, folder: Path) -> ImportedLot:
                 audit = unit.part(plan.audit_rows)
                 write_recording(part / "audit" / f"{serial}.csv", audit.recording, audit.reference)
     audits, not_used = unused_of_import(plan, tables)
+    not_used = (*unnamed, *not_used)
     targets = tuple(serial for serial in units if serial not in plan.sources)
     named = [Pressed(serial, plan.lot.id, unit.recording.output_sha256) for serial, unit in units.items()]
     remarks = (*same_recordings(named), *([] if targets else [Reason("lot.no_units")]))
@@ -192,19 +205,45 @@ class LookedAt:
 
 def look_through(plan: ImportPlan) -> list[LookedAt]:
     """Read every unit and say which would be refused and why; a plan without those can be imported."""
-    looked = []
-    for path, serial, unit in _read(plan):
+    looked, rows = [], list(_read(plan))
+    problems = _name_problems([(path, serial) for path, serial, _ in rows])
+    for (path, serial, unit), name_problem in zip(rows, problems, strict=True):
         if isinstance(unit, InputError):
             problem = str(unit).replace(f"{path}: ", "").replace(str(path), path.name)
             looked.append(LookedAt(path, serial, None, problem))
+        elif name_problem is not None:
+            looked.append(LookedAt(path, serial, None, str(name_problem)))
         else:
             looked.append(LookedAt(path, serial, unit))
     return looked
 
 
+def _name_problems(named: Sequence[tuple[Path, str]]) -> list[Reason | None]:
+    """Return for each (file, serial) why it names no unit: no serial, or one that is given twice; None where it does.
+
+    A table that cannot be read has no serial, "", and no problem here.
+    """
+    files: dict[str, list[str]] = {}
+    for path, serial in named:
+        files.setdefault(serial_key(serial), []).append(str(path))
+    problems: list[Reason | None] = []
+    for _, serial in named:
+        same = files[serial_key(serial)]
+        problems.append(_name_problem(serial, same) if serial else None)
+    return problems
+
+
+def _name_problem(serial: str, same: Sequence[str]) -> Reason | None:
+    try:
+        check_serial(serial)
+    except InputError as error:
+        return error.reason
+    return reason("name.twice", serial=repr(serial), files=", ".join(same)) if len(same) > 1 else None
+
+
 def _read(plan: ImportPlan) -> Iterator[tuple[Path, str, "ImportedUnit | InputError"]]:
     """Yield every unit of a plan with its file and serial; in place of one that is refused, or of a table, why."""
-    columns, taken = plan.columns, set[str]()
+    columns = plan.columns
     others = (columns.reference, columns.time, columns.stage)
     for k, path in enumerate(plan.files):
         try:
@@ -224,21 +263,17 @@ def _read(plan: ImportPlan) -> Iterator[tuple[Path, str, "ImportedUnit | InputEr
                 serial = output
             elif plan.serials:
                 serial = plan.serials[k]
+            serial = unicodedata.normalize("NFC", serial)
             if serial in plan.without:
                 continue
             try:
-                yield path, serial, _checked(plan, table, path, output, serial, taken)
+                yield path, serial, _checked(plan, table, path, output, serial)
             except InputError as error:
                 yield path, serial, error
 
 
-def _checked(
-    plan: ImportPlan, table: "pd.DataFrame", path: Path, output: str, serial: str, taken: set[str]
-) -> ImportedUnit:
+def _checked(plan: ImportPlan, table: "pd.DataFrame", path: Path, output: str, serial: str) -> ImportedUnit:
     with naming(path):
-        check_serial(serial)
-        if serial in taken:
-            raise InputError(f"serial {serial!r} comes twice; every unit needs its own")
         columns, rate_Hz = plan.columns, plan.lot.sample_rate_Hz
         values = column(table, output, path)
         t_s = timed(table, columns.time, rate_Hz, path)
@@ -249,7 +284,6 @@ def _checked(
         if columns.reference is not None and is_read:
             reference = column(table, columns.reference, path)
         recording = OutputRecording(serial, t_s, values, rate_Hz, plan.lot.output_unit, stage_mm)
-    taken.add(serial)
     return ImportedUnit(recording, reference, tuple(map(str, table.attrs.get(NAMES, table.columns))))
 
 

@@ -16,11 +16,12 @@ from softcal.app.files.recording_file import naming, read_labelled, read_recordi
 from softcal.app.files.regular import read_regular
 from softcal.app.files.toml_file import read_toml, typed
 from softcal.core.errors import InputError
-from softcal.core.lot import Lot, check_serial
+from softcal.core.lot import Lot, check_serial, row_name, serial_key
 from softcal.core.maps.interface import Anchors
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.budget import DAYS, NUMBERS, SIMULATED, Reference
 from softcal.core.unit.line_spread import LineSpread
+from softcal.core.words.reason import Reason, reason
 
 STATED = {"cell", "certificate", "laboratory", *DAYS, *NUMBERS}
 """What lot.toml says of the instrument behind the reference."""
@@ -56,6 +57,7 @@ class LotFolder:
         reference: what the source was compared with; None where `lot.toml` does not say.
         golden_path: the source pressed again in the units' sitting; None without.
         anchors_path: known loads of units (`serial, output, reference`); None without.
+        problems: why recordings of `unit_paths` are not used, by their row: no serial, or one that is given twice.
     """
 
     root: Path
@@ -70,6 +72,7 @@ class LotFolder:
     golden_path: Path | None = None
     anchors_path: Path | None = None
     more_source_paths: Mapping[str, Path] = field(default_factory=dict)
+    problems: Mapping[str, Reason] = field(default_factory=dict)
 
     def read_anchors(self) -> Mapping[str, Anchors]:
         """Read the known loads of the lot's units by serial; empty where there are none.
@@ -86,8 +89,14 @@ class LotFolder:
         """Read the labelled recordings of further sources, in the order of `lot.toml`."""
         return [self._labelled(path, serial) for serial, path in self.more_source_paths.items()]
 
+    def check_name(self, row: str) -> None:
+        """Raise `InputError` where a unit's file names no serial, or one that another file names, too."""
+        if row in self.problems:
+            raise InputError(self.problems[row])
+
     def read_unit(self, serial: str) -> OutputRecording:
         """Read a target unit's output; a reference column in its file is never looked at."""
+        self.check_name(serial)
         path = self.unit_paths[serial]
         content = read_regular(path, self.root)
         return read_recording(path, serial, self.lot.sample_rate_Hz, self.lot.output_unit, content)
@@ -130,13 +139,17 @@ def open_lot_folder(folder: Path) -> LotFolder:
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such lot folder; make one with `softcal import`")
     lot, line, reference, more, remarks = _read_lot_toml(folder / "lot.toml")
-    sources = _recordings(folder / "source")
+    listed = {name: _recordings(folder / name) for name in ("source", "units", "audit", GOLDEN)}
+    sources = listed["source"].usable
     for serial in (lot.source, *more):
+        if problem := listed["source"].problems.get(serial):
+            raise InputError(problem)
         if serial not in sources:
             seen = ", ".join(sources) or "nothing"
             raise InputError(f"{folder / 'source'}: no recording of the source unit {serial!r}; found {seen}")
-    units, audits = _recordings(folder / "units"), _recordings(folder / "audit")
-    golden = _recordings(folder / GOLDEN)
+    units, audits, problems = listed["units"].paths, listed["audit"].usable, listed["units"].problems
+    remarks = (*remarks, *(line for name in ("source", "audit", GOLDEN) for line in listed[name].remarks(name)))
+    golden = listed[GOLDEN].usable
     if others := sorted(set(golden) - {lot.source}):
         raise InputError(
             f"{folder / GOLDEN}: golden run of {', '.join(others[:5])}; the golden unit of this lot is its source "
@@ -146,22 +159,45 @@ def open_lot_folder(folder: Path) -> LotFolder:
     further, source = {serial: sources[serial] for serial in more}, sources[lot.source]
     run = golden.get(lot.source)
     not_used = unused_of_lot(folder, {lot.source: source, **further}, units)
-    return LotFolder(folder, lot, source, units, audits, remarks, not_used, line, reference, run, loads, further)
+    return LotFolder(
+        folder, lot, source, units, audits, remarks, not_used, line, reference, run, loads, further, problems
+    )
 
 
-def _recordings(folder: Path) -> dict[str, Path]:
+@dataclass(frozen=True)
+class _Listing:
+    """Recordings of one folder by row of a report (their serial where they have one), and why some are not used."""
+
+    paths: Mapping[str, Path]
+    problems: Mapping[str, Reason]
+
+    @property
+    def usable(self) -> dict[str, Path]:
+        return {row: path for row, path in self.paths.items() if row not in self.problems}
+
+    def remarks(self, folder: str) -> tuple[str, ...]:
+        return tuple(f"{folder}/{self.paths[row].name}: not used: {why}" for row, why in self.problems.items())
+
+
+def _recordings(folder: Path) -> _Listing:
     paths: dict[str, Path] = {}
-    if not folder.is_dir():
-        return paths
-    for path in sorted(folder.iterdir()):
+    problems: dict[str, Reason] = {}
+    files: dict[str, list[tuple[str, str]]] = {}
+    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
         if path.name.startswith(".") or path.suffix.lower() not in CSV | PARQUET:
             continue
-        with naming(path):
-            serial = check_serial(path.stem)
-        if serial in paths:
-            raise InputError(f"{path}: serial {serial!r} is given twice, also by {paths[serial].name}; keep one")
-        paths[serial] = path
-    return paths
+        try:
+            row = check_serial(path.stem)
+            files.setdefault(serial_key(row), []).append((row, path.name))
+        except InputError as error:
+            row = row_name(path.stem)
+            problems[row] = error.reason
+        paths[row] = path
+    for same in files.values():
+        names = ", ".join(row_name(name) for _, name in same)
+        if len(same) > 1:
+            problems |= {row: reason("name.twice", serial=repr(row), files=names) for row, _ in same}
+    return _Listing(paths, problems)
 
 
 def _read_lot_toml(path: Path) -> tuple[Lot, LineSpread | None, Reference | None, tuple[str, ...], tuple[str, ...]]:
@@ -196,7 +232,7 @@ def _read_lot_toml(path: Path) -> tuple[Lot, LineSpread | None, Reference | None
         more = tables["lot"].get("more_sources", [])
         if not isinstance(more, list) or not all(isinstance(serial, str) for serial in more):
             raise InputError(f"[lot] more_sources is {more!r}; a list of serials was expected")
-        serials = tuple(check_serial(serial) for serial in more)
+        serials = tuple(map(check_serial, more))
         if len({lot.source, *serials}) <= len(serials):
             raise InputError(f"[lot] more_sources is {more!r}; each source once, and {lot.source!r} is the first")
         return lot, line, reference, serials, tuple(_unknown_keys(path, content))

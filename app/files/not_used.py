@@ -6,6 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
+from unicodedata import normalize
 
 from softcal.app.files.bounded_table import CSV, PARQUET
 from softcal.app.files.recording_file import PLAIN, STAGE, SUFFIXES
@@ -135,7 +136,7 @@ def unused_of_lot(root: Path, sources: Mapping[str, Path], units: Mapping[str, P
             name = str(entry.relative_to(root))
             if entry.suffix.lower() not in CSV | PARQUET:
                 items.append(NotUsed("file", name, _format(CSV | PARQUET)))
-            elif used is not None and entry.stem not in used:
+            elif used is not None and normalize("NFC", entry.stem) not in used:
                 if part.name == "audit":
                     items.append(NotUsed("audit", entry.stem, reason("unused.stranger"), name))
                 else:

@@ -155,7 +155,7 @@ def _unit(registry: Registry, facts: LineFacts, scan: Scan) -> Place | Note:
     lot = facts.lot
     serial = lot.rules.spelled(scan.value)
     try:
-        check_serial(serial)
+        serial = check_serial(serial)
     except InputError:
         return Note("bad_serial", {"serial": serial[:40], "lot": lot.id})
     if serial == lot.lot.source:

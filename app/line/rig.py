@@ -221,8 +221,7 @@ def record_to_files(
         InputError: a serial that cannot be one, or not one per channel.
         DeviceError: the run was aborted; nothing was written.
     """
-    for serial in serials:
-        check_serial(serial)
+    serials = [check_serial(serial) for serial in serials]
     if len(serials) != bench.readout.channels or len(set(serials)) != len(serials):
         raise InputError(f"{len(set(serials))} serials for {bench.readout.channels} channels; give one per channel")
     paths = [out] if len(serials) == 1 else [out / f"{serial}.csv" for serial in serials]

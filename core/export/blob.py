@@ -15,6 +15,7 @@ import numpy as np
 from softcal.core.errors import InputError
 from softcal.core.export.compile_map import InputScale
 from softcal.core.export.integer_network import DeviceMap, IntegerLayer, IntegerNetwork
+from softcal.core.lot import escape_serial, unescape_serial
 from softcal.core.windows import TAPS
 
 MAGIC = 0x4643_5353
@@ -254,12 +255,21 @@ def longest_step_ms(period_us: int) -> int:
 def serial_field(serial: str) -> bytes:
     """Return the 20-byte serial of a file.
 
-    A serial over 20 characters becomes its first 11, a tilde and 8 hex digits of its SHA-256.
+    Escaped to ASCII; over 20 characters it becomes the first 11, a tilde and 8 hex digits of the SHA-256.
     """
-    raw = serial.encode("ascii")
+    raw = escape_serial(serial).encode("ascii")
     if len(raw) > SERIAL_BYTES:
         raw = raw[:11] + b"~" + hashlib.sha256(raw).hexdigest()[:8].encode()
     return raw.ljust(SERIAL_BYTES, b"\0")
+
+
+def serial_of(field: bytes) -> str:
+    """Return the serial of a file's 20 bytes; of one that was shortened, what is there."""
+    text = field.rstrip(b"\0").decode("utf-8", errors="replace")
+    try:
+        return text if text[11:12] == "~" else unescape_serial(text)
+    except ValueError:
+        return text
 
 
 def _sealed(

@@ -55,7 +55,7 @@ def _open(data: bytes, kind: Kind) -> _Opened:
         raise FileRefused(RefusalCause.CRC, f"{name} is damaged: its CRC-32 does not match; copy or export it again")
     if found != kind:
         raise FileRefused(RefusalCause.KIND, f"a {name} was expected, this one is of kind {found}")
-    return _Opened(flags, minor, network_id, revision, time_s, _text(serial), data[blob.HEADER.size : -4])
+    return _Opened(flags, minor, network_id, revision, time_s, blob.serial_of(serial), data[blob.HEADER.size : -4])
 
 
 def _text(field: bytes) -> str:

@@ -1,9 +1,9 @@
 """Calibration files as C headers, word arrays as the runtime wants them, and as Intel HEX."""
 
-import re
 import struct
 
 from softcal.core.export.blob import NetworkFile, UnitFile, serial_field
+from softcal.core.lot import escape_serial
 
 WORDS_PER_LINE = 8
 TABLE = """#ifndef SS_TABLE
@@ -39,7 +39,7 @@ def network_header(file: NetworkFile) -> str:
 
 def unit_header(file: UnitFile) -> str:
     """Return `unit_<serial>.h`: the unit file as an array, its serial for the runtime, macros."""
-    name = "ss_unit_" + re.sub(r"[^A-Za-z0-9]", "_", file.serial)
+    name = f"ss_unit_{c_name(file.serial)}"
     key = serial_field(file.serial).rstrip(b"\0").decode()
     about = f"Calibration of unit {file.serial}, revision {file.revision}, for network {file.network_id.hex()}."
     return _header(
@@ -55,6 +55,15 @@ static const char {name}_serial[] = "{key}";
 #endif
 """,
     )
+
+
+IN_NAMES = {"_": "_u", "-": "_h", ".": "_d", "~": "_t"}
+"""What a serial may hold beside letters and digits, in a C identifier."""
+
+
+def c_name(serial: str) -> str:
+    """Return a serial as the end of a C identifier; no two serials have the same."""
+    return "".join(IN_NAMES.get(character, character) for character in escape_serial(serial))
 
 
 def _header(name: str, about: str, content: bytes, rest: str) -> str:

@@ -375,7 +375,13 @@ line.other_screens: other screens of this line scanned at the same time; the sca
 # What the registry knows by name.
 name.windows: serial {serial}: Windows cannot have a file of this name; give another serial
 name.serial: serial {serial}: 1 to 64 letters, digits, '.', '-' or '_' are allowed, starting with a
-  letter or digit
+  letter or digit, without '..'; give another serial
+name.long: serial {serial}: it is too long (characters: {count}, in the name of a file: {length}); at
+  most 64 and {max_length} are allowed; give a shorter serial
+name.character: serial {serial}: {character} is not allowed; letters, digits, '.', '-' and '_' are;
+  give another serial
+name.twice: serial {serial} is given by {files}; upper and lower case do not tell units apart; keep
+  one file, or give one of them another serial
 name.lot: lot id {lot}: 1 to 64 letters, digits, spaces, '.', '-', '+' or '_' are allowed
 name.no_order: order {order} is not in the registry
 name.no_such_lot: lot {lot} is not in the registry; it holds {known}

@@ -41,8 +41,8 @@ def ini_files(unit: CalibratedUnit) -> dict[str, bytes]:
     record = unit.stored.record
     lines = (
         "[unit]",
-        f"serial = {unit.serial}",
+        f"serial = {unit.escaped_serial}",
         f"verdict = {record.verdict}",
         f"error_{unit.network.reference_unit} = {record.predicted_rmse:.6g}",
     )
-    return {f"unit-{unit.serial}.ini": ("\r\n".join(lines) + "\r\n").encode("ascii")}
+    return {f"unit-{unit.escaped_serial}.ini": ("\r\n".join(lines) + "\r\n").encode("ascii")}

@@ -55,11 +55,13 @@ def test_a_lot_toml_that_cannot_be_used_is_refused(tmp_path: Path, toml: str, na
         open_lot_folder(_lot(tmp_path, toml))
 
 
-def test_a_serial_in_two_formats_is_refused(tmp_path: Path) -> None:
+def test_a_unit_in_two_formats_is_read_from_neither(tmp_path: Path) -> None:
     _lot(tmp_path)
     pd.read_csv(tmp_path / "units/A1.csv").to_parquet(tmp_path / "units/A1.parquet")
-    with pytest.raises(InputError, match="A1"):
-        open_lot_folder(tmp_path)
+    folder = open_lot_folder(tmp_path)
+    assert list(folder.unit_paths) == ["A1"]
+    with pytest.raises(InputError, match=r"A1\.csv, A1\.parquet"):
+        folder.read_unit("A1")
 
 
 def test_keys_that_are_not_known_are_remarked(tmp_path: Path) -> None:

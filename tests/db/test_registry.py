@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import InputError
-from softcal.core.lot import Lot
+from softcal.core.lot import Lot, row_name
 from softcal.core.recording import OutputRecording
-from softcal.core.words.reason import plain
+from softcal.core.words.reason import plain, reason
 from softcal.db.connection import open_registry
 from softcal.db.truth.registry_base import RegistrySettings
 
@@ -17,6 +17,19 @@ def test_a_lot_comes_back_as_it_was_given(registry):
     lot = Lot("L 1", "S0", 50.0, "nylon", "force", "N", "ohm", 0.25)
     registry.lots.add(lot)
     assert registry.lots.all() == [lot] and registry.lots.get("L 1") == lot
+
+
+def test_serials_of_any_script_and_rows_of_names_that_are_none_come_back(factory, recording_of):
+    registry, serials = factory.registry, ["센서-001", "Gerät_7", "датчик.3", "가" * 64]
+    for serial in serials:
+        sha256 = registry.recordings.add("L1", recording_of(serial), "unit")
+        assert registry.recordings.get(sha256).serial == serial
+    rows = [row_name(name) for name in ("bad name!", "a\u202eb", "x" * 90, "\udcff")]
+    for row in rows:
+        registry.calibrations.refuse("L1", row, "retest", (reason("name.serial", serial=repr(row)),))
+    listed = {unit.serial: unit for unit in registry.lots.units("L1")}
+    assert {*serials, *rows} <= listed.keys()
+    assert all(listed[row].verdict == "retest" and listed[row].reasons[0].code == "name.serial" for row in rows)
 
 
 def test_the_same_lot_again_changes_nothing(factory):

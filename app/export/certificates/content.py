@@ -10,6 +10,7 @@ import numpy as np
 from softcal.app.export.calibrated_unit import CalibratedUnit
 from softcal.app.export.certificates.laboratory import NOT_STATED, Laboratory, read_laboratory
 from softcal.core.errors import InputError
+from softcal.core.lot import escape_serial
 from softcal.core.recording import Array
 from softcal.core.unit.budget import COVERAGE, Budget, Reference, Standing, forecast_budget, measured_budget
 from softcal.core.unit.calibration import CalibrationRecord
@@ -352,7 +353,7 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
         origin = plain(str(evidence.get("limit_origin") or NOT_STATED))
         limit = Limit(lot.reference_unit, record.limit_rmse, origin, expanded)
     return Certificate(
-        identifier=f"softcal-{record.serial}-r{unit.stored.revision}-{record.map_sha256[:8]}",
+        identifier=f"softcal-{escape_serial(record.serial)}-r{unit.stored.revision}-{record.map_sha256[:8]}",
         made_on=unit.stored.made_at.date(),
         in_registry_since=unit.in_registry_since,
         source_since=unit.shared.source_since,

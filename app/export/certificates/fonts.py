@@ -14,6 +14,7 @@ from reportlab.pdfbase import pdfmetrics
 from reportlab.pdfbase.ttfonts import TTFError, TTFont
 
 from softcal.core.errors import InputError, printable
+from softcal.core.lot import escape_serial
 
 PLAIN, BOLD = "Vera", "VeraBd"
 OTHER = "other letters"
@@ -74,6 +75,15 @@ def _font_files() -> Iterator[str]:
         yield named
     yield KOREAN
     yield from filter(os.path.isfile, CANDIDATES.get(sys.platform, ()))
+
+
+def written(serial: str) -> str:
+    """Return a serial as a page can write it: escaped to ASCII where no font at hand has its letters."""
+    try:
+        runs_of(serial)
+    except InputError:
+        return escape_serial(serial)
+    return serial
 
 
 @cache

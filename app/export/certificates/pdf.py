@@ -1,5 +1,7 @@
 """The certificate as a PDF for people: the same bytes for the same facts."""
 
+from dataclasses import replace
+
 from reportlab.graphics.barcode.qr import QrCodeWidget
 from reportlab.graphics.shapes import Drawing
 from reportlab.lib.units import mm
@@ -8,14 +10,19 @@ from reportlab.platypus import Flowable, Paragraph, Spacer, Table
 from softcal.app.export.certificates import parts
 from softcal.app.export.certificates.content import DECISION_RULE, ONLY_THIS, Certificate
 from softcal.app.export.certificates.dcc import certificate_xml
-from softcal.app.export.certificates.fonts import BOLD, writable
+from softcal.app.export.certificates.fonts import BOLD, writable, written
 from softcal.app.export.certificates.laboratory import NO_COUNTRY, NOT_STATED, Party
 from softcal.app.export.certificates.plots import SHOWN_S, estimate_plot, map_plot
+from softcal.core.lot import escape_serial
 from softcal.core.unit.uncertainty import ErrorForecast
 
 
 def certificate_pdf(facts: Certificate) -> bytes:
     """Return the document: PDF/A-3 with the DCC of the same facts inside."""
+    attached = parts.Attachment(
+        f"certificate-{escape_serial(facts.serial)}.xml", certificate_xml(facts), "The same facts as a DCC"
+    )
+    facts = replace(facts, serial=written(facts.serial), source=written(facts.source))
     simulated = "SIMULATED" if facts.is_simulated else ""
     page = parts.Document(
         title=f"Calibration certificate {facts.identifier}",
@@ -25,7 +32,6 @@ def certificate_pdf(facts: Certificate) -> bytes:
         made_on=facts.issued_on,
         across=simulated,
     )
-    attached = parts.Attachment(f"certificate-{facts.serial}.xml", certificate_xml(facts), "The same facts as a DCC")
     # The line's own word stands in the results: nobody may read a statement where none is made.
     is_made = bool(facts.conformity)
     colour = parts.VERDICT_COLOURS[facts.verdict if is_made else "retest"]
