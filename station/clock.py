@@ -18,7 +18,8 @@ class HostClock:
     """The real clock."""
 
     def now_s(self) -> float:
-        return time.monotonic()
+        # On Linux the monotonic clock leaves out the time a laptop sleeps, and devices go on meanwhile.
+        return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
 
     def sleep_s(self, seconds: float) -> None:
         time.sleep(max(0.0, seconds))

@@ -71,6 +71,8 @@ rig.contact_at_once: contact was found before the stage had moved; check the loa
   at most)
 rig.follows: sensor readout: its output hardly follows the depth of the stage; check the unit's
   connector and the motor's supply, then press again ({percent:.0f} % follows)
+rig.host_paused: this computer stood still for {seconds:.1f} s and watched nothing meanwhile; keep it
+  from sleep and from other work, then start the run again
 rig.dropout: sensor readout: the output's cable was loose at {at_s:.1f} s: {level:.3g} {unit} for
   {lasts_s:.2f} s, {expected:.3g} {unit} before and after; check plug and cable, then press again
 rig.bit: sensor readout: bit {bit} of its converter never changes; check the converter, then press

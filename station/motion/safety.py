@@ -166,6 +166,12 @@ class StreamWatch:
         self._times: deque[float] = deque(maxlen=RATE_SAMPLES)
         self._on_rail_since_s: float | None = None
         self._earliest_s, self._old_since_s = float("inf"), float("inf")
+        self._resumed_s = float("-inf")
+
+    def resume(self, now_s: float) -> None:
+        """Begin to count anew: the host itself stood still, and what came meanwhile is read only now."""
+        self._seen_s = self._resumed_s = now_s
+        self._old_since_s, self._on_rail_since_s = float("inf"), None
 
     def check(self, sample: Sample) -> None:
         """Raise `BadReply` when the channel is at its rail, or comes at another rate; `NoReply` when it is old."""
@@ -188,7 +194,7 @@ class StreamWatch:
         allowed_s = CLOCK_SHARE * (device_s - self._times[-2]) if len(self._times) > 1 else 0.0
         self._earliest_s = min(self._earliest_s + allowed_s, sample.host_s - device_s)
         age_s = sample.host_s - device_s - self._earliest_s
-        if age_s <= LASTS_S:
+        if age_s <= LASTS_S or sample.host_s <= self._resumed_s + LASTS_S:
             self._old_since_s = float("inf")
         self._old_since_s = min(self._old_since_s, device_s)
         if age_s > LASTS_S and device_s - self._old_since_s > LASTS_S:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from softcal.core.errors import BadReply, SafetyStop
+from softcal.core.errors import BadReply, DeviceError, NoReply, SafetyStop
 from softcal.core.words.reason import reason
 from softcal.station.devices.bench import Bench
 from softcal.station.devices.config import LATEST_S
@@ -27,6 +27,13 @@ from softcal.station.motion.safety import (
     StuckWatch,
 )
 from softcal.station.record.spool import Spool
+
+PAUSE_S, CAUGHT_UP_S = 0.25, 1.5
+"""A host that looks at nothing for so long stood still. Lines that are full lose samples: for so long afterwards a
+stream that is late or at another rate is the host's doing, samples that are lost at any time."""
+
+LASTING = frozenset({"rig.lost", "rig.gap"})
+RECENT = LASTING | {"rig.old", "rig.rate", "rig.library.silent"}
 
 BOOT_S = 3.0
 """How long a board may take to boot: 1.5 s to 2 s for an Arduino with its boot loader."""
@@ -84,6 +91,8 @@ class WatchedBench:
         self._streams: dict[str, StreamWatch] = {}
         self._stuck: dict[StageWatch, tuple[StuckWatch, StuckWatch]] = {}
         self._lowest_N, self._expected_N = float("inf"), self.bounds.limit_N
+        self._looked_s, self._was_moving = float("inf"), False
+        self._paused_s, self._resumed_s = 0.0, float("-inf")
         force = bench.config.force
         if force is None or force.is_latency_stated:
             self.known.late_s = 0.0 if force is None else force.latency_s
@@ -181,9 +190,44 @@ class WatchedBench:
         self.enter(State.PRESSING)
 
     def tick(self) -> None:
-        """Let a little time pass, read every device, and check everything that was read."""
+        """Let a little time pass, read every device, and check everything that was read.
+
+        Where the host itself stood still, what came meanwhile is read and judged first; a stage that was moving is then
+        stopped, for nobody watched it.
+        """
         self.bench.clock.sleep_s(TICK_S)
-        self._take(self.bench.stage.poll())
+        is_unwatched = self._note_pause() and self._was_moving
+        self._look()
+        if self._note_pause():  # While it looked.
+            is_unwatched = is_unwatched or self._was_moving
+            self._look()
+        if is_unwatched:
+            raise NoReply(reason("rig.host_paused", seconds=self._paused_s))
+
+    def _look(self) -> None:
+        try:
+            polls = self.bench.stage.poll()
+            self._was_moving = self.bench.stage.is_moving
+            self._take(polls)
+        except DeviceError as error:
+            raise self.blame(error) from error
+
+    def _note_pause(self) -> bool:
+        now_s = self.bench.clock.now_s()
+        before_s, self._looked_s = self._looked_s, now_s
+        if now_s - before_s < PAUSE_S:
+            return False
+        self._paused_s, self._resumed_s = now_s - before_s, now_s
+        for stream in self._streams.values():
+            stream.resume(now_s)
+        return True
+
+    def blame(self, error: DeviceError) -> DeviceError:
+        """Return an error, or that the host stood still where this is what a device is accused of."""
+        is_recent = self.bench.clock.now_s() - self._resumed_s < CAUGHT_UP_S
+        if self._paused_s and error.reason.code in (RECENT if is_recent else LASTING):
+            return type(error)(reason("rig.host_paused", seconds=self._paused_s))
+        return error
 
     def leave_stage_alone(self, seconds: float) -> None:
         """Watch the channels and tell the stage nothing, as if its host had died."""

@@ -183,7 +183,10 @@ class _Run:
         if self._spool is not None:
             self._spool.add_facts(asdict(facts))
         self._tell(1.0, 0.0)
-        return assemble(Raw(self._readings.output, self._readings.force, self._readings.polls), facts)
+        try:
+            return assemble(Raw(self._readings.output, self._readings.force, self._readings.polls), facts)
+        except BadReply as error:
+            raise self.watched.blame(error) from error
 
     def _press(self, zero_mm: float) -> tuple[float, float]:
         began_s = self._clock.now_s()
