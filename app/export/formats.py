@@ -18,6 +18,7 @@ from softcal.core.export.device import device_cost, device_limit, limits_of_unit
 from softcal.core.export.graph import compose
 from softcal.core.export.json_text import json_text, network_values, unit_values
 from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE
+from softcal.core.lot import escape_serial
 from softcal.core.plugins import installed, loaded, who
 from softcal.core.windows import TAPS
 from softcal.db.entries import UNIT_ERRORS
@@ -224,9 +225,13 @@ def _plugin_files(point: EntryPoint, write: Callable[[CalibratedUnit], Any], uni
             f"{who(point, KIND)}: cannot write unit {unit.serial} ({error}); repair the package"
         ) from error
     is_whole = isinstance(files, dict) and all(
-        isinstance(content, bytes) and re.fullmatch(r"[\w][\w.~-]*", str(name)) and unit.escaped_serial in str(name)
+        isinstance(content, bytes)
+        and re.fullmatch(r"[\w][\w.~-]*", str(name))
+        and escape_serial(unit.serial) in str(name)
         for name, content in files.items()
     )
     if not is_whole:
-        raise InputError(f"{who(point, KIND)}: gave no files; names with {unit.escaped_serial} and bytes were expected")
+        raise InputError(
+            f"{who(point, KIND)}: gave no files; names with {escape_serial(unit.serial)} and bytes were expected"
+        )
     return dict(files)
