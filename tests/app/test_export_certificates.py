@@ -455,7 +455,7 @@ def test_a_name_no_font_can_write_is_refused_with_what_to_do(
         certificate_pdf(replace(facts, laboratory=KOREAN))
     monkeypatch.delenv("SOFTCAL_FONT")
     with pytest.raises(InputError, match="SOFTCAL_FONT"):
-        certificate_pdf(replace(facts, serial="\N{GOTHIC LETTER AHSA}"))
+        certificate_pdf(replace(facts, laboratory=replace(KOREAN, name="\N{GOTHIC LETTER AHSA}")))
 
 
 LABORATORY = """

@@ -77,7 +77,7 @@ def _font_files() -> Iterator[str]:
     yield from filter(os.path.isfile, CANDIDATES.get(sys.platform, ()))
 
 
-def written(serial: str) -> str:
+def printable_serial(serial: str) -> str:
     """Return a serial as a page can write it: escaped to ASCII where no font at hand has its letters."""
     try:
         runs_of(serial)

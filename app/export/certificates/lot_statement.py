@@ -12,7 +12,7 @@ from reportlab.platypus import Flowable, Paragraph, Spacer
 
 from softcal.app.batch.audit import lot_audit
 from softcal.app.export.certificates import parts
-from softcal.app.export.certificates.fonts import BOLD, marked_up, written
+from softcal.app.export.certificates.fonts import BOLD, marked_up, printable_serial
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import Words, said
 from softcal.core.lot import Lot
@@ -84,7 +84,7 @@ def lot_statement_pdf(facts: LotStatementFacts, words: Words = ENGLISH) -> bytes
     origin, unit = said(limit.origin, words), lot.reference_unit
     made = {"network": facts.network_id[:12], "method": facts.method_id[:12], "day": facts.made_on.isoformat()}
     lot_rows = [
-        (words("paper.lot"), words("paper.lot.is", lot=lot.id, model=model, source=written(lot.source))),
+        (words("paper.lot"), words("paper.lot.is", lot=lot.id, model=model, source=printable_serial(lot.source))),
         (words("paper.quantity"), words("paper.quantity.is", quantity=lot.reference_quantity, unit=unit)),
         (words("paper.limit"), words("paper.limit.is", limit=limit.maximum_rmse, unit=unit, origin=origin)),
         (words("paper.counts"), ", ".join(counts) or words("paper.none")),
@@ -141,7 +141,7 @@ def _audit_table(facts: LotStatementFacts, words: Words) -> Flowable:
     for a in audits[:MOST_AUDITS]:
         word = words("paper.within" if a.measured_rmse <= limit.maximum_rmse else "paper.beyond")
         numbers = f"{a.forecast_rmse:.3g}", f"{a.measured_rmse:.3g}", f"{a.ratio:.2f}"
-        rows.append([written(a.serial), a.lot_id or facts.lot.id, *numbers, word])
+        rows.append([printable_serial(a.serial), a.lot_id or facts.lot.id, *numbers, word])
     if len(audits) > MOST_AUDITS:
         rows.append([words("paper.more", count=len(audits) - MOST_AUDITS), *[""] * 5])
     return parts.text_table(rows, [parts.WIDTH / 6] * 6, 7)
@@ -150,7 +150,7 @@ def _audit_table(facts: LotStatementFacts, words: Words) -> Flowable:
 def _serials(serials: Sequence[str], words: Words, most: int = MOST_SERIALS) -> str:
     if not serials:
         return words("paper.none")
-    values = {"count": len(serials), "serials": ", ".join(map(written, serials[:most]))}
+    values = {"count": len(serials), "serials": ", ".join(map(printable_serial, serials[:most]))}
     if len(serials) > most:
         return words("paper.released.more", more=len(serials) - most, **values)
     return words("paper.released.are", **values)

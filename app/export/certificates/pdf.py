@@ -10,7 +10,7 @@ from reportlab.platypus import Flowable, Paragraph, Spacer, Table
 from softcal.app.export.certificates import parts
 from softcal.app.export.certificates.content import DECISION_RULE, ONLY_THIS, Certificate
 from softcal.app.export.certificates.dcc import certificate_xml
-from softcal.app.export.certificates.fonts import BOLD, writable, written
+from softcal.app.export.certificates.fonts import BOLD, printable_serial, writable
 from softcal.app.export.certificates.laboratory import NO_COUNTRY, NOT_STATED, Party
 from softcal.app.export.certificates.plots import SHOWN_S, estimate_plot, map_plot
 from softcal.core.lot import escape_serial
@@ -22,7 +22,7 @@ def certificate_pdf(facts: Certificate) -> bytes:
     attached = parts.Attachment(
         f"certificate-{escape_serial(facts.serial)}.xml", certificate_xml(facts), "The same facts as a DCC"
     )
-    facts = replace(facts, serial=written(facts.serial), source=written(facts.source))
+    facts = replace(facts, serial=printable_serial(facts.serial), source=printable_serial(facts.source))
     simulated = "SIMULATED" if facts.is_simulated else ""
     page = parts.Document(
         title=f"Calibration certificate {facts.identifier}",
