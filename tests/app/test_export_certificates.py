@@ -455,7 +455,9 @@ def test_a_name_no_font_can_write_is_refused_with_what_to_do(
         certificate_pdf(replace(facts, laboratory=KOREAN))
     monkeypatch.delenv("SOFTCAL_FONT")
     with pytest.raises(InputError, match="SOFTCAL_FONT"):
-        certificate_pdf(replace(facts, laboratory=replace(KOREAN, name="\N{GOTHIC LETTER AHSA}")))
+        certificate_pdf(
+            replace(facts, laboratory=replace(KOREAN, laboratory=Party("\N{GOTHIC LETTER AHSA}", "a@b.c", "DE", "Ulm")))
+        )
 
 
 LABORATORY = """
