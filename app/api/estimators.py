@@ -6,8 +6,8 @@ import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from softcal.app.api.network import SourceNetwork
 from softcal.app.api.recording import Recording
-from softcal.app.api.unit import SourceNetwork
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps.catalogue import family
 from softcal.core.maps.choose import choose_map
@@ -24,6 +24,13 @@ from softcal.core.windows import TAPS, windows
 
 class NetworkRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     """The time-delay network f as a regressor: rows are windows, newest sample last.
+
+    >>> import softcal
+    >>> source, target = softcal.simulate_recordings()
+    >>> windows, force_N = source.labelled.windows, source.labelled.window_reference
+    >>> regressor = softcal.NetworkRegressor(hidden=(8,), max_epochs=20).fit(windows, force_N)
+    >>> regressor.predict(windows).shape == force_N.shape
+    True
 
     Args:
         hidden: widths of the hidden layers (Kim et al. 2020: 120, 70, 35).
@@ -45,7 +52,14 @@ class NetworkRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.max_epochs = max_epochs
 
     def fit(self, X: Any, y: Any) -> "NetworkRegressor":  # noqa: N803 - scikit-learn's name
-        """Train on (n, p) rows and (n,) references; neighbouring rows are taken as neighbours in time."""
+        """Train on (n, p) rows and (n,) references; neighbouring rows are taken as neighbours in time.
+
+        >>> import numpy as np, softcal
+        >>> windows = np.random.default_rng(0).normal(size=(200, 15))
+        >>> regressor = softcal.NetworkRegressor(hidden=(8,), max_epochs=20).fit(windows, windows[:, -1])
+        >>> regressor.n_iter_ <= 20
+        True
+        """
         X, y = validate_data(self, X, y, dtype=np.float64, y_numeric=True, ensure_min_samples=4)
         from softcal.core.network.training_steps import train_members
 
@@ -64,7 +78,14 @@ class NetworkRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return self
 
     def predict(self, X: Any) -> Array:  # noqa: N803
-        """Estimate the reference of (n, p) rows: (n,)."""
+        """Estimate the reference of (n, p) rows: (n,).
+
+        >>> import numpy as np, softcal
+        >>> windows = np.random.default_rng(0).normal(size=(200, 15))
+        >>> regressor = softcal.NetworkRegressor(hidden=(8,), max_epochs=20).fit(windows, windows[:, -1])
+        >>> regressor.predict(windows[:3]).shape
+        (3,)
+        """
         check_is_fitted(self)
         return self.network_.evaluate_exactly(validate_data(self, X, dtype=np.float64, reset=False))
 
@@ -76,6 +97,13 @@ class MapTransformer(TransformerMixin, BaseEstimator):  # type: ignore[misc]
     regressor that was trained on the source:
 
         make_pipeline(MapTransformer(source, sample_rate_Hz=50), FrozenEstimator(regressor)).fit(output).predict(output)
+
+    >>> import softcal
+    >>> source, target = softcal.simulate_recordings()
+    >>> transformer = softcal.MapTransformer(softcal.fit_network(source, hidden=(8,)))
+    >>> output = target.to_frame()[["output"]]
+    >>> transformer.fit(output).transform(output).shape
+    (600, 15)
 
     Args:
         source: what `fit_network` gave.
@@ -96,6 +124,14 @@ class MapTransformer(TransformerMixin, BaseEstimator):  # type: ignore[misc]
 
     def fit(self, X: Any, y: Any = None) -> "MapTransformer":  # noqa: N803
         """Fit γ to (n, 1) samples of output; y is not looked at.
+
+        >>> import softcal
+        >>> source, target = softcal.simulate_recordings()
+        >>> network = softcal.fit_network(source, hidden=(8,))
+        >>> output = target.to_frame()[["output"]]
+        >>> transformer = softcal.MapTransformer(network).fit(output)
+        >>> transformer.family_ == transformer.map_.family
+        True
 
         Raises:
             UnitRefused: the output allows no map.
@@ -118,13 +154,31 @@ class MapTransformer(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         return self
 
     def transform(self, X: Any) -> Array:  # noqa: N803
-        """Carry (n, 1) samples into the source's window space: (n, 15)."""
+        """Carry (n, 1) samples into the source's window space: (n, 15).
+
+        >>> import softcal
+        >>> source, target = softcal.simulate_recordings()
+        >>> network = softcal.fit_network(source, hidden=(8,))
+        >>> output = target.to_frame()[["output"]]
+        >>> transformer = softcal.MapTransformer(network).fit(output)
+        >>> network.predict(transformer.transform(output)).shape
+        (600,)
+        """
         check_is_fitted(self)
         output = self._output(X, reset=False)
         return self.map_.apply(windows(np.concatenate([np.full(TAPS - 1, output[0]), output])))
 
     def get_feature_names_out(self, input_features: Any = None) -> Any:
-        """Name the columns of `transform`, oldest sample first, for `set_output(transform="pandas")`."""
+        """Name the columns of `transform`, oldest sample first, for `set_output(transform="pandas")`.
+
+        >>> import softcal
+        >>> source, target = softcal.simulate_recordings()
+        >>> network = softcal.fit_network(source, hidden=(8,))
+        >>> output = target.to_frame()[["output"]]
+        >>> transformer = softcal.MapTransformer(network).fit(output)
+        >>> list(transformer.get_feature_names_out()[[0, -1]])
+        ['window_14', 'window_0']
+        """
         check_is_fitted(self)
         return np.asarray([f"window_{ago}" for ago in reversed(range(TAPS))], dtype=object)
 

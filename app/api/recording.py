@@ -1,42 +1,61 @@
 """A recording as Python users hold it: from arrays, pandas or a file, with or without a reference."""
 
 from collections.abc import Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from softcal.app.api.arguments import column, file_path, is_times, number, shown, text, times
+from softcal.app.api.display import html_table, plotting
 from softcal.core.errors import InputError
+from softcal.core.inspection.build import InspectedRecording, build_recording
+from softcal.core.inspection.inspection import Inspection
+from softcal.core.inspection.words import check_reference, summarise
+from softcal.core.lot import check_serial
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 
 if TYPE_CHECKING:
     import pandas as pd
+    import plotly.graph_objects as go
+
+RATE = "a positive number of samples a second"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording:
     """The output of one unit over time, and the reference beside it where one was read.
 
+    Arrays are copied: what becomes of the caller's arrays later changes no recording. NaN, None and NA are missing
+    samples: no fit sees them, and `inspection` counts them. `recording[0:800]` is a stretch of it.
+
+    >>> import softcal
+    >>> recording = softcal.Recording([0.50, 0.52, 0.55] * 10, sample_rate_Hz=50, serial="S2")
+    >>> recording
+    <Recording S2: 30 samples at 50 Hz (0.6 s), output in V>
+    >>> len(recording[0:20])
+    20
+
     Args:
-        output: (n,) sensor output in `output_unit`; a list, an array or a pandas Series.
+        output: (n,) sensor output in `output_unit`: a list, an array or a pandas Series.
         reference: (n,) load in `reference_unit` read at the same instants; None for a unit that was only pressed.
-        sample_rate_Hz: samples a second; by default what `t_s` shows.
-        t_s: (n,) time stamps in s, strictly increasing; by default made from `sample_rate_Hz`.
+        sample_rate_Hz: samples a second; by default what the time stamps show, and checked against them.
+        t_s: (n,) time stamps, strictly increasing: seconds, or dates or durations of Python, NumPy or pandas, which
+            become seconds. By default the output's DatetimeIndex or TimedeltaIndex, else made from `sample_rate_Hz`.
         serial: name of the unit: letters, digits, dot, dash and underscore.
         output_unit, reference_unit: physical units.
         stage_mm: (n,) stage position in mm, positive when it compresses, where the station knows it. Source and units
             that carry it are compared at equal stage histories.
 
     Raises:
-        InputError: lengths differ, a value is not finite, time goes back, or neither rate nor time is given.
+        InputError: lengths differ, a value is no number, time goes back, or neither rate nor time is given.
     """
 
     output: Any
     reference: Any = None
-    sample_rate_Hz: float | None = None
+    sample_rate_Hz: Any = None
     t_s: Any = None
     serial: str = "unit"
     output_unit: str = "V"
@@ -44,41 +63,157 @@ class Recording:
     stage_mm: Any = None
 
     def __post_init__(self) -> None:
-        # Whatever is wrong with it is said here, not at the first use.
-        for name in ("serial", "output_unit", "reference_unit"):
-            expect(name, getattr(self, name), str, "text")
-        if self.sample_rate_Hz is not None:
-            expect("sample_rate_Hz", self.sample_rate_Hz, Real, "a number of samples a second")
-        for name in ("output", "reference", "t_s", "stage_mm"):
-            if hasattr(getattr(self, name), "columns"):
-                raise InputError(f"{name} is a table; one column was expected: Recording.from_frame takes a table")
+        # Whatever is wrong with it is reported here, not at the first use.
+        typed: dict[str, Any] = {name: text(name, getattr(self, name)) for name in _TEXTS}
+        check_serial(typed["serial"])
+        _check_indexes({name: getattr(self, name) for name in ("output", *_BESIDE)})
+        typed["output"] = column("output", self.output)
+        for name in _BESIDE:
+            if (values := getattr(self, name)) is not None:
+                typed[name] = column(name, values)
+        rate_Hz = None if self.sample_rate_Hz is None else number("sample_rate_Hz", self.sample_rate_Hz, RATE)
+        if rate_Hz is not None and rate_Hz <= 0:
+            raise InputError(f"sample_rate_Hz is {shown(self.sample_rate_Hz)}; {RATE} was expected")
+        stamps = self.t_s if self.t_s is not None else times_of_index(self.output)
+        if stamps is not None:
+            typed["t_s"] = times("t_s", stamps)
+            steps = np.diff(typed["t_s"])
+            if rate_Hz is None and np.any(steps > 0):
+                rate_Hz = float(f"{1 / np.median(steps[steps > 0]):.5g}")
+        elif rate_Hz is not None:
+            typed["t_s"] = np.arange(len(typed["output"])) / rate_Hz
+        if rate_Hz is None:
+            raise InputError("neither sample_rate_Hz nor t_s says when samples were taken; give one of them")
+        typed["sample_rate_Hz"] = rate_Hz
+        for name, value in typed.items():
+            object.__setattr__(self, name, value)
         _ = self.labelled if self.reference is not None else self.unlabelled
 
     def __len__(self) -> int:
-        return len(self.unlabelled)
+        return len(self.output)
+
+    # Without this, Python would call `recording[0]`, `recording[1]` ...
+    __iter__ = None
 
     def __repr__(self) -> str:
-        raw, read = self.unlabelled, "" if self.reference is None else f", reference in {self.reference_unit}"
-        lasted_s = len(raw) / raw.sample_rate_Hz
-        rate = f"{len(raw)} samples at {raw.sample_rate_Hz:g} Hz ({lasted_s:.4g} s)"
-        return f"<Recording {self.serial}: {rate}, output in {self.output_unit}{read}>"
+        facts = [f"{len(self)} samples at {self.sample_rate_Hz:g} Hz ({self.duration_s:.4g} s)"]
+        facts.append(f"output in {self.output_unit}")
+        if self.reference is not None:
+            facts.append(f"reference in {self.reference_unit}")
+        if masked := len(self.inspection.masked):
+            facts.append(f"{masked} masked")
+        return f"<Recording {self.serial}: {', '.join(facts)}>"
+
+    def _repr_html_(self) -> str:
+        columns = {"output": (self.output, self.output_unit), "reference": (self.reference, self.reference_unit)}
+        rows = [
+            (name, f"{np.nanmin(values):.4g} to {np.nanmax(values):.4g} {unit}")
+            for name, (values, unit) in columns.items()
+            if values is not None
+        ]
+        span = f"{len(self)} at {self.sample_rate_Hz:g} Hz, {self.duration_s:.4g} s"
+        remarks = [("", remark) for remark in self.remarks]
+        return html_table(f"Recording {self.serial}", [("samples", span), *rows, *remarks])
+
+    def __getitem__(self, rows: slice) -> "Recording":
+        """Return a stretch of samples, `recording[0:800]`.
+
+        Raises:
+            InputError: it is no slice, leaves samples out, or is too short for a window.
+        """
+        if not isinstance(rows, slice):
+            raise InputError(f"recording[{shown(rows)}]: a slice was expected, recording[0:800], or between(2.0, 10.0)")
+        try:
+            start, stop, step = rows.indices(len(self))
+        except TypeError as error:
+            raise InputError(
+                f"recording[...] with {shown(rows)}: samples are whole numbers; between(2.0, 10.0) takes seconds"
+            ) from error
+        if step != 1:
+            raise InputError(f"a step of {step} would change the sample rate or the direction of time; leave it out")
+        stop = max(start, stop)
+        columns: dict[str, Any] = {name: values[start:stop] for name, values in self._columns.items()}
+        return replace(self, **columns)
+
+    def between(self, start_s: float, stop_s: float) -> "Recording":
+        """Return the stretch between two time stamps in s, both included.
+
+        >>> import softcal
+        >>> recording = softcal.Recording([0.50, 0.52, 0.55] * 10, sample_rate_Hz=50)
+        >>> recording.between(0.1, 0.5)
+        <Recording unit: 21 samples at 50 Hz (0.42 s), output in V>
+
+        Raises:
+            InputError: no number, or too few samples between them.
+        """
+        bounds = number("start_s", start_s, "a time in s"), number("stop_s", stop_s, "a time in s")
+        start, stop = np.searchsorted(self.t_s, bounds[0]), np.searchsorted(self.t_s, bounds[1], side="right")
+        if stop <= start:
+            raise InputError(
+                f"there is no sample between {bounds[0]:g} s and {bounds[1]:g} s; the recording is from "
+                f"{self.t_s[0]:g} s to {self.t_s[-1]:g} s"
+            )
+        return self[int(start) : int(stop)]
+
+    @property
+    def duration_s(self) -> float:
+        """Time that its samples take, without the gaps between them."""
+        return len(self) / float(self.sample_rate_Hz)
+
+    @property
+    def _columns(self) -> dict[str, Array]:
+        columns = {name: getattr(self, name) for name in ("t_s", "output", "stage_mm", "reference")}
+        return {name: values for name, values in columns.items() if values is not None}
 
     @cached_property
+    def _inspected(self) -> InspectedRecording:
+        # Without the reference: what a fit of a map takes must not depend on it.
+        return self._inspect(None)
+
+    @cached_property
+    def _inspected_labels(self) -> InspectedRecording:
+        return self._inspect(self.reference)
+
+    def _inspect(self, reference: Array | None) -> InspectedRecording:
+        return build_recording(
+            self.serial,
+            self.t_s,
+            self.output,
+            sample_rate_Hz=self.sample_rate_Hz,
+            output_unit=self.output_unit,
+            stage_mm=self.stage_mm,
+            reference=reference,
+        )
+
+    @property
+    def inspection(self) -> Inspection:
+        """What a look at its samples shows: how many are masked, and the findings.
+
+        >>> import softcal
+        >>> softcal.Recording([0.50, 0.52, None] * 10, sample_rate_Hz=50).inspection.masked.counts
+        {'missing': 10}
+        """
+        return (self._inspected if self.reference is None else self._inspected_labels).inspection
+
+    @property
+    def remarks(self) -> list[str]:
+        """What a look at its samples shows, in sentences: missing and impossible samples, gaps, steps.
+
+        >>> import softcal
+        >>> softcal.Recording([0.50, 0.52, 0.55] * 10, sample_rate_Hz=50).remarks
+        []
+        """
+        return [str(remark) for remark in summarise(self.inspection)]
+
+    @property
+    def rows(self) -> Any:
+        """(m,) rows of the valid samples of its output: those that a map and an estimate see."""
+        return self._inspected.rows
+
+    @property
     def unlabelled(self) -> OutputRecording:
         """The output alone: what every fit of a map takes."""
-        output = _numbers("output", self.output)
-        rate_Hz = self.sample_rate_Hz
-        if self.t_s is not None:
-            t_s = _numbers("t_s", self.t_s)
-            steps = np.diff(t_s)
-            if rate_Hz is None and np.any(steps > 0):
-                rate_Hz = float(f"{1 / np.median(steps[steps > 0]):.5g}")
-        elif rate_Hz is not None and rate_Hz > 0:
-            t_s = np.arange(len(output)) / rate_Hz
-        if rate_Hz is None or not rate_Hz > 0:
-            raise InputError("neither sample_rate_Hz nor t_s says when samples were taken; give one of them")
-        stage_mm = None if self.stage_mm is None else _numbers("stage_mm", self.stage_mm)
-        return OutputRecording(self.serial, t_s, output, rate_Hz, self.output_unit, stage_mm)
+        return self._inspected.recording
 
     @cached_property
     def labelled(self) -> LabelledRecording:
@@ -88,8 +223,11 @@ class Recording:
             InputError: the recording has no reference.
         """
         if self.reference is None:
-            raise InputError(f"recording {self.serial} has no reference; give reference=, or name its column")
-        return LabelledRecording(self.unlabelled, _numbers("reference", self.reference), self.reference_unit)
+            raise InputError(
+                f"recording {self.serial} has no reference: softcal.Recording(..., reference=...) takes it"
+            )
+        inspected = self._inspected_labels
+        return LabelledRecording(inspected.recording, self.reference[inspected.rows], self.reference_unit)
 
     @classmethod
     def from_frame(
@@ -103,25 +241,28 @@ class Recording:
     ) -> "Recording":
         """Take columns of a table.
 
+        >>> import pandas as pd, softcal
+        >>> table = pd.DataFrame({"V": [0.50, 0.52, 0.55] * 10, "F": [0.0, 1.0, 2.0] * 10})
+        >>> softcal.Recording.from_frame(table, output="V", reference="F", sample_rate_Hz=50, serial="S1")
+        <Recording S1: 30 samples at 50 Hz (0.6 s), output in V, reference in N>
+
         Args:
             frame: one row a sample.
             output, reference, time_s, stage_mm: names of the columns; None takes `reference`, `t_s` and `stage_mm`
-                where there are such. Without a column of time (in seconds) give `sample_rate_Hz`.
+                where there are such. Time is in seconds, or of dates or durations; without such a column it is that of
+                a DatetimeIndex or TimedeltaIndex, or made from `sample_rate_Hz`.
             facts: the other arguments of `Recording`.
 
         Raises:
-            InputError: there is no column of that name; the message lists those there are.
+            InputError: there is no column of that name, or several; the message lists those there are.
         """
+        if not hasattr(frame, "columns"):
+            raise InputError(f"frame is {shown(frame)}; a pandas DataFrame was expected")
         columns: dict[str, Any] = {}
         for argument, name in (("output", output), ("reference", reference), ("t_s", time_s), ("stage_mm", stage_mm)):
-            is_made = argument == "t_s" and facts.get("sample_rate_Hz") is not None
-            if name is None and (is_made or argument not in frame.columns):
+            if name is None and argument not in frame.columns:
                 continue
-            name = argument if name is None else name
-            if name not in frame.columns:
-                there = ", ".join(map(str, list(frame.columns)[:12]))
-                raise InputError(f"there is no column {name!r}; the table has {there}")
-            columns[argument] = frame[name]
+            columns[argument] = _frame_column(frame, argument, argument if name is None else name)
         return cls(**columns, **facts)
 
     @classmethod
@@ -134,63 +275,148 @@ class Recording:
         stage_mm: str | None = None,
         **facts: Any,
     ) -> "Recording":
-        """Read a CSV, Excel or Parquet file; its name without suffix is the serial unless `serial` is given.
+        """Read a file with a table; its name without suffix is the serial unless `serial` is given.
+
+        >>> import pathlib, tempfile, softcal
+        >>> path = pathlib.Path(tempfile.mkdtemp(), "S2.csv")
+        >>> _ = path.write_text("output_V\\n" + "0.50\\n0.52\\n0.55\\n" * 10)
+        >>> softcal.Recording.read(path, output="output_V", sample_rate_Hz=50)
+        <Recording S2: 30 samples at 50 Hz (0.6 s), output in V>
+
+        Args:
+            path: a table as loggers and laboratories write it.
+            output, reference, time_s, stage_mm: as of `from_frame`; without a name the time is found by its heading.
+            facts: the other arguments of `Recording`, and of the table's layout where it is not detected: `delimiter`,
+                `decimal`, `encoding`, `header_row`, `sheet`, `time_format`, `missing`.
 
         Raises:
             InputError: the file is no table, or lacks a column.
         """
-        from softcal.app.files.recording_file import read_table
+        from softcal.app.files.recording_file import STAGE, ColumnNames, naming, read_columns
+        from softcal.app.tables.options import TableOptions
+        from softcal.app.tables.read import column_names
 
-        try:
-            return cls.from_frame(
-                read_table(Path(path)), output, reference, time_s, stage_mm, **{"serial": Path(path).stem, **facts}
-            )
-        except InputError as error:
-            raise InputError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
+        file = file_path("path", path)
+        layout = {name: facts.pop(name) for name in TableOptions.__dataclass_fields__ if name in facts}
+        table = TableOptions(**layout)
+        # Without a name it is read where there is one.
+        has_reference = reference is not None or "reference" in column_names(file, table)
+        rate_Hz = facts.get("sample_rate_Hz")
+        rate_Hz = None if rate_Hz is None else number("sample_rate_Hz", rate_Hz, RATE)
+        names = ColumnNames(output, time_s, reference or "reference", stage_mm or STAGE, rate_Hz, table)
+        columns = read_columns(file, names, with_reference=has_reference)
+        with naming(file):
+            return cls(**{"serial": file.stem, **facts, **columns})
 
     def to_frame(self) -> "pd.DataFrame":
-        """Return `t_s`, `output` and, where they are there, `stage_mm` and `reference`."""
+        """Return `t_s`, `output` and, where they are there, `stage_mm` and `reference`; NaN where a value is missing.
+
+        >>> import softcal
+        >>> softcal.Recording([0.50, 0.52, 0.55] * 10, sample_rate_Hz=50).to_frame().head(2)
+            t_s  output
+        0  0.00    0.50
+        1  0.02    0.52
+        """
         import pandas as pd
 
-        return pd.DataFrame(self.unlabelled.arrays() if self.reference is None else self.labelled.arrays())
+        return pd.DataFrame(self._columns)
+
+    def plot(self) -> "go.Figure":
+        """Draw output and reference over time as a Plotly figure; missing samples are gaps.
+
+        >>> import softcal
+        >>> figure = softcal.Recording([0.50, 0.52, 0.55] * 10, sample_rate_Hz=50).plot()
+        >>> figure.layout.yaxis.title.text
+        'output [V]'
+
+        Raises:
+            ModuleNotFoundError: plotly is not installed; the line names the extra that brings it.
+        """
+        with plotting("Recording.plot"):
+            from softcal.app.api.figures import draw_recording
+
+        series = [(f"output [{self.output_unit}]", self.output)]
+        if self.reference is not None:
+            series.append((f"reference [{self.reference_unit}]", self.reference))
+        return draw_recording(f"Recording {self.serial}", self.t_s, series)
 
 
-def recording_of(given: Any, name: str, **usual: Any) -> Recording:
-    """Return a recording: as it is, out of a table with the columns of the contract, or out of the output alone.
+_TEXTS = ("serial", "output_unit", "reference_unit")
+_BESIDE = ("reference", "stage_mm")
+_ARGUMENTS = {"t_s": "time_s"}
+"""Arguments of `from_frame` that are called otherwise than those of `Recording`."""
+
+
+def times_of_index(values: Any) -> Any:
+    """Return the index of a pandas Series or DataFrame where it is one of dates or durations, else None."""
+    index = getattr(values, "index", None)
+    return index if hasattr(index, "dtype") and is_times(index) else None
+
+
+def _check_indexes(columns: dict[str, Any]) -> None:
+    """Refuse Series whose rows stand under other labels: sample by sample they would be paired wrongly."""
+    indexes = {
+        name: values.index for name, values in columns.items() if hasattr(getattr(values, "index", None), "equals")
+    }
+    for name in list(indexes)[1:]:
+        first = next(iter(indexes))
+        if len(indexes[name]) == len(indexes[first]) and not indexes[name].equals(indexes[first]):
+            raise InputError(
+                f"{first} and {name} have the same length and another index; take both from one table, or give "
+                "arrays where they belong together row by row: .to_numpy()"
+            )
+
+
+def _frame_column(frame: Any, argument: str, name: Hashable) -> Any:
+    count = list(frame.columns).count(name)
+    if count != 1:
+        there = ", ".join(map(str, list(frame.columns)[:12]))
+        problem = "there is no column" if count == 0 else f"{count} columns are named"
+        option = _ARGUMENTS.get(argument, argument)
+        raise InputError(f"{problem} {name!r}; the table has {there}; name the one that is meant: {option}=")
+    return frame[name]
+
+
+def recording_of(given: Any, name: str, rate_Hz: float | None = None, **facts: Any) -> Recording:
+    """Return a recording: as it is, out of a table, or out of the output alone.
 
     Args:
         given: a `Recording`, a DataFrame, or the output: (n,) array, list or Series.
         name: of the argument, for the message.
-        usual: facts of `Recording` where the data state none; the rate counts where there is no column `t_s`.
+        rate_Hz: the sample rate where the data have no time of their own.
+        facts: other arguments of `Recording`, or of `from_frame` for a table.
 
     Raises:
         InputError: it is none of these.
     """
     if isinstance(given, Recording):
         return given
-    if hasattr(given, "columns"):
-        return Recording.from_frame(given, **usual | ({"sample_rate_Hz": None} if "t_s" in given.columns else {}))
-    if isinstance(given, (str, bytes, dict)) or not hasattr(given, "__len__"):
+    facts = {name: value for name, value in facts.items() if value is not None}
+    if isinstance(given, str | bytes | dict) or not hasattr(given, "__len__"):
         raise InputError(
-            f"{name} is {_shown(given)}; a Recording, a DataFrame or the output itself was expected "
+            f"{name} is {shown(given)}; a Recording, a DataFrame or the output itself was expected "
             "(Recording.read takes a file)"
         )
-    return Recording(given, **usual)
+    is_table = hasattr(given, "columns")
+    has_time = times_of_index(given) is not None or {"t_s", "time_s"} & facts.keys() or (is_table and "t_s" in given)
+    if not has_time and rate_Hz is not None:
+        facts = {"sample_rate_Hz": rate_Hz, **facts}
+    return Recording.from_frame(given, **facts) if is_table else Recording(given, **facts)
 
 
-def expect(name: str, value: Any, kind: Any, expected: str) -> None:
-    """Refuse an argument of another type; a bool is no number."""
-    if not isinstance(value, kind) or (kind is Real and isinstance(value, bool)):
-        raise InputError(f"{name} is {_shown(value)}; {expected} was expected")
+def labelled_of(recording: Recording, name: str, call: str) -> LabelledRecording:
+    """Return output and reference of a recording.
 
+    Args:
+        name: of the argument, and `call` that needs it, for the message.
 
-def _shown(value: Any) -> str:
-    text = repr(value)
-    return f"{text if len(text) <= 60 else text[:57] + '...'} ({type(value).__name__})"
-
-
-def _numbers(name: str, values: Any) -> Array:
-    try:
-        return np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} holds something that is no number ({error})") from error
+    Raises:
+        InputError: it has no reference, and the message has the call that gives it one; or one that can label nothing.
+    """
+    if recording.reference is None:
+        raise InputError(
+            f"{name}: this Recording has no reference; {call} needs one: softcal.Recording(..., reference=...), or "
+            'Recording.from_frame(table, reference="name of its column")'
+        )
+    check_reference(recording.inspection)
+    return recording.labelled

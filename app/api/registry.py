@@ -11,6 +11,12 @@ if TYPE_CHECKING:
 def open_registry(url: str | None = None, *, create: bool = False) -> "Registry":
     """Open the registry of calibrations; use it in a `with` block.
 
+    >>> import pathlib, tempfile, softcal
+    >>> path = pathlib.Path(tempfile.mkdtemp(), "registry.db")
+    >>> with softcal.open_registry(f"sqlite:///{path}", create=True) as registry:
+    ...     registry.lots.ids()
+    []
+
     Args:
         url: SQLAlchemy URL; by default $SOFTCAL_REGISTRY, else the SQLite file in the user's data folder.
         create: make the tables where there are none.

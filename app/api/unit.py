@@ -1,69 +1,46 @@
-"""The main job in Python: f from a source, γ of a unit, estimates."""
+"""A calibrated unit in Python: verdict and reasons, estimates, figure, files."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from numbers import Integral, Real
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from softcal.app.api.recording import Recording, expect, recording_of
+from softcal.app.api.arguments import file_path, shown, text
+from softcal.app.api.display import html_table, plotting
+from softcal.app.api.recording import Recording, labelled_of, recording_of
 from softcal.app.api.registry import open_registry
-from softcal.app.batch.calibrating import LotFacts, UnitInputs
 from softcal.app.files.atomic import write_bytes
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.lot import Lot
-from softcal.core.maps.config import DEFAULT
-from softcal.core.maps.interface import Anchors
 from softcal.core.metrics import rmse
-from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
-from softcal.core.network.training import fit_network as train_network
-from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.unit.calibrate import calibrate
+from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate
-from softcal.core.unit.method import Method
-from softcal.core.unit.source_model import SourceModel, make_source_model
-from softcal.core.unit.verdict import Release, stated_limit
+from softcal.core.unit.verdict import Limit, Release
 
 if TYPE_CHECKING:
     import pandas as pd
+    import plotly.graph_objects as go
 
     from softcal.app.export.calibrated_unit import CalibratedUnit
     from softcal.core.maps.interface import UnitMap
     from softcal.db.registry import Registry
 
 
-@dataclass(frozen=True, eq=False)
-class SourceNetwork:
-    """The shared network f with the source it was trained on: what every unit's map starts from."""
-
-    model: SourceModel = field(repr=False)
-    held_out: Any = field(repr=False)
-    validation_rmse: float
-
-    @property
-    def network(self) -> Network:
-        """f as plain arrays."""
-        return self.model.network
-
-    @property
-    def reference_unit(self) -> str:
-        """Physical unit of the estimates."""
-        return self.network.reference_unit
-
-    def predict(self, windows: Array) -> Array:
-        """Estimate the reference for (n, 15) windows of the source, newest sample last: (n,)."""
-        return self.network.evaluate(np.asarray(windows, dtype=np.float64))
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Unit:
     """One calibrated unit: it turns its own output into the reference.
+
+    >>> import softcal
+    >>> source, target = softcal.simulate_recordings()
+    >>> unit = softcal.fit_map(softcal.fit_network(source, hidden=(8,)), target)
+    >>> unit.serial, unit.verdict in ("pass", "conditional", "fail", "retest"), len(unit.reasons) > 0
+    ('S2', True, True)
 
     Args:
         network: the shared network f.
@@ -80,8 +57,15 @@ class Unit:
     kept: "CalibratedUnit | None" = None
 
     def __repr__(self) -> str:
-        error = "" if self.predicted_rmse is None else f", RMSE {self.predicted_rmse:.3g} {self.network.reference_unit}"
-        return f"<Unit {self.serial}: {self.verdict}, {self.family}{error}>"
+        return f"<Unit {self.serial}: {self.verdict}, {self.family}{self._error(', predicted RMSE ')}>"
+
+    def _repr_html_(self) -> str:
+        rows = [("verdict", self.verdict), ("map", self.family), ("predicted RMSE", self._error() or "none")]
+        return html_table(f"Unit {self.serial}", [*rows, *(("", reason) for reason in self.reasons)])
+
+    def _error(self, before: str = "") -> str:
+        error = self.predicted_rmse
+        return "" if error is None else f"{before}{error:.3g} {self.network.reference_unit}"
 
     @property
     def sample_rate_Hz(self) -> float:
@@ -121,65 +105,120 @@ class Unit:
     def estimate(self, recording: Any) -> "pd.DataFrame":
         """Estimate the reference, sample by sample.
 
+        >>> import softcal
+        >>> source, target = softcal.simulate_recordings()
+        >>> unit = softcal.fit_map(softcal.fit_network(source, hidden=(8,)), target)
+        >>> list(unit.estimate(target.output).columns)
+        ['t_s', 'estimate', 'lower', 'upper', 'flag']
+
         Args:
             recording: a `Recording`, a DataFrame with a column `output`, or the output alone: (n,) array, list or
                 Series at the unit's sample rate. pandas keeps its index.
 
         Returns:
-            `t_s`, `estimate`, `lower`, `upper` (a 90 % interval, in the reference unit) and `flag` (empty where a row
-            is trusted). The first 14 rows have no full window: their estimate is NaN.
+            A row for every sample: `t_s`, `estimate`, `lower`, `upper` (a 90 % interval, in the reference unit) and
+            `flag` (empty where a row is trusted). The first 14 rows have no full window: their estimate is NaN, as is
+            that of a missing sample, which is `invalid`.
 
         Raises:
             InputError: the output is unusable, or in another physical unit.
         """
         import pandas as pd
 
-        estimates = estimate(self.network, self.calibration, self._recording(recording).unlabelled)
+        typed = self._recording(recording)
+        estimates = estimate(self.network, self.calibration, typed.unlabelled).spread(typed.t_s, typed.rows)
         columns = {name: getattr(estimates, name) for name in ("t_s", "estimate", "lower", "upper", "flag")}
         return pd.DataFrame(columns, index=recording.index if hasattr(recording, "iloc") else None)
 
     def rmse(self, recording: Any) -> float:
-        """Return the error against the reference of a recording, in the reference unit, over rows with an estimate."""
-        labelled = self._recording(recording).labelled
+        """Return the error against the reference of a recording, in the reference unit, over rows with an estimate.
+
+        >>> import softcal
+        >>> source, target = softcal.simulate_recordings()
+        >>> unit = softcal.fit_map(softcal.fit_network(source, hidden=(8,)), target)
+        >>> unit.rmse(target) < 1.0
+        True
+
+        Raises:
+            InputError: the recording has no reference.
+        """
+        labelled = labelled_of(self._recording(recording), "recording", "Unit.rmse")
         estimates, rows = estimate(self.network, self.calibration, labelled.unlabelled), labelled.unlabelled.window_rows
         return rmse(estimates.estimate[rows], labelled.reference[rows])
 
     def _recording(self, given: Any) -> Recording:
-        facts = {"sample_rate_Hz": self.sample_rate_Hz, "serial": self.serial, "output_unit": self.network.output_unit}
-        return recording_of(given, "recording", **facts)
+        units = {"output_unit": self.network.output_unit, "reference_unit": self.network.reference_unit}
+        return recording_of(given, "recording", self.sample_rate_Hz, serial=self.serial, **units)
 
     def to_frame(self) -> "pd.DataFrame":
-        """Return one row: serial, verdict, family, errors and why; `pandas.concat` of units makes a lot."""
-        import pandas as pd
+        """Return one row: serial, verdict, map family, predicted and measured RMSE, and the reasons.
 
-        made, scores = self.calibration, self.calibration.scores
-        row = {
-            "serial": self.serial,
-            "verdict": self.verdict,
-            "family": self.family,
-            "predicted_rmse": made.predicted_rmse,
-            "before_rmse": None if scores is None else scores.before,
-            "after_rmse": None if scores is None else scores.after,
-            "reasons": "; ".join(self.reasons),
-        }
-        return pd.DataFrame([row])
+        >>> import softcal
+        >>> source, target = softcal.simulate_recordings()
+        >>> unit = softcal.fit_map(softcal.fit_network(source, hidden=(8,)), target)
+        >>> unit.to_frame().loc[0, "serial"]
+        'S2'
+        """
+        return unit_frame([unit_row(self)])
+
+    def plot(self, recording: Any = None) -> "go.Figure":
+        """Draw the map, the output over the load, and the estimate with its 90 % band, as a Plotly figure.
+
+        >>> import softcal
+        >>> source, target = softcal.simulate_recordings()
+        >>> unit = softcal.fit_map(softcal.fit_network(source, hidden=(8,)), target)
+        >>> unit.plot(target).layout.xaxis2.title.text
+        'force [N]'
+
+        Args:
+            recording: as `estimate` takes it; by default the one the unit was calibrated from. The load is its
+                reference, or the estimate where it has none.
+
+        Raises:
+            ModuleNotFoundError: plotly is not installed; the line names the extra that brings it.
+        """
+        with plotting("Unit.plot"):
+            from softcal.app.api.figures import draw_unit
+        from softcal.app.views.unit import UnitSignals
+
+        typed = None if recording is None else self._recording(recording)
+        raw = self.recording if typed is None else typed.unlabelled
+        estimates = estimate(self.network, self.calibration, raw)
+        signals = UnitSignals(self.calibration, self._lot, self.source, raw, estimates)
+        reference = None if typed is None or typed.reference is None else typed.reference[typed.rows]
+        return draw_unit(signals, reference, f"Unit {self.serial}: {self.verdict}{self._error(', predicted RMSE ')}")
 
     def save(self, path: str | Path) -> None:
         """Write the unit into one file, whole or not at all: a registry that holds this unit, its source and network.
 
         Every command takes the file, too: `softcal export --registry sqlite:///FILE --serial S`.
 
+        >>> import pathlib, tempfile, softcal
+        >>> source, target = softcal.simulate_recordings()
+        >>> unit = softcal.fit_map(softcal.fit_network(source, hidden=(8,)), target)
+        >>> path = pathlib.Path(tempfile.mkdtemp(), "S2.db")
+        >>> unit.save(path)
+        >>> softcal.Unit.load(path).predicted_rmse == unit.predicted_rmse
+        True
+
         Raises:
             InputError: the file cannot be written.
         """
+        file = file_path("path", path)
         with TemporaryDirectory(prefix="softcal-") as folder:
             with self._registry(Path(folder)):
                 pass
-            write_bytes(Path(path), (Path(folder) / _FILE).read_bytes())
+            write_bytes(file, (Path(folder) / _FILE).read_bytes())
 
     @classmethod
     def load(cls, path: str | Path, serial: str | None = None) -> "Unit":
         """Read a unit that `save` wrote, or one of a registry's file.
+
+        >>> import softcal
+        >>> softcal.Unit.load("nowhere.db")
+        Traceback (most recent call last):
+        ...
+        softcal.core.errors.InputError: nowhere.db: there is no such file
 
         Args:
             path: the file.
@@ -189,16 +228,24 @@ class Unit:
             InputError: there is no such file, or several units in it and `serial` is not given.
             RegistryError: the file is no registry, or damaged.
         """
-        if not Path(path).is_file():
-            raise InputError(f"{path}: there is no such file")
-        with open_registry(f"sqlite:///{Path(path)}") as registry:
+        file = file_path("path", path)
+        if not file.is_file():
+            raise InputError(f"{file}: there is no such file")
+        serial = None if serial is None else text("serial", serial)
+        with open_registry(f"sqlite:///{file}") as registry:
             units = {unit.serial for lot in registry.lots.ids() for unit in registry.lots.units(lot) if unit.revision}
             if serial is None and len(units) != 1:
-                raise InputError(f"{path} holds {len(units)} calibrated units; name one of them by serial=")
+                raise InputError(f"{file} holds {len(units)} calibrated units; name one of them by serial=")
             return cls.from_registry(registry, serial or units.pop())
 
     def export(self, out: str | Path, *formats: str, release: str = "pass") -> list[Path]:
         """Write calibration files, as `softcal export` does.
+
+        >>> import tempfile, softcal
+        >>> source, target = softcal.simulate_recordings()
+        >>> unit = softcal.fit_map(softcal.fit_network(source, hidden=(8,)), target, limit_rmse=2.0)
+        >>> [file.name for file in unit.export(tempfile.mkdtemp(), "json", release="conditional")][:1]
+        ['unit-S2.json']
 
         Args:
             out: folder.
@@ -215,31 +262,42 @@ class Unit:
         from softcal.app.export.calibrated_unit import ExportOptions
         from softcal.app.export.export import export_units
 
+        folder = file_path("out", out)
+        names = [text("format", name) for name in formats] or ["json"]
         if release not in tuple(Release):
-            raise InputError(f"release is {release!r}; pass or conditional was expected")
+            raise InputError(f"release is {shown(release)}; pass or conditional was expected")
         if self.kept is not None:
             self.kept.check_stands()
         options = ExportOptions(release=Release(release))
-        with TemporaryDirectory(prefix="softcal-") as folder, self._registry(Path(folder)) as registry:
-            (done,) = export_units(registry, [self.serial], formats or ("json",), Path(out), options)
+        with TemporaryDirectory(prefix="softcal-") as scratch, self._registry(Path(scratch)) as registry:
+            (done,) = export_units(registry, [self.serial], names, folder, options)
         if done.refusal is not None:
             raise UnitRefused(done.refusal)
-        return [Path(out) / name for name in done.files]
+        return [folder / name for name in done.files]
+
+    @property
+    def _stored_source(self) -> LabelledRecording:
+        # A registry holds one unit of a serial: the source of the same name gets another one.
+        if self.source.serial != self.serial:
+            return self.source
+        raw = replace(self.source.unlabelled, serial=f"source-of-{self.serial}")
+        return replace(self.source, unlabelled=raw)
+
+    @property
+    def _lot(self) -> Lot:
+        if self.kept is not None:
+            return self.kept.lot
+        source = self._stored_source
+        units = {"reference_unit": source.reference_unit, "output_unit": source.unlabelled.output_unit}
+        # One that nobody stated follows from the source again.
+        is_stated = self.calibration.evidence.get("limit_origin") == str(Limit.origin)
+        limit_rmse = float(str(self.calibration.evidence["limit_rmse"])) if is_stated else None
+        return Lot("python", source.serial, source.unlabelled.sample_rate_Hz, **units, limit_rmse=limit_rmse)
 
     @contextmanager
     def _registry(self, folder: Path) -> "Iterator[Registry]":
-        source, record = self.source, self.calibration.to_record("", self.recording.sha256)
-        if source.serial == self.serial:
-            source = replace(source, unlabelled=replace(source.unlabelled, serial=f"source-of-{self.serial}"))
-        raw = source.unlabelled
-        lot = Lot(
-            "python",
-            source.serial,
-            raw.sample_rate_Hz,
-            reference_unit=source.reference_unit,
-            output_unit=raw.output_unit,
-        )
-        lot = lot if self.kept is None else self.kept.lot
+        source, lot = self._stored_source, self._lot
+        record = self.calibration.to_record("", self.recording.sha256)
         with open_registry(f"sqlite:///{folder / _FILE}", create=True) as registry:
             registry.lots.add(lot)
             training = {"source_recording_sha256": registry.recordings.add(lot.id, source, "source")}
@@ -252,7 +310,16 @@ class Unit:
     def from_registry(
         cls, registry: "Registry", serial: str, revision: int | None = None, lot: str | None = None
     ) -> "Unit":
-        """Load a unit: the revision in use, or an older one.
+        """Load a unit of a registry: the revision in use, or an older one.
+
+        >>> import pathlib, tempfile, softcal
+        >>> source, target = softcal.simulate_recordings()
+        >>> path = pathlib.Path(tempfile.mkdtemp(), "S2.db")
+        >>> softcal.fit_map(softcal.fit_network(source, hidden=(8,)), target).save(path)
+        >>> with softcal.open_registry(f"sqlite:///{path}") as registry:
+        ...     unit = softcal.Unit.from_registry(registry, "S2")
+        >>> unit.serial
+        'S2'
 
         Raises:
             InputError: the registry does not know it, or knows it in several lots and `lot` is not given.
@@ -263,84 +330,27 @@ class Unit:
         return cls(kept.network, kept.calibration, kept.shared.source, kept.recording, kept)
 
 
+def unit_row(unit: Unit) -> dict[str, Any]:
+    """Return the values of a unit's row by their column."""
+    scores = unit.calibration.scores
+    return {
+        "serial": unit.serial,
+        "verdict": unit.verdict,
+        "family": unit.family,
+        "predicted_rmse": unit.predicted_rmse,
+        "before_rmse": None if scores is None else scores.before,
+        "after_rmse": None if scores is None else scores.after,
+        "reasons": "; ".join(unit.reasons),
+    }
+
+
+def unit_frame(rows: Iterable[Mapping[str, Any]]) -> "pd.DataFrame":
+    """Return units as a table, numbers as numbers where some unit has none."""
+    import pandas as pd
+
+    table = pd.DataFrame([dict(row) for row in rows])
+    errors = ["predicted_rmse", "before_rmse", "after_rmse"]
+    return table.astype(dict.fromkeys(errors, np.float64))
+
+
 _FILE = "unit.db"
-
-
-def fit_network(
-    source: Any, *, hidden: tuple[int, ...] = (120, 70, 35), seed: int = 0, members: int = 1
-) -> SourceNetwork:
-    """Train the shared network f on the source unit's recording.
-
-    Args:
-        source: `Recording` with a reference, or a DataFrame with columns `t_s, output, reference`.
-        hidden: widths of the hidden layers; the default is the paper's (Kim et al. 2020).
-        seed: equal seeds give equal networks on one machine.
-        members: networks from consecutive seeds, averaged into one.
-
-    Raises:
-        InputError: no reference, too short, constant, saturated, or nothing to learn.
-    """
-    expect("hidden", hidden, (tuple, list), "widths of the hidden layers, for example (120, 70, 35),")
-    for name, value in [("seed", seed), ("members", members), *(("hidden", width) for width in hidden)]:
-        expect(name, value, Integral, "a whole number")
-    labelled = recording_of(source, "source").labelled
-    trained = train_network(labelled, NetworkConfig(hidden=tuple(hidden), seed=seed, members=members))
-    model = make_source_model(labelled, trained.network, trained.validation_rows)
-    return SourceNetwork(model, trained.validation_rows, trained.validation_rmse)
-
-
-def fit_map(
-    network: SourceNetwork,
-    target: Any,
-    *,
-    family: str = DEFAULT,
-    limit_rmse: float | None = None,
-    anchors: "tuple[Any, Any] | pd.DataFrame | None" = None,
-    audit: Any = None,
-) -> Unit:
-    """Fit the map of one unit from its output alone, and say how far it can be trusted.
-
-    Args:
-        network: from `fit_network`.
-        target: `Recording` of the unit, a DataFrame with a column `output`, or the output itself at the source's
-            rate. A reference, if it has one, is not looked at.
-        family: `auto` lets the recording choose; or a family such as `affine` (`softcal batch --help` lists them).
-        limit_rmse: largest acceptable error in the reference unit; by default derived from the source's own error.
-        anchors: a few known loads: (outputs, references), or a DataFrame with these columns.
-        audit: the same with a reference, of the same unit; it measures the error and fits nothing.
-
-    Raises:
-        UnitRefused: the recording allows no map; the message says why and what to do.
-        InputError: the family is unknown, or units do not agree.
-    """
-    expect("network", network, SourceNetwork, "what softcal.fit_network returned")
-    expect("family", family, str, "the name of a map family")
-    if limit_rmse is not None:
-        expect("limit_rmse", limit_rmse, Real, "a number in the reference unit")
-    model = network.model
-    if family != DEFAULT:
-        method = Method(map=replace(model.method.map, family=family))
-        model = make_source_model(model.source, model.network, network.held_out, method)
-    known = model.source.unlabelled
-    facts = {"sample_rate_Hz": known.sample_rate_Hz, "output_unit": known.output_unit}
-    recording = recording_of(target, "target", **facts).unlabelled
-    limit = stated_limit(network.reference_unit, limit_rmse)
-    measured = None if audit is None else recording_of(audit, "audit", **facts).labelled
-    loads = None
-    if anchors is not None:
-        try:
-            table: Any = anchors
-            pair = (table["output"], table["reference"]) if hasattr(table, "columns") else table
-            output, reference = (np.asarray(values, dtype=np.float64) for values in pair)
-        except (TypeError, ValueError, KeyError) as error:
-            raise InputError(
-                f"anchors is a {type(anchors).__name__} that is not understood ({error}); (outputs, references) or a "
-                "DataFrame with columns output, reference was expected"
-            ) from error
-        if output.shape != reference.shape or output.ndim != 1 or not len(output):
-            raise InputError(
-                f"anchors: {output.shape} outputs and {reference.shape} references; as many of both, at least 1"
-            )
-        loads = Anchors(output, reference)
-    (problem,) = LotFacts((model,), limit).problems(recording, UnitInputs(loads, audit=measured))
-    return Unit(model.network, calibrate(problem), model.source, recording)

@@ -13,11 +13,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from softcal.app.api.diagnosis import diagnose
     from softcal.app.api.estimators import MapTransformer, NetworkRegressor
+    from softcal.app.api.example import simulate_recordings
+    from softcal.app.api.fitting import UnitTable, fit_map
+    from softcal.app.api.network import SourceNetwork, fit_network
     from softcal.app.api.recording import Recording
     from softcal.app.api.registry import open_registry
-    from softcal.app.api.unit import SourceNetwork, Unit, fit_map, fit_network
-    from softcal.app.gap.diagnose import diagnose_case as diagnose
+    from softcal.app.api.unit import Unit
     from softcal.core.errors import InputError, SoftcalError, UnitRefused
     from softcal.core.twin.simulate import Twin
 
@@ -28,15 +31,17 @@ _WHERE = {
     "MapTransformer": "softcal.app.api.estimators:MapTransformer",
     "NetworkRegressor": "softcal.app.api.estimators:NetworkRegressor",
     "Recording": "softcal.app.api.recording:Recording",
-    "SourceNetwork": "softcal.app.api.unit:SourceNetwork",
+    "SourceNetwork": "softcal.app.api.network:SourceNetwork",
     "SoftcalError": "softcal.core.errors:SoftcalError",
     "Twin": "softcal.core.twin.simulate:Twin",
     "Unit": "softcal.app.api.unit:Unit",
     "UnitRefused": "softcal.core.errors:UnitRefused",
-    "diagnose": "softcal.app.gap.diagnose:diagnose_case",
-    "fit_map": "softcal.app.api.unit:fit_map",
-    "fit_network": "softcal.app.api.unit:fit_network",
+    "UnitTable": "softcal.app.api.fitting:UnitTable",
+    "diagnose": "softcal.app.api.diagnosis:diagnose",
+    "fit_map": "softcal.app.api.fitting:fit_map",
+    "fit_network": "softcal.app.api.network:fit_network",
     "open_registry": "softcal.app.api.registry:open_registry",
+    "simulate_recordings": "softcal.app.api.example:simulate_recordings",
 }
 
 __all__ = [
@@ -49,11 +54,13 @@ __all__ = [
     "Twin",
     "Unit",
     "UnitRefused",
+    "UnitTable",
     "__version__",
     "diagnose",
     "fit_map",
     "fit_network",
     "open_registry",
+    "simulate_recordings",
 ]
 
 

@@ -75,6 +75,14 @@ class EffectSetting:
 class Twin:
     """The simulator of one unit on the station: base parameters, effects, electronics.
 
+    >>> import numpy as np, softcal
+    >>> from softcal.core.profiles import ramps
+    >>> from softcal.core.twin.simulate import simulate
+    >>> t_s, stage_mm = ramps([1.0, 2.0], speed_mm_s=1.0).sample(50)
+    >>> force_N, output_V = simulate(softcal.Twin(), t_s, stage_mm, np.random.default_rng(1))
+    >>> force_N.shape == output_V.shape == t_s.shape
+    True
+
     Args:
         empirical: terms for what no effect explains; each acts behind the effects of its place.
     """

@@ -1,0 +1,290 @@
+"""Maps of one unit or of many in Python, each from its own output alone."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from softcal.app.api.arguments import column, expect, number, shown, text
+from softcal.app.api.network import SourceNetwork, recording_with
+from softcal.app.api.recording import Recording, labelled_of, recording_of
+from softcal.app.api.unit import Unit, unit_frame, unit_row
+from softcal.app.batch.calibrating import LotFacts, UnitInputs
+from softcal.core.errors import InputError, UnitRefused
+from softcal.core.maps.catalogue import family as family_named
+from softcal.core.maps.config import DEFAULT
+from softcal.core.maps.interface import Anchors
+from softcal.core.unit.calibrate import calibrate
+from softcal.core.unit.method import Method
+from softcal.core.unit.source_model import make_source_model
+from softcal.core.unit.verdict import Verdict, stated_limit
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+COLUMNS = frozenset({"output", "reference", "t_s", "stage_mm"})
+"""Columns of a recording: a dict of these is one recording, not one of units."""
+
+
+@dataclass(frozen=True)
+class RefusedUnit:
+    """A unit that got no map, and why."""
+
+    serial: str
+    verdict: str
+    reason: str
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """The values of its row by their column."""
+        missing = dict.fromkeys(("family", "predicted_rmse", "before_rmse", "after_rmse"))
+        return {"serial": self.serial, "verdict": self.verdict, **missing, "reasons": self.reason}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class UnitTable:
+    """Units that were fitted each alone, one row a unit, in the order they were given.
+
+    A unit whose recording cannot be used is a row as well: `retest` or `fail`, with its reason.
+
+    >>> import softcal
+    >>> source, *targets = softcal.simulate_recordings(units=2)
+    >>> network = softcal.fit_network(source, hidden=(8,))
+    >>> table = softcal.fit_map(network, [*targets, [0.5, 0.5]])
+    >>> list(table), len(table)
+    (['S2', 'S3', 'unit-3'], 3)
+    >>> table["S2"].serial
+    'S2'
+    >>> table.to_frame().loc[2, ["verdict", "reasons"]].to_list()
+    ['retest', '2 samples; at least 15 are needed to fill one window']
+    """
+
+    rows: tuple[Unit | RefusedUnit, ...]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __iter__(self) -> Iterator[str]:
+        return (row.serial for row in self.rows)
+
+    def __contains__(self, serial: object) -> bool:
+        return any(row.serial == serial for row in self.rows)
+
+    def __getitem__(self, serial: str) -> Unit:
+        """Return the unit of a serial.
+
+        Raises:
+            UnitRefused: it got no map; the line says why.
+            InputError: there is no unit of that serial; the line lists those there are.
+        """
+        for row in self.rows:
+            if row.serial == serial:
+                if isinstance(row, Unit):
+                    return row
+                raise UnitRefused(f"{row.serial}: {row.reason}")
+        serials = list(self)
+        more = ", ..." if len(serials) > 12 else ""
+        raise InputError(f"there is no unit {serial!r}; the table has {', '.join(serials[:12])}{more}")
+
+    @property
+    def units(self) -> list[Unit]:
+        """The units that have a map."""
+        return [row for row in self.rows if isinstance(row, Unit)]
+
+    def to_frame(self) -> "pd.DataFrame":
+        """Return one row a unit: serial, verdict, map family, predicted and measured RMSE, and the reasons.
+
+        >>> import softcal
+        >>> source, target = softcal.simulate_recordings()
+        >>> table = softcal.fit_map(softcal.fit_network(source, hidden=(8,)), {"S7": target})
+        >>> table.to_frame()["serial"].to_list()
+        ['S7']
+        """
+        return unit_frame(unit_row(row) if isinstance(row, Unit) else row.row for row in self.rows)
+
+    def __repr__(self) -> str:
+        counts = [(verdict, sum(row.verdict == verdict for row in self.rows)) for verdict in Verdict]
+        return f"<UnitTable of {len(self)}: {', '.join(f'{n} {verdict}' for verdict, n in counts if n)}>"
+
+    def _repr_html_(self) -> str:
+        return str(self.to_frame().to_html(index=False, max_rows=40, float_format="{:.3g}".format, na_rep=""))
+
+
+def fit_map(
+    network: SourceNetwork,
+    target: Any,
+    *,
+    sample_rate_Hz: Any = None,
+    family: str = DEFAULT,
+    limit_rmse: Any = None,
+    anchors: Any = None,
+    audit: Any = None,
+    **recording: Any,
+) -> Any:
+    """Fit the map of a unit from its output alone, and say how far it can be trusted; or of many, each alone.
+
+    >>> import softcal
+    >>> source, target = softcal.simulate_recordings()
+    >>> network = softcal.fit_network(source, hidden=(8,))
+    >>> softcal.fit_map(network, target.output, serial="S2").serial
+    'S2'
+
+    A dict or a list of units gives a table:
+
+    >>> table = softcal.fit_map(network, {"S2": target, "S3": target.output * 1.1})
+    >>> table["S3"].serial, len(table.to_frame())
+    ('S3', 2)
+
+    Args:
+        network: from `fit_network`.
+        target: `Recording` of the unit, a DataFrame with a column `output`, or the output itself at the source's
+            rate. A reference, if it has one, is not looked at. Or many of these: a dict by serial, or a list, where
+            what has no serial is called `unit-1`, `unit-2` and so on by its position.
+        sample_rate_Hz: samples a second, where the data have no time of their own; by default the source's.
+        family: `auto` lets the recording choose; or a family such as `affine` (`softcal batch --help` lists them).
+        limit_rmse: largest acceptable error in the reference unit; by default derived from the source's own error.
+        anchors: a few known loads: (outputs, references), or a DataFrame with these columns; for many units a dict of
+            them by serial.
+        audit: a recording of the same unit with a reference; it measures the error and fits nothing. For many units a
+            dict of them by serial.
+        recording: other arguments of `Recording`, or of `Recording.from_frame` for DataFrames.
+
+    Returns:
+        A `Unit`; for many a `UnitTable`, in which a unit that cannot be calibrated is a row with its reason.
+
+    Raises:
+        UnitRefused: the one recording allows no map; the message says why and what to do.
+        InputError: the family is unknown, or units do not agree.
+    """
+    facts = {"sample_rate_Hz": sample_rate_Hz, **recording}
+    fit = _MapFit.prepare(network, family, limit_rmse)
+    if not _is_many(target):
+        return fit.fit_unit(recording_with(target, "target", facts, fit.rate_Hz, **fit.units), anchors, audit)
+    if "serial" in recording:
+        raise InputError("serial= belongs to one unit; a dict {serial: recording} names many")
+    given = [*target.items()] if isinstance(target, dict) else [(None, one) for one in target]
+    serials = [_serial_of(name, one, position) for position, (name, one) in enumerate(given, 1)]
+    loads, audits = _by_serial("anchors", anchors, serials), _by_serial("audit", audit, serials)
+    rows: list[Unit | RefusedUnit] = []
+    for serial, (name, one) in zip(serials, given, strict=True):
+        try:
+            unit = _recording_of_unit(one, name, serial, serials.count(serial), fit, facts)
+            rows.append(fit.fit_unit(unit, loads.get(serial), audits.get(serial)))
+        except UnitRefused as error:
+            rows.append(RefusedUnit(serial, str(Verdict.FAIL), str(error)))
+        except InputError as error:
+            rows.append(RefusedUnit(serial, str(Verdict.RETEST), str(error)))
+    return UnitTable(tuple(rows))
+
+
+@dataclass(frozen=True, eq=False)
+class _MapFit:
+    """What all units of one call are fitted with."""
+
+    lot: LotFacts
+
+    @classmethod
+    def prepare(cls, network: SourceNetwork, family: str, limit_rmse: Any) -> "_MapFit":
+        expect("network", network, SourceNetwork, "what softcal.fit_network returned")
+        model = network.model
+        if text("family", family) != DEFAULT:
+            family_named(family)
+            method = Method(map=replace(model.method.map, family=str(family)))
+            model = make_source_model(model.source, model.network, network.held_out, method)
+        limit = None if limit_rmse is None else number("limit_rmse", limit_rmse, "a number in the reference unit")
+        return cls(LotFacts((model,), stated_limit(network.reference_unit, limit)))
+
+    @property
+    def rate_Hz(self) -> float:
+        return self.lot.source.source.unlabelled.sample_rate_Hz
+
+    @property
+    def units(self) -> dict[str, Any]:
+        source = self.lot.source.source
+        return {"output_unit": source.unlabelled.output_unit, "reference_unit": source.reference_unit}
+
+    def fit_unit(self, recording: Recording, anchors: Any, audit: Any) -> Unit:
+        measured = None
+        if audit is not None:
+            measured = labelled_of(
+                recording_of(audit, "audit", self.rate_Hz, serial=recording.serial, **self.units), "audit", "fit_map"
+            )
+        loads = None if anchors is None else _anchors(anchors)
+        (problem,) = self.lot.problems(recording.unlabelled, UnitInputs(loads, audit=measured))
+        model = self.lot.source
+        return Unit(model.network, calibrate(problem), model.source, recording.unlabelled)
+
+
+def _is_many(target: Any) -> bool:
+    """Whether a target is a dict or a list of units, not the samples of one."""
+    if isinstance(target, dict):
+        if columns := [name for name in target if name in COLUMNS]:
+            raise InputError(
+                f"target is a dict of columns ({', '.join(columns)}); one unit is a pandas.DataFrame of them, many are "
+                "{serial: recording}"
+            )
+        is_many, is_empty = True, not target
+    else:
+        is_sequence = isinstance(target, list | tuple)
+        is_many = is_sequence and any(
+            isinstance(one, Recording) or (hasattr(one, "__len__") and not isinstance(one, str | bytes))
+            for one in target
+        )
+        is_empty = is_sequence and not target
+    if is_empty:
+        raise InputError(f"target is {shown(target)}; it holds no unit and no sample")
+    return is_many
+
+
+def _serial_of(name: Any, given: Any, number_in_list: int) -> str:
+    if name is not None:
+        return str(name)
+    return given.serial if isinstance(given, Recording) else f"unit-{number_in_list}"
+
+
+def _recording_of_unit(
+    given: Any, name: Any, serial: str, count: int, fit: _MapFit, facts: Mapping[str, Any]
+) -> Recording:
+    """Return the recording of one unit of many under its serial; `InputError` where another has that serial too."""
+    if count > 1:
+        raise InputError(
+            f"{count} units are called {serial!r}; give each its own serial: Recording(..., serial=...), or a dict "
+            "{serial: recording}"
+        )
+    if name is not None:
+        expect("serial", name, str, "text")
+    if isinstance(given, Recording):
+        given = replace(given, serial=serial)
+    return recording_with(given, "target", facts, fit.rate_Hz, serial=serial, **fit.units)
+
+
+def _by_serial(name: str, given: Any, serials: Sequence[str]) -> Mapping[str, Any]:
+    """Return what stands beside units of many by their serial; what belongs to none of them is refused."""
+    if given is None:
+        return {}
+    expect(name, given, dict, "a dict by serial, as there are many units,")
+    if unknown := [str(serial) for serial in given if serial not in serials]:
+        raise InputError(f"{name} of {', '.join(unknown[:12])}: there is no unit of that serial among the targets")
+    return dict(given)
+
+
+def _anchors(given: Any) -> Anchors:
+    pair: Any = given
+    if hasattr(given, "columns"):
+        if missing := [name for name in ("output", "reference") if name not in given.columns]:
+            raise InputError(
+                f"anchors is a table without {', '.join(missing)}; columns output, reference were expected"
+            )
+        pair = (given["output"], given["reference"])
+    if not isinstance(pair, tuple | list) or len(pair) != 2:
+        raise InputError(
+            f"anchors is {shown(given)}; (outputs, references), or a DataFrame with columns output, reference, was "
+            "expected"
+        )
+    output, reference = column("anchors, outputs,", pair[0]), column("anchors, references,", pair[1])
+    if len(output) != len(reference) or not len(output):
+        raise InputError(f"anchors: {len(output)} outputs and {len(reference)} references; as many of both, at least 1")
+    if not np.isfinite([output, reference]).all():
+        raise InputError("anchors: a value is missing or not finite; every known load needs its output")
+    return Anchors(output, reference)
