@@ -16,6 +16,13 @@ class SoftcalError(Exception):
 
     Control characters of what it quotes are shown by their codes, never obeyed.
 
+    >>> import softcal
+    >>> try:
+    ...     recording = softcal.Recording([0.5, 0.6], sample_rate_Hz=50)
+    ... except softcal.SoftcalError as error:
+    ...     print(error)
+    2 samples; at least 15 are needed to fill one window
+
     Args:
         said: what happened, as a code with its values; a sentence where English is enough.
     """
@@ -29,7 +36,14 @@ class SoftcalError(Exception):
 
 
 class InputError(SoftcalError):
-    """A file, row, column, option or value the caller gave cannot be used; exit code 2."""
+    """A file, row, column, option or value the caller gave cannot be used; exit code 2.
+
+    >>> import softcal
+    >>> softcal.Recording([0.5] * 20, sample_rate_Hz="50")
+    Traceback (most recent call last):
+    ...
+    softcal.core.errors.InputError: sample_rate_Hz is '50' (str); a positive number of samples a second was expected
+    """
 
 
 class DeviceError(SoftcalError):
@@ -57,7 +71,17 @@ class RegistryError(SoftcalError):
 
 
 class UnitRefused(SoftcalError):
-    """This unit cannot be calibrated from this recording; the lot goes on without it."""
+    """This unit cannot be calibrated from this recording; the lot goes on without it.
+
+    >>> import softcal
+    >>> source, target = softcal.simulate_recordings()
+    >>> network = softcal.fit_network(source, hidden=(8,))
+    >>> try:
+    ...     unit = softcal.fit_map(network, [0.5] * 600)
+    ... except softcal.UnitRefused as error:
+    ...     print(str(error)[:43])
+    dead channel: its output never changes; che
+    """
 
 
 def reason_of(error: BaseException) -> Reason:

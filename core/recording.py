@@ -1,7 +1,7 @@
 """Recordings of one unit, checked when made. From an `OutputRecording` no fit reads a reference."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeAlias
 
@@ -22,8 +22,67 @@ Arrays: TypeAlias = Mapping[str, NDArray[np.generic]]
 GAP_FACTOR = 1.5
 """A step of t_s longer than this many sample periods is a gap: no window reaches across it."""
 
-RATE_TOLERANCE = 0.02
+RATE_TOLERANCE = 0.01
 """Largest relative difference between the declared rate and the one the time stamps show."""
+
+
+MASK_KINDS = ("missing", "overflow", "spike", "dropout", "no_reference", "reference_outlier")
+"""Why a sample is masked: an empty cell, a value that no sensor gives, a spike faster than any press, a cable off for
+longer; the last two are of the reference beside it. Stored by position: new kinds go to the end."""
+
+MASKED = "masked_"
+"""How the names of the arrays begin that store masked samples."""
+
+
+@dataclass(frozen=True, eq=False)
+class MaskedSamples:
+    """Samples that a file holds and no fit sees: they are taken out, which leaves a gap in `t_s`.
+
+    Args:
+        t_s: (m,) time stamps in s.
+        kinds: (m,) position of each one's kind in `MASK_KINDS`.
+        values: (m,) what the column holds there; NaN for an empty cell.
+        lines: (m,) line of the file; 0 where there was no file.
+    """
+
+    t_s: Array = field(default_factory=lambda: np.empty(0))
+    kinds: Indices = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    values: Array = field(default_factory=lambda: np.empty(0))
+    lines: Indices = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of masked samples by kind; kinds without any are left out."""
+        counts = np.bincount(self.kinds, minlength=len(MASK_KINDS))
+        return {kind: int(count) for kind, count in zip(MASK_KINDS, counts, strict=True) if count}
+
+    def arrays(self) -> dict[str, Array]:
+        """Return what a recording stores of them: nothing where there are none."""
+        columns = {name: np.asarray(values, dtype=np.float64) for name, values in vars(self).items()}
+        return {f"{MASKED}{name}": values for name, values in columns.items()} if len(self) else {}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, Array]) -> "MaskedSamples":
+        """Return what `arrays` stored."""
+        stored = {name.removeprefix(MASKED): values for name, values in arrays.items() if name.startswith(MASKED)}
+        if not stored:
+            return cls()
+        kinds, lines = (stored[name].astype(np.int64) for name in ("kinds", "lines"))
+        return cls(stored["t_s"], kinds, stored["values"], lines)
+
+    def between(self, start_s: float, stop_s: float) -> "MaskedSamples":
+        """Return those of a stretch of time, its ends included."""
+        return self._of_rows((self.t_s >= start_s) & (self.t_s <= stop_s))
+
+    def of_kind(self, kind: str) -> "MaskedSamples":
+        """Return those of one kind."""
+        return self._of_rows(self.kinds == MASK_KINDS.index(kind))
+
+    def _of_rows(self, is_row: Mask) -> "MaskedSamples":
+        return MaskedSamples(self.t_s[is_row], self.kinds[is_row], self.values[is_row], self.lines[is_row])
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +94,7 @@ class OutputRecording:
         output: (n,) sensor output in `output_unit`.
         sample_rate_Hz: nominal sample rate; the median step of `t_s` must agree within 2 %.
         stage_mm: (n,) stage position, positive when it compresses; None where it is not known.
+        masked: samples of its file that are none of these.
 
     Raises:
         InputError: not finite, time repeated or backward, too short, or not at the declared rate.
@@ -46,23 +106,21 @@ class OutputRecording:
     sample_rate_Hz: float
     output_unit: str = "V"
     stage_mm: Array | None = None
+    masked: MaskedSamples = field(default_factory=MaskedSamples)
 
     def __post_init__(self) -> None:
         for name in ("t_s", "output", "stage_mm"):
             if (values := getattr(self, name)) is not None:
-                object.__setattr__(self, name, _column(name, values))
+                object.__setattr__(self, name, typed_column(name, values))
                 _same_length("t_s", self.t_s, name, getattr(self, name))
+        # 50 and 50.0 are one rate: they must have one hash.
+        object.__setattr__(self, "sample_rate_Hz", float(self.sample_rate_Hz))
         if len(self.t_s) < TAPS:
             raise InputError(f"{len(self.t_s)} samples; at least {TAPS} are needed to fill one window")
         if not (np.isfinite(self.sample_rate_Hz) and self.sample_rate_Hz > 0):
             raise InputError(f"sample rate is {self.sample_rate_Hz} Hz; a positive number was expected")
-        steps = np.diff(self.t_s)
-        bad = np.flatnonzero(steps <= 0)
-        if len(bad):
-            k = int(bad[0])
-            kind = "repeats" if steps[k] == 0 else "goes backward"
-            raise InputError(f"t_s {kind} at sample {k + 1}: {self.t_s[k]:.6g} s, then {self.t_s[k + 1]:.6g} s")
-        seen_Hz = 1.0 / float(np.median(steps))
+        check_times(self.t_s)
+        seen_Hz = 1.0 / float(np.median(np.diff(self.t_s)))
         if abs(seen_Hz / self.sample_rate_Hz - 1) > RATE_TOLERANCE:
             raise InputError(
                 f"the time stamps show {seen_Hz:.4g} Hz, the declared sample rate is {self.sample_rate_Hz:.4g} Hz; "
@@ -108,7 +166,7 @@ class OutputRecording:
 
     def arrays(self) -> dict[str, Array]:
         stage = {} if self.stage_mm is None else {"stage_mm": self.stage_mm}
-        return {"t_s": self.t_s, "output": self.output, **stage}
+        return {"t_s": self.t_s, "output": self.output, **stage, **self.masked.arrays()}
 
     def settings(self) -> dict[str, float | str]:
         return {"serial": self.serial, "sample_rate_Hz": self.sample_rate_Hz, "output_unit": self.output_unit}
@@ -116,7 +174,9 @@ class OutputRecording:
     def part(self, start: int, stop: int) -> "OutputRecording":
         rows = slice(start, stop)
         stage_mm = None if self.stage_mm is None else self.stage_mm[rows]
-        return replace(self, t_s=self.t_s[rows], output=self.output[rows], stage_mm=stage_mm)
+        t_s = self.t_s[rows]
+        masked = self.masked.between(t_s[0], t_s[-1]) if len(t_s) else MaskedSamples()
+        return replace(self, t_s=t_s, output=self.output[rows], stage_mm=stage_mm, masked=masked)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +196,7 @@ class LabelledRecording:
     reference_unit: str = "N"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "reference", _column("reference", self.reference))
+        object.__setattr__(self, "reference", typed_column("reference", self.reference))
         _same_length("output", self.unlabelled.output, "reference", self.reference)
 
     def __len__(self) -> int:
@@ -179,10 +239,31 @@ class LabelledRecording:
         return LabelledRecording(self.unlabelled.part(start, stop), self.reference[start:stop], self.reference_unit)
 
 
-def _column(name: str, values: Array) -> Array:
+def check_times(t_s: Array) -> None:
+    """Check that time stamps increase strictly.
+
+    Raises:
+        InputError: time repeats or goes back.
+    """
+    steps = np.diff(t_s)
+    bad = np.flatnonzero(steps <= 0)
+    if len(bad):
+        k = int(bad[0])
+        kind = "repeats" if steps[k] == 0 else "goes backward"
+        raise InputError(f"t_s {kind} at sample {k + 1}: {t_s[k]:.6g} s, then {t_s[k + 1]:.6g} s")
+
+
+def typed_column(name: str, values: Array, *, can_miss: bool = False) -> Array:
+    """Return a column as (n,) float64; NaN stands for a missing sample where there can be one.
+
+    Raises:
+        InputError: not one-dimensional, or a value is not finite.
+    """
     column = np.asarray(values, dtype=np.float64)
     if column.ndim != 1:
         raise InputError(f"{name} has {column.ndim} dimensions; one column of numbers was expected")
+    if can_miss:
+        return column
     bad = np.flatnonzero(~np.isfinite(column))
     if len(bad):
         raise InputError(f"{name} is {column[bad[0]]} at sample {bad[0]}; {len(bad)} of {len(column)} are not finite")

@@ -1,7 +1,7 @@
 """What the registry gives back: frozen values, never rows of a table."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from datetime import date, datetime
 from typing import TYPE_CHECKING
 
@@ -106,6 +106,7 @@ class MadeCalibration:
         output_level: where the output of its recording stands; None in records of older versions.
         is_open: whether nothing that was found stands against it, whatever its forecast.
         common_line: gain and zero taken off its map, as audited units misread alike.
+        missing: samples of its recording that were left out, by kind, and the shares that are missing and left.
     """
 
     serial: str
@@ -129,6 +130,7 @@ class MadeCalibration:
     output_level: "OutputLevel | None" = None
     common_line: tuple[float, float] | None = None
     is_open: bool = True
+    missing: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, record: "CalibrationRecord", revision: int) -> "MadeCalibration":

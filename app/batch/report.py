@@ -96,6 +96,7 @@ def report_json(report: BatchReport) -> dict[str, object]:
                 "audited": unit.is_audited,
                 "predicted_verdict": made and str(made.decision.predicted.verdict),
                 "knowledge": made and made.knowledge,
+                "missing": made and dict(made.missing),
                 "released": report.releases(unit),
                 "method": made and made.method_id,
                 "is_new": unit.is_new,

@@ -1,28 +1,62 @@
-"""`softcal inspect`: what a calibration file holds."""
+"""`softcal inspect`: what a table of a logger or a calibration file holds."""
 
 import argparse
 
-from softcal.app.cli.options import FILE, add_shared
+from softcal.app.cli.options import FILE, add_columns, add_shared, column_names
 from softcal.app.output import print_table, write_json
 
 EXAMPLES = """examples:
-  softcal inspect files/unit-A1.ssc
+  softcal inspect logger.csv --output-column output_V --reference-column force_N
+  softcal inspect my-lot/source/A1.csv --json -
   softcal inspect files/unit-A1.ssc --network files/network-0123456789abcdef.ssc
-  softcal inspect files/unit-A1.json --json -
 
-A damaged file is refused with the reason; with --network the unit's self-tests are run as a device would.
+Of a table: how it was read, its rate, gaps, samples that cannot be with line and value, jumps, and what is wrong with
+the reference. A damaged calibration file is refused with the reason; with --network the unit's self-tests are run as a
+device would.
 """
+DEVICE_FILES = (".ssc", ".json")
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    """Show a network or unit file (.ssc, or its JSON twin), after checking all that can be checked."""
-    parser.add_argument("file", **FILE, help=".ssc or .json")
+    """Look at a table of one unit, or check a network or unit file (.ssc, or its JSON twin)."""
+    parser.add_argument("file", **FILE, help="a table (CSV and other text, .xlsx, Parquet, ...), .ssc or .json")
     parser.add_argument("--network", **FILE, help="the network file, to run a unit's self-tests")
+    add_columns(parser)
+    parser.add_argument("--reference-column", metavar="NAME", help="column of the reference; default: reference")
     add_shared(parser, "json", "csv")
 
 
 def run(options: argparse.Namespace) -> None:
-    """Read, check and show one file."""
+    """Read and show one file."""
+    if options.file.suffix.lower() in DEVICE_FILES:
+        _show_device_file(options)
+    else:
+        _show_table(options)
+
+
+def _show_table(options: argparse.Namespace) -> None:
+    from softcal.app.files.inspected_table import (
+        FINDINGS_HEADER,
+        finding_rows,
+        inspect_file,
+        inspection_json,
+        summary_rows,
+    )
+
+    file = inspect_file(options.file, column_names(options), options.reference_column)
+    write_json(options.json, inspection_json(file))
+    findings = finding_rows(file)
+    if options.csv:
+        print_table(FINDINGS_HEADER, findings)
+    elif options.json != "-":
+        print_table(("what", "value"), summary_rows(file))
+        for *_, text in findings:
+            print(f"- {text}")
+        if not findings:
+            print("nothing is wrong with it that can be seen without its unit")
+
+
+def _show_device_file(options: argparse.Namespace) -> None:
     from softcal.app.export.check import file_rows, file_values, read_device_file
     from softcal.core.errors import InputError
     from softcal.core.export.blob import NetworkFile

@@ -19,6 +19,7 @@ from softcal.core.unit.findings import contradictions, map_findings, opening_fin
 from softcal.core.unit.forecast import forecast_error, forecast_own, own_terms, variance_table
 from softcal.core.unit.health import check_alive, health_findings, output_limits
 from softcal.core.unit.judging import Grounds, MeasuredError, limit_evidence
+from softcal.core.unit.missing import check_windows, jump_findings, missing_findings, missing_samples
 from softcal.core.unit.rules import RuleFacts, rule_findings
 from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import Finding
@@ -37,6 +38,7 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
     """
     model, target, limit, audit = problem.source, problem.recording, problem.limit_in_force, problem.audit
     method, known = model.method, model.source.unlabelled
+    check_windows(target)
     check_alive(target, known, method.health)
     limits = output_limits(target, known, is_rising=model.interval.slope_limit > 0, config=method.health)
     fit, bridge = problem.fit, problem.crossed
@@ -53,11 +55,14 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
     )
     forecast = forecast_error(evidence.budget, evidence.knowledge)
     lag = find_readout_lag(fit.source.unlabelled, target, fit.synchrony, method.map)
-    findings = contradictions(known, target, limits, method, fit.synchrony) or (
-        *health_findings(target, known, limits, method.health),
-        *map_findings(model, target, evidence, lag),
-        *(opening_findings(chosen.evidence, method.findings) if lag is None else ()),
-    )
+    # What a logger did comes first: the rest may be a consequence.
+    findings = missing_findings(target, method.health) + jump_findings(target)
+    if all(finding.best.is_open for finding in findings):
+        findings += contradictions(known, target, limits, method, fit.synchrony) or (
+            *health_findings(target, known, limits, method.health),
+            *map_findings(model, target, evidence, lag),
+            *(opening_findings(chosen.evidence, method.findings) if lag is None else ()),
+        )
     if on_map is not None:
         on_map()
     scores = None if audit is None else score_map(model.network, chosen.unit_map, audit, problem.own, method.decision)
@@ -110,6 +115,7 @@ def _numbers(
         "load_rms": evidence.load_rms,
         OUTPUT_REST: level.rest,
         OUTPUT_SPAN: level.span,
+        **missing_samples(target).to_evidence(),
         **limit_evidence(problem.limit_in_force),
         "findings": ", ".join(finding.kind for finding in findings),
         **({} if lag is None else {"readout_lag_s": lag.time_constant_s}),

@@ -16,6 +16,7 @@ from softcal.core.unit.health import OutputLimits
 from softcal.core.unit.judging import Grounds
 from softcal.core.unit.knowledge import LoadKnowledge, known_by
 from softcal.core.unit.method import Method
+from softcal.core.unit.missing import missing_evidence
 from softcal.core.unit.uncertainty import ErrorForecast, Interval
 from softcal.core.unit.verdict import VERDICTS, Decision, Judgement, Verdict
 from softcal.core.words.reason import Reason
@@ -133,6 +134,13 @@ class CalibrationRecord:
     def common_line(self) -> tuple[float, float] | None:
         """Gain and zero that were taken off its map; None where none were."""
         return self._pair(COMMON_GAIN, COMMON_ZERO)
+
+    @property
+    def missing(self) -> Mapping[str, float]:
+        """Samples of its recording that were left out, by kind (`masked_*`), and the shares of samples that are missing
+        and of windows that are left; empty where nothing is missing.
+        """
+        return missing_evidence(self.evidence)
 
     @property
     def load_rms(self) -> float | None:

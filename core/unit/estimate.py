@@ -39,6 +39,21 @@ class Estimate:
     flag: Flags
     reference_unit: str = "N"
 
+    def spread(self, t_s: Array, rows: Indices) -> "Estimate":
+        """Return the estimate with a row for each row of its data: those that are no sample of it are `invalid`.
+
+        Args:
+            t_s: (m,) time stamps of the data.
+            rows: (n,) the row of each sample among them.
+        """
+        numbers: dict[str, Array] = {}
+        for name in ("estimate", "lower", "upper"):
+            numbers[name] = np.full(len(t_s), np.nan)
+            numbers[name][rows] = getattr(self, name)
+        flag = np.full(len(t_s), INVALID, dtype=FLAG_TYPE)
+        flag[rows] = self.flag
+        return Estimate(t_s, **numbers, flag=flag, reference_unit=self.reference_unit)
+
 
 @dataclass(frozen=True)
 class EstimateRow:

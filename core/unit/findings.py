@@ -63,9 +63,29 @@ def contradictions(
     apart = max(low - most, least - high)
     # Ranges of good units overlap throughout, and their levels at rest differ by tens of per cent.
     if apart > 0.5 * max(high - low, most - least, abs(least + most) / 2):
-        said = reason("elsewhere", low=low, high=high, least=least, most=most, unit=target.output_unit)
+        ranges: dict[str, float | str] = {
+            "low": low,
+            "high": high,
+            "least": least,
+            "most": most,
+            "unit": target.output_unit,
+        }
+        factor = _unit_factor((low, high), (least, most), method.findings.unit_step)
+        said = reason("elsewhere", **ranges) if factor == 1 else reason("other_unit", factor=factor, **ranges)
         return (Finding(said, Verdict.RETEST),)
     return ()
+
+
+def _unit_factor(target: tuple[float, float], source: tuple[float, float], unit_step: float) -> float:
+    """Return the power of `unit_step` by which level and span of an output are those of another; 1 where there is none.
+
+    Units of one kind differ by less than the root of it.
+    """
+    of_target, of_source = (np.abs([np.mean(one), np.ptp(one)]) for one in (target, source))
+    ratios = np.log10(np.maximum(of_target, 1e-12) / np.maximum(of_source, 1e-12)) / np.log10(unit_step)
+    steps = np.round(ratios)
+    is_same = steps[0] == steps[1] != 0
+    return float(unit_step ** steps[0]) if is_same else 1.0
 
 
 def opening_findings(evidence: Mapping[str, float | str], config: FindingConfig) -> tuple[Finding, ...]:

@@ -62,6 +62,8 @@ class HealthConfig:
         span: quantiles between which an output is said to move.
         near_end: what is within this share of the range of its ends is at rest or pressed; a stuck reading is between.
         press_band: hysteresis thresholds of a press, as shares of the span.
+        max_missing_share: where more of the samples are masked or in no row, nothing firm can be said.
+        min_window_share: the same where fewer of the windows are left that the rows would fill.
     """
 
     rail_run: int = setting(5)
@@ -77,6 +79,8 @@ class HealthConfig:
     span: tuple[float, float] = setting((0.01, 0.99))
     near_end: float = setting(0.1)
     press_band: tuple[float, float] = setting((0.4, 0.6))
+    max_missing_share: float = setting(0.15, f"{SET}: 8 % missing in one gap change no verdict of eGaIn, 20 % may")
+    min_window_share: float = setting(0.5, f"{SET}: half of what was recorded")
 
 
 @dataclass(frozen=True)
@@ -154,6 +158,7 @@ class FindingConfig:
         upside_down: an output is the wrong way round where its levels lie nearer to the source's when mirrored, by this
             share of the span over the square root of the presses.
         clipped_likeness: one that seems to clip is the wrong way round only where mirroring leaves this part of it.
+        unit_step: an output that differs by a power of this in level and span is in another unit of one quantity.
         late_s: units of one kind, started alike, follow each other within this; a third of a window is beyond it.
     """
 
@@ -171,6 +176,7 @@ class FindingConfig:
     )
     clipped_likeness: float = setting(0.5)
     late_s: float = setting(0.05)
+    unit_step: float = setting(1e3, "between V, mV and uV, as readouts state them")
 
     @property
     def said_stretch(self) -> float:

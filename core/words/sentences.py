@@ -146,10 +146,67 @@ audited_before_trim: its audit was made before the trim and does not decide; aud
 predicted_otherwise: before the audit it was predicted {verdict}: {why}
 
 # What is wrong with a table that was to audit a unit.
-audit.unreadable: its audit cannot be read: {error}; bring it again on the page Audit and choose its
+audit.unreadable: its audit cannot be used: {error}; bring it again on the page Audit and choose its
   columns there
 audit.stranger: the lot has no unit {serial}; name the file by the serial of its unit
 audit.no_reference: the file has no reference; choose the column of the load cell
+
+# What one look at a recording shows.
+part.at_line: line {number} ({at:.3f} s)
+part.at_row: row {number} ({at:.3f} s)
+part.at_time: at {at:.3f} s
+part.value_at: {value:.7g}, {place}
+inspect.missing: {where}, {column}: no number (rows: {rows})
+inspect.overflow: {where}, {column}: {value:.7g}, {amount:.2g} times the range of the others (rows:
+  {rows})
+inspect.spike: {where}, {column}: away to {value:.6g} and back, faster than any press (rows: {rows})
+inspect.dropout: {where}, {column}: away to {value:.6g}, and back later (rows: {rows})
+inspect.step: {where}, {column}: its level jumps by {value:.4g} and stays ({amount:.0%} of the range)
+inspect.wrap: {where}, {column}: a jump by {value:.6g}, as of a counter that starts again
+inspect.stuck: {where}, {column}: it stands still at {value:.6g} in the middle of a press (for
+  {amount:.1f} s)
+inspect.sign: {column}: negative under load ({value:.4g} at the 1 % quantile)
+inspect.constant: {column}: it never changes ({value:.6g}, rows: {rows})
+inspect.gap: {where}: rows are missing before it (for {seconds:.2f} s, samples: {missing:.0f})
+inspect.rate: {where}: from here on rows come at another rate ({rate:.4g} Hz, rows: {rows})
+inspect.tare: {where}: the reference jumps by {value:.4g} and stays, while the output does not: it was
+  tared or set anew within the recording ({share:.0%} of the range)
+inspect.held: the reference was logged slower than the output ({rate:.3g} Hz, rows of one value:
+  {rows:.0f})
+inspect.late: the reference comes {seconds:.2f} s later than the output
+inspect.early: the reference comes {seconds:.2f} s earlier than the output
+inspect.several: {first}; {more} more like it
+inspect.unusable: {finding}; {cure}
+part.cure_tare: take the jump off the rows from there on, or bring a recording without it
+part.cure_held: log both at one rate
+part.cure_lag: shift the reference by that time, or set both clocks alike
+part.cure_constant: check the channel of the reference
+
+# What is missing of a recording.
+samples_missing: samples are missing, so nothing firm can be said: {observed}; bring the logger's whole file,
+  or find out why the logger loses samples (missing {share:.0%} of the samples, windows left
+  {windows:.0%})
+masked.missing: rows of its file have no number, and are left out (samples: {count}, the first: {first})
+masked.overflow: its file holds values that no sensor gives, as loggers write them in place of a
+  sample; they are left out (samples: {count}, the first: {first}, up to {times:.2g} times the range
+  of the others)
+masked.spike: its output jumped away and back faster than any press, as with a loose cable; these
+  samples are left out (samples: {count}, the first: {first})
+masked.dropout: its output jumped away for a while and came back, as with a cable that is off; these
+  samples are left out (samples: {count}, the first: {first})
+masked.no_reference: rows of its file have no reference, and are left out (samples: {count}, the
+  first: {first})
+masked.reference_outlier: its reference jumped away and back faster than any press; these samples are
+  left out (samples: {count}, the first: {first})
+gaps: its time stamps have gaps: rows are missing (gaps: {gaps}, the longest {longest:.2f} s at
+  {at:.2f} s, samples missing: {rows:.0f}, {share:.0%})
+slow: a part of it was sampled at a slower rate (from {first:.2f} s on {rate:.3g} Hz, elsewhere
+  {usual:.3g} Hz)
+wraps: its output is a counter that starts again in the recording; log it with more bits, or add the
+  range back to the file (times: {count}, the first at {first:.2f} s by {jump:.6g})
+stepped: the level of its output jumps in the recording and stays; look for a tare, another range of
+  the readout, or a mount that slipped (at {first:.2f} s by {jump:.3g} {unit}, {share:.0%} of its
+  range)
 
 # What the raw output shows.
 dead.constant: dead channel: its output never changes; {cure} (samples: {count}, all at {level:.6g}
@@ -195,6 +252,9 @@ late: its output comes later than the source's; look for a slow readout or anoth
 lagging: its readout is slower than the source's; check its filter and rate, and that it is of the
   source's type (time constant {lag:.2g} s longer)
 reversed: its output moves in the wrong direction; exchange the two leads or check the divider
+other_unit: its output is about {factor:g} times the source's, as if it was in another unit; check
+  unit and scale of the readout, nothing was converted ({low:.4g} to {high:.4g} {unit}, the source
+  {least:.4g} to {most:.4g} {unit})
 elsewhere: its output lies where no unit like the source does; check the physical unit, the zero and
   the channel ({low:.4g} to {high:.4g} {unit}, the source {least:.4g} to {most:.4g} {unit})
 other_speed: it went through the source's programme at another speed; correct the sampling rate, or

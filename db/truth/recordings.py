@@ -61,9 +61,10 @@ class RecordingTables(RegistryBase):
             self._check_row(recordings, row)
             arrays = cast("dict[str, Array]", get_arrays(self.database, row["blob_sha256"]))
             # Whoever lists units reads none.
-            from softcal.core.recording import LabelledRecording, OutputRecording
+            from softcal.core.recording import LabelledRecording, MaskedSamples, OutputRecording
 
-            facts = (row["sample_rate_Hz"], row["output_unit"], arrays.get("stage_mm"))
+            masked = MaskedSamples.from_arrays(arrays)
+            facts = (row["sample_rate_Hz"], row["output_unit"], arrays.get("stage_mm"), masked)
             unlabelled = OutputRecording(row["serial"], arrays["t_s"], arrays["output"], *facts)
             if "reference" not in arrays:
                 return unlabelled

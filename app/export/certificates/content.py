@@ -167,6 +167,13 @@ class Certificate:
     estimated: Estimate
     software: str
     by_audits: str = ""
+    left_out: int = 0
+
+    @property
+    def recorded(self) -> str:
+        """How many samples it rests on, and how many of its file were left out."""
+        left_out = f" (invalid samples left out: {self.left_out})" if self.left_out else ""
+        return f"{self.samples} samples at {self.sample_rate_Hz:g} Hz{left_out}"
 
     @property
     def basis(self) -> str:
@@ -369,6 +376,7 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
         reference_unit=lot.reference_unit,
         sample_rate_Hz=lot.sample_rate_Hz,
         samples=len(unit.recording),
+        left_out=len(unit.recording.masked),
         low=low,
         high=high,
         forecast=unit.calibration.forecast,

@@ -165,7 +165,7 @@ def _result(facts: Certificate) -> ET.Element:
             quantity = _node("quantity", _text("name", name), _real(value * factor + shift, unit), refType=kind)
             condition = _node("influenceCondition", _text("name", name), _node("data", quantity), refType=kind)
             conditions.append(condition)
-    recorded = f"{facts.samples} samples at {facts.sample_rate_Hz:g} Hz, output in {facts.output_unit}"
+    recorded = f"{facts.recorded}, output in {facts.output_unit}"
     provenance = [f"Map of family {facts.map_family}, from {recorded}."]
     provenance += [f"SHA-256 of the {name}: {sha256}" for name, sha256 in facts.hashes]
     errors = [

@@ -86,7 +86,7 @@ def _unit_rows(facts: Certificate) -> list[tuple[str, str]]:
         ("Unit", f"{facts.serial}{model}, lot {facts.lot}"),
         ("Calibration", f"revision {facts.revision}{f': {facts.made_because}' if facts.made_because else ''}"),
         ("Quantity", f"{facts.quantity} in {facts.reference_unit} from output in {facts.output_unit}"),
-        ("Recording", f"{facts.samples} samples at {facts.sample_rate_Hz:g} Hz"),
+        ("Recording", facts.recorded),
         ("Performed", facts.performed),
         ("Place", facts.place),
         ("Received", f"{received.isoformat() if received else NOT_STATED}; condition: {performance.condition}"),

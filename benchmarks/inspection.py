@@ -1,0 +1,151 @@
+"""Shares of planted faults that one look at a recording finds, and of good samples that it masks.
+
+    python benchmarks/inspection.py [--quick] [--seed N]
+
+Measured outputs (eGaIn, insole, nylon, skin) and forces as they are, then with faults planted at random: a loose cable
+of each kind and length, codes of loggers, gaps, a late, held or tared reference. Found: share of the planted samples
+that are masked, or of the planted faults that are named in their place. Masked: share of all other samples.
+"""
+
+import argparse
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pandas as pd
+from common.map_methods import DATA
+from common.tables import print_table
+
+from softcal.core.inspection.build import InspectedRecording, build_recording
+from softcal.core.inspection.config import InspectionConfig
+from softcal.core.recording import Array
+
+CABLES: dict[str, Callable[[Array], Array]] = {
+    "0 V": lambda run: 0 * run,
+    "half": lambda run: run / 2,
+    "rail": lambda run: 0 * run + (5.0 if run.max() < 5 else 2 * run.max()),
+}
+CODES = (8388607.0, 9.9e37, -9999.0, 2147483647.0, np.inf)
+SPIKES_EACH = 5
+
+
+def outputs() -> Iterator[tuple[str, Array, Array | None, float]]:
+    """Yield set, output, reference and rate of every measured recording."""
+    for name in ("S1", "S2"):
+        table = pd.read_csv(DATA / f"egain_pair/{name}.csv")
+        yield "eGaIn", table["output_V"].to_numpy(), table["force_N"].to_numpy(), 50.0
+    for name in ("calibration", "validation_1"):
+        table = pd.read_parquet(DATA / f"insole_lot/{name}.parquet")
+        for taxel in [column for column in table.columns if column.startswith("taxel")]:
+            yield "insole", table[taxel].to_numpy(float), None, 48.9
+    for path in sorted((DATA / "nylon_drift").glob("*.parquet")):
+        yield "nylon", pd.read_parquet(path)["output_R_over_R0"].to_numpy(float), None, 10.0
+    for path in sorted((DATA / "skin_places").glob("*.parquet")):
+        table = pd.read_parquet(path)
+        yield "skin", table["output_V"].to_numpy(), table["force_N"].to_numpy(), 50.0
+
+
+def inspected(output: Array, reference: Array | None, rate_Hz: float) -> InspectedRecording:
+    """Build a recording of evenly spaced samples."""
+    t_s = np.arange(len(output)) / rate_Hz
+    return build_recording("unit", t_s, output, sample_rate_Hz=rate_Hz, reference=reference)
+
+
+def invalid(result: InspectedRecording, samples: int) -> Array:
+    """Return which samples were masked, (n,)."""
+    is_masked = np.ones(samples, dtype=bool)
+    is_masked[result.rows] = False
+    return is_masked
+
+
+class Shares:
+    """Counts of planted and found, good and masked, by set and fault."""
+
+    def __init__(self) -> None:
+        self.counts: dict[tuple[str, str], list[int]] = defaultdict(lambda: [0, 0, 0, 0])
+
+    def add(self, key: tuple[str, str], planted: Array, masked: Array) -> None:
+        found, wrong = int((planted & masked).sum()), int((~planted & masked).sum())
+        for place, value in enumerate((int(planted.sum()), found, int((~planted).sum()), wrong)):
+            self.counts[key][place] += value
+
+    def rows(self) -> list[list[object]]:
+        return [
+            [*key, planted, f"{found / planted:.2%}" if planted else "-", good, f"{wrong / good:.4%}" if good else "-"]
+            for key, (planted, found, good, wrong) in self.counts.items()
+        ]
+
+
+def plant_spikes(shares: Shares, name: str, output: Array, rate_Hz: float, rng: np.random.Generator) -> None:
+    """Plant a loose cable of every kind and length, and codes; spikes below a tenth of the range stand apart."""
+    usual = invalid(inspected(output, None, rate_Hz), len(output))
+    span = float(np.ptp(np.quantile(output, (0.01, 0.99))))
+    share = InspectionConfig().spike_share
+    for kind, change in CABLES.items():
+        for length in range(1, max(1, round(0.06 * rate_Hz)) + 1):
+            spoilt, rows = output.copy(), np.zeros(len(output), dtype=bool)
+            starts = rng.choice(np.arange(40, len(output) - 40, 40), SPIKES_EACH, replace=False) + rng.integers(30)
+            for start in starts:
+                spoilt[start : start + length] = change(output[start : start + length])
+                rows[start : start + length] = True
+            masked = invalid(inspected(spoilt, None, rate_Hz), len(output))
+            is_small = np.abs(spoilt - output) < share * span
+            label = f"cable {kind}, {length} samples"
+            shares.add((name, label), rows & ~is_small, masked & ~(usual & ~rows) & ~(rows & is_small))
+            if (rows & is_small).any():
+                shares.add((name, "cable, below 10 % of the range"), rows & is_small, masked & rows & is_small)
+    for code in CODES:
+        spoilt, rows = output.copy(), np.zeros(len(output), dtype=bool)
+        rows[rng.choice(len(output), SPIKES_EACH, replace=False)] = True
+        spoilt[rows] = code
+        masked = invalid(inspected(spoilt, None, rate_Hz), len(output))
+        shares.add((name, f"code {code:g}"), rows, masked & ~(usual & ~rows))
+
+
+def reference_faults(output: Array, force: Array, rate_Hz: float) -> Iterator[tuple[str, str, Array, Array, int]]:
+    """Yield name, kind of finding, output, reference and row of each fault of a reference."""
+    late, samples = round(0.5 * rate_Hz), len(output)
+    yield "0.5 s late", "lag", output[late:], force[:-late], 0
+    yield "0.5 s early", "lag", output[:-late], force[late:], 0
+    yield "at a fifth of the rate", "held", output, force[np.arange(samples) // 5 * 5], 0
+    for share in (0.15, 0.3, -0.3):
+        for part in (0.25, 0.5, 0.75):
+            row, tared = int(part * samples), force.copy()
+            tared[row:] += share * np.ptp(force)
+            yield f"tare by {share:.0%} of the range", "tare", output, tared, row
+
+
+def measure(seed: int, is_quick: bool) -> tuple[Shares, dict[tuple[str, str], list[int]]]:
+    """Return the shares of samples, and of faults of references by set: tried, found."""
+    rng, shares = np.random.default_rng(seed), Shares()
+    references: dict[tuple[str, str], list[int]] = defaultdict(lambda: [0, 0])
+    for name, output, force, rate_Hz in outputs():
+        if is_quick and name == "insole" and rng.random() < 0.8:
+            continue
+        plain = inspected(output, force, rate_Hz)
+        shares.add((name, "as measured"), np.zeros(len(output), dtype=bool), invalid(plain, len(output)))
+        plant_spikes(shares, name, output, rate_Hz, rng)
+        if force is None:
+            continue
+        references[name, "as measured: lag, held or tare"][0] += 1
+        references[name, "as measured: lag, held or tare"][1] += len(plain.inspection.of_kind("lag", "held", "tare"))
+        for fault, kind, spoilt, reference, row in reference_faults(output, force, rate_Hz):
+            found = inspected(spoilt, reference, rate_Hz).inspection.of_kind(kind)
+            references[name, fault][0] += 1
+            references[name, fault][1] += any(abs(one.start - row) <= 3 for one in found)
+    return shares, references
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="a fifth of the taxels")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    shares, references = measure(options.seed, options.quick)
+    print_table(("set", "fault", "planted samples", "found", "good samples", "masked of them"), shares.rows())
+    rows = [[*key, tried, found] for key, (tried, found) in references.items()]
+    print_table(("set", "fault of the reference", "tried", "found in its place"), rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,59 @@
+"""Numbers that decide which samples of a recording are invalid and what is worth a finding."""
+
+from dataclasses import dataclass
+
+from softcal.core.settings import SET, setting
+
+MEASURED = "benchmarks/inspection.py on measured recordings: 0.01 % of good samples at most are masked"
+
+
+@dataclass(frozen=True)
+class InspectionConfig:
+    """When a sample cannot be, and when something else is worth a finding.
+
+    Args:
+        spike_s: a loose cable lasts no longer; a press does.
+        max_spike_samples: longer spikes of fast loggers are looked for as dropouts.
+        usual_excursion: quantile of the short excursions of a recording that stands for its usual ones.
+        spike_factor: a spike is so many times as high as a usual excursion.
+        spike_share, reference_spike_share: and at least this share of the range: forces have sharp peaks.
+        outlier_share: largest share of values that may lie apart from the range of all others.
+        overflow_factor: a value so many ranges away from all others is none that the sensor gave.
+        code_factor: the same for values that loggers write instead of a sample.
+        jump_factor: a jump is so many times the usual fastest movement (99 % quantile of differences).
+        dropout_share: a stretch between two opposite jumps that lasts no longer than this share is a dropout.
+        step_share: a baseline that moves by less than this share of the range makes no step.
+        step_rows: so many rows at least lie before and after a step, and its jump so near to where the level changes.
+        step_gain: a tare takes away at least this share of what the output leaves unexplained of the reference.
+        max_lag_s: longest lag that is looked for.
+        least_lag_s: a shorter lag of the reference is not told from a sensor's own.
+        lag_gain: a lag is one where it leaves at most this part of the scatter at no lag.
+        relaxed_gain: the same where the output follows the reference, as every sensor does a little.
+        held_rows: a reference that changes only every so many rows was sampled slower than the output.
+        stuck_s, stuck_factor: a reading between its ends that stands still for less, or for less than so many times
+            the next longest stillness, is not stuck.
+        wrap_share: a counter wraps where it jumps by at least this share of a power of two and goes on.
+    """
+
+    spike_s: float = setting(0.06, f"{SET}: a loose cable at a station lasts for 20 to 60 ms")
+    max_spike_samples: int = setting(64)
+    usual_excursion: float = setting(0.99, MEASURED)
+    spike_factor: float = setting(3.0, MEASURED)
+    spike_share: float = setting(0.1, MEASURED)
+    reference_spike_share: float = setting(0.25, MEASURED)
+    outlier_share: float = setting(0.02)
+    overflow_factor: float = setting(1000.0)
+    code_factor: float = setting(3.0)
+    jump_factor: float = setting(3.0, MEASURED)
+    dropout_share: float = setting(0.1)
+    step_share: float = setting(0.1)
+    step_rows: int = setting(50)
+    step_gain: float = setting(0.2, MEASURED)
+    max_lag_s: float = setting(1.5)
+    least_lag_s: float = setting(0.1, "eGaIn and nylon sensors: their references come 0.02 s late at most")
+    lag_gain: float = setting(0.7, MEASURED)
+    relaxed_gain: float = setting(0.4, MEASURED)
+    held_rows: int = setting(3)
+    wrap_share: float = setting(0.9)
+    stuck_s: float = setting(2.0)
+    stuck_factor: float = setting(10.0)

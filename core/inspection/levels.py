@@ -1,0 +1,86 @@
+"""What the level of an output shows: baseline jumps, stuck stretches, wraps of a counter, clipped ends."""
+
+import numpy as np
+
+from softcal.core.inspection.config import InspectionConfig
+from softcal.core.inspection.inspection import InspectionFinding
+from softcal.core.inspection.outliers import column_scale, find_shift
+from softcal.core.recording import Array, Indices
+
+LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
+"""Quantiles that all move where a baseline does."""
+
+
+def level_findings(
+    t_s: Array, output: Array, sample_rate_Hz: float, config: InspectionConfig
+) -> list[InspectionFinding]:
+    """Return steps, wraps and stuck stretches of an output without outliers."""
+    wraps = _wraps(t_s, output, config)
+    return [*wraps, *([] if wraps else _step(t_s, output, config)), *_stuck(t_s, output, sample_rate_Hz, config)]
+
+
+def _wraps(t_s: Array, output: Array, config: InspectionConfig) -> list[InspectionFinding]:
+    """Return where a counter started again: it jumps by nearly a power of two, between whole numbers."""
+    steps, span = np.diff(output), float(np.ptp(output))
+    if np.any(output != np.round(output)) or span < 2**8:
+        return []
+    modulus = 2.0 ** np.round(np.log2(np.maximum(np.abs(steps), 1)))
+    # A counter that wraps shows nearly all of its range, and no other movement is as fast.
+    is_wrap = (modulus >= 2**8) & (np.abs(steps) >= config.wrap_share * modulus) & (modulus >= config.wrap_share * span)
+    usual = float(np.quantile(np.abs(steps), 0.9))
+    return [
+        InspectionFinding(
+            "wrap", "output", row + 1, row + 2, float(t_s[row + 1]), float(steps[row]), float(modulus[row])
+        )
+        for row in np.flatnonzero(is_wrap & (np.abs(steps) > config.jump_factor * usual)).tolist()
+    ]
+
+
+def _step(t_s: Array, output: Array, config: InspectionConfig) -> list[InspectionFinding]:
+    """Return the step of an output whose whole range moves at once: another programme moves but its peaks."""
+    shift, span = find_shift(output), column_scale(output).span
+    before, after = output[: shift.row + 1], output[shift.row + 1 :]
+    if min(len(before), len(after)) < config.step_rows or abs(shift.amount) < config.step_share * span:
+        return []
+    moved = np.quantile(after, LEVELS) - np.quantile(before, LEVELS)
+    middle = float(np.median(moved))
+    is_whole = bool(np.all(np.abs(moved - middle) < abs(middle) / 2)) and abs(middle) >= config.step_share * span
+    near = slice(max(shift.row - config.step_rows, 0), shift.row + config.step_rows)
+    jumps = np.diff(output[near])
+    at = int(np.argmin(np.abs(jumps - middle)))
+    # A drift moves the whole range too, but at no place at once.
+    if (
+        not is_whole
+        or abs(jumps[at] - middle) > abs(middle) / 2
+        or shift.explained < max(config.step_gain, shift.trend_explained)
+    ):
+        return []
+    row = near.start + at
+    share = abs(middle) / span
+    return [InspectionFinding("step", "output", row + 1, row + 2, float(t_s[row + 1]), middle, share)]
+
+
+def _stuck(t_s: Array, output: Array, sample_rate_Hz: float, config: InspectionConfig) -> list[InspectionFinding]:
+    starts, lengths = equal_runs(output)
+    order = np.argsort(lengths)[::-1]
+    if len(order) < 2:
+        return []
+    longest = order[0]
+    start, length = int(starts[longest]), int(lengths[longest])
+    scale = column_scale(output)
+    low, high = np.quantile(output, (0.05, 0.95))
+    is_between = low + config.step_share * scale.span < output[start] < high - config.step_share * scale.span
+    others = int(lengths[order[1]])
+    if not is_between or length < config.stuck_s * sample_rate_Hz or length < config.stuck_factor * others:
+        return []
+    seconds = length / sample_rate_Hz
+    finding = InspectionFinding(
+        "stuck", "output", start, start + length, float(t_s[start]), float(output[start]), seconds
+    )
+    return [finding]
+
+
+def equal_runs(values: Array) -> tuple[Indices, Indices]:
+    """Return where runs of one value start and how long they are."""
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(values) != 0]))
+    return starts, np.diff(np.concatenate([starts, [len(values)]]))

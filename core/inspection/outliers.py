@@ -1,0 +1,202 @@
+"""Samples that no sensor gave: overflow codes, spikes faster than any press, dropouts. Quantiles alone decide."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.inspection.config import InspectionConfig
+from softcal.core.recording import GAP_FACTOR, Array, Mask
+
+CODES = (
+    *(sign * code for code in (9.9e37, 9.91e37, 999.0, 9999.0, 99999.0, 999999.0) for sign in (1.0, -1.0)),
+    *(float(2**bits - 1) for bits in (7, 8, 15, 16, 23, 24, 31, 32)),
+    *(float(-(2**bits)) for bits in (7, 15, 23, 31)),
+)
+"""What loggers write where they have no sample: SCPI's overflow and not-a-number, nines, and the ends of integers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scale:
+    """How far and how fast a column usually moves, whatever its outliers.
+
+    Args:
+        span: between its 1 % and 99 % quantiles.
+        step: smallest step of the readout.
+        jump: 99 % quantile of the differences of neighbours.
+    """
+
+    span: float
+    step: float
+    jump: float
+
+
+def column_scale(values: Array) -> Scale:
+    """Return the scale of a column without missing samples."""
+    low, high = np.quantile(values, (0.01, 0.99))
+    steps = np.abs(np.diff(values))
+    return Scale(
+        float(high - low),
+        float(np.min(np.diff(np.unique(values)), initial=np.inf)),
+        float(np.quantile(steps, 0.99)) if len(steps) else 0.0,
+    )
+
+
+def find_overflows(values: Array, config: InspectionConfig) -> Mask:
+    """Return which samples of a column are overflow codes or lie beyond anything the others show, (n,).
+
+    Values are peeled off from the ends while they lie apart: several codes may stand in one column.
+    """
+    is_code = ~np.isfinite(values) & ~np.isnan(values)
+    while True:
+        left = values[np.isfinite(values) & ~is_code]
+        ends = {end for end in (left.min(initial=np.inf), left.max(initial=-np.inf)) if np.isfinite(end)}
+        codes = [end for end in ends if _is_apart(left, end, config)]
+        if not codes:
+            return is_code
+        is_code |= np.isin(values, codes)
+
+
+def _is_apart(values: Array, end: float, config: InspectionConfig) -> bool:
+    others = values[values != end]
+    if len(others) <= len(values) / 2:
+        return False
+    low, middle, high = np.quantile(others, (0.01, 0.5, 0.99))
+    count = len(values) - len(others)
+    factor = config.code_factor if end in CODES else config.overflow_factor
+    is_rare = end in CODES or count <= config.outlier_share * len(values)
+    return bool(is_rare and high > low and abs(end - middle) > factor * (high - low))
+
+
+def find_spikes(t_s: Array, values: Array, sample_rate_Hz: float, least_share: float, config: InspectionConfig) -> Mask:
+    """Return which samples of a column are spikes, (n,): they leave and come back faster than any press.
+
+    The height of a run of samples is how far all of them lie beyond both its neighbours. What is usual is learned from
+    the recording itself: noise, steps of the converter and taps have heights too.
+
+    Args:
+        values: (n,) without missing samples.
+        least_share: lower spikes, as a share of the range, are none.
+    """
+    longest = min(max(1, round(config.spike_s * sample_rate_Hz)), config.max_spike_samples)
+    is_spike = np.zeros(len(values), dtype=np.bool_)
+    if len(values) <= 2 * longest + 2:
+        return is_spike
+    filled = values
+    while True:
+        new = _spike_rows(t_s, filled, longest, GAP_FACTOR / sample_rate_Hz, least_share, config) & ~is_spike
+        if not new.any():
+            return is_spike
+        is_spike |= new
+        filled = fill(values, is_spike)
+
+
+def fill(values: Array, is_invalid: Mask) -> Array:
+    """Return a column with invalid samples on the line between their neighbours."""
+    if not is_invalid.any() or is_invalid.all():
+        return values
+    filled, rows = values.copy(), np.flatnonzero(~is_invalid)
+    filled[is_invalid] = np.interp(np.flatnonzero(is_invalid), rows, values[rows])
+    return filled
+
+
+def _spike_rows(
+    t_s: Array, values: Array, longest: int, gap_s: float, least_share: float, config: InspectionConfig
+) -> Mask:
+    # The first and the last sample have one neighbour: beside them stands what the next samples usually are.
+    beside = 2 * longest + 1
+    ends = np.median(values[:beside]), np.median(values[-beside:])
+    padded = np.concatenate([ends[:1], values, ends[1:]])
+    period_s = gap_s / GAP_FACTOR
+    times_s = np.concatenate([[t_s[0] - period_s], t_s, [t_s[-1] + period_s]])
+    span = column_scale(values).span
+    heights = [_run_heights(padded, length) for length in range(1, longest + 1)]
+    usual = max(float(np.quantile(height, config.usual_excursion)) for height in heights)
+    least = max(least_share * span, np.finfo(float).tiny)
+    low, high = _range_of_most(values, least, config)
+    is_apart = (values <= low) | (values >= high)
+    hits: list[tuple[float, int, int]] = []
+    for length, height in enumerate(heights, 1):
+        is_all_apart = np.lib.stride_tricks.sliding_window_view(is_apart, length).all(axis=1)
+        is_high = height > max(config.spike_factor * usual, least)
+        # A recording may start or end within a press.
+        is_high[[0, -1]] = False
+        # Where samples are missing, or come at a slower rate, a run lasts as long as a press.
+        is_short = times_s[length + 1 :] - times_s[: -length - 1] <= (length + 1) * gap_s
+        starts = np.flatnonzero((is_high | ((height > least) & is_all_apart)) & is_short)
+        hits += [(-float(height[start]), length, int(start)) for start in starts]
+    is_spike = np.zeros(len(values), dtype=np.bool_)
+    # A spike makes runs beside it and around it high, too. The highest is the spike; the others are looked at again
+    # without it.
+    for _, length, start in sorted(hits):
+        if not is_spike[max(start - 1, 0) : start + length + 1].any():
+            is_spike[start : start + length] = True
+    return is_spike
+
+
+def _run_heights(values: Array, length: int) -> Array:
+    """Return by how much runs of samples lie beyond both neighbours, (n - length - 1,), 0 where not all do."""
+    runs = np.lib.stride_tricks.sliding_window_view(values[1:-1], length)
+    before, after = values[: len(runs)], values[length + 1 :]
+    above = runs.min(axis=1) - np.maximum(before, after)
+    below = np.minimum(before, after) - runs.max(axis=1)
+    return np.asarray(np.maximum(np.maximum(above, below), 0.0))
+
+
+def _range_of_most(values: Array, least: float, config: InspectionConfig) -> tuple[float, float]:
+    """Return the last values beyond which a few others lie apart by a gap; infinite where none do."""
+    ordered = np.sort(values)
+    few = max(1, int(config.outlier_share * len(values)))
+    lower, upper = ordered[: few + 1], ordered[-few - 1 :]
+    low, high = np.flatnonzero(np.diff(lower) > least), np.flatnonzero(np.diff(upper) > least)
+    return (
+        float(lower[low[-1]]) if len(low) else -np.inf,
+        float(upper[high[0] + 1]) if len(high) else np.inf,
+    )
+
+
+def find_dropouts(values: Array, config: InspectionConfig) -> list[tuple[int, int]]:
+    """Return the stretches of rows between two opposite jumps that no press makes: a cable off for longer."""
+    steps = np.diff(values)
+    low, high = np.quantile(values, (config.dropout_share, 1 - config.dropout_share))
+    # The fastest movement of a recording that never moved for long is a press.
+    least = max(config.jump_factor * column_scale(values).jump, float(high - low))
+    jumps = np.flatnonzero(np.abs(steps) > least)
+    longest = config.dropout_share * len(values)
+    stretches: list[tuple[int, int]] = []
+    for start, stop in zip(jumps[:-1], jumps[1:], strict=True):
+        is_back = abs(values[stop + 1] - values[start]) < least < abs(values[stop] - values[start])
+        if steps[start] * steps[stop] < 0 and stop - start <= longest and is_back:
+            stretches.append((int(start) + 1, int(stop) + 1))
+    return stretches
+
+
+@dataclass(frozen=True)
+class Shift:
+    """Where the level of a series changes once and for all.
+
+    Args:
+        row: last row of the old level.
+        amount: new level less the old one.
+        explained: share of the variance that the step takes away.
+        trend_explained: share that a straight line over time takes away.
+    """
+
+    row: int
+    amount: float
+    explained: float
+    trend_explained: float
+
+
+def find_shift(values: Array) -> Shift:
+    """Return the step that explains most of a series, by least squares (CUSUM)."""
+    n, centred = len(values), values - np.mean(values)
+    sums, before = np.cumsum(centred)[:-1], np.arange(1, n)
+    gained = sums**2 * n / (before * (n - before))
+    row = int(np.argmax(gained))
+    total = float(np.sum(centred**2))
+    if total == 0:
+        return Shift(row, 0.0, 0.0, 0.0)
+    time = np.arange(n) - (n - 1) / 2
+    trend = float(centred @ time) ** 2 / float(time @ time)
+    amount = float(np.median(values[row + 1 :]) - np.median(values[: row + 1]))
+    return Shift(row, amount, float(gained[row]) / total, trend / total)

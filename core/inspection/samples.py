@@ -1,0 +1,99 @@
+"""One look at the columns of a recording: which samples are invalid, and what else they show."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from softcal.core.inspection.config import InspectionConfig
+from softcal.core.inspection.inspection import Inspection, InspectionFinding
+from softcal.core.inspection.levels import level_findings
+from softcal.core.inspection.outliers import column_scale, fill, find_dropouts, find_overflows, find_spikes
+from softcal.core.inspection.reference import reference_findings
+from softcal.core.inspection.timing import timing_findings, window_share
+from softcal.core.recording import MASK_KINDS, Array, Indices, Mask, MaskedSamples
+
+DEFAULT = InspectionConfig()
+REFERENCE = "reference"
+
+
+def inspect_samples(
+    t_s: Array,
+    columns: Mapping[str, Array],
+    sample_rate_Hz: float,
+    lines: Indices | None = None,
+    config: InspectionConfig = DEFAULT,
+) -> tuple[Inspection, Mask]:
+    """Look at the columns of one recording before anything is fitted to it.
+
+    Outliers are found first, by quantiles; whatever else is looked for sees a recording without them.
+
+    Args:
+        t_s: (n,) strictly increasing.
+        columns: `output`, and where they exist `stage_mm` and `reference`: (n,) each, NaN for a missing sample.
+        lines: (n,) line of the file of each row; None where there was no file.
+
+    Returns:
+        What the look shows, and which rows are valid, (n,).
+    """
+    kinds, values, findings = np.full(len(t_s), -1), np.full(len(t_s), np.nan), []
+    for name in (REFERENCE, "stage_mm", "output"):
+        if name not in columns:
+            continue
+        for kind, is_invalid in _invalid(name, t_s, columns[name], sample_rate_Hz, config):
+            findings += _outlier_findings(kind, name, t_s, columns[name], is_invalid)
+            kinds[is_invalid] = MASK_KINDS.index(_mask_kind(kind, name))
+            values[is_invalid] = columns[name][is_invalid]
+    is_valid = kinds < 0
+    lines = np.zeros(len(t_s), dtype=np.int64) if lines is None else lines
+    rows = np.flatnonzero(~is_valid)
+    masked = MaskedSamples(t_s[rows], kinds[rows].astype(np.int64), values[rows], lines[rows])
+    findings += timing_findings(t_s, sample_rate_Hz)
+    if np.count_nonzero(is_valid) > 1:
+        filled = {name: fill(values, ~is_valid) for name, values in columns.items()}
+        findings += level_findings(t_s, filled["output"], sample_rate_Hz, config)
+        if REFERENCE in columns:
+            findings += reference_findings(t_s, filled["output"], filled[REFERENCE], sample_rate_Hz, config)
+    share = window_share(t_s[is_valid], len(t_s), sample_rate_Hz)
+    return Inspection(len(t_s), masked, tuple(findings), share), is_valid
+
+
+def _mask_kind(kind: str, column: str) -> str:
+    if column != REFERENCE:
+        return kind
+    return "no_reference" if kind == "missing" else "reference_outlier"
+
+
+def _invalid(
+    name: str, t_s: Array, values: Array, rate_Hz: float, config: InspectionConfig
+) -> Iterator[tuple[str, Mask]]:
+    is_missing = np.isnan(values)
+    yield "missing", is_missing
+    is_overflow = find_overflows(values, config)
+    yield "overflow", is_overflow
+    is_invalid = is_missing | is_overflow
+    if name == "stage_mm" or is_invalid.all():
+        return
+    filled = fill(values, is_invalid)
+    least = config.reference_spike_share if name == REFERENCE else config.spike_share
+    is_spike = find_spikes(t_s, filled, rate_Hz, least, config) & ~is_invalid
+    yield "spike", is_spike
+    if name != REFERENCE:
+        is_dropout = np.zeros(len(values), dtype=np.bool_)
+        for start, stop in find_dropouts(fill(values, is_invalid | is_spike), config):
+            is_dropout[start:stop] = True
+        yield "dropout", is_dropout & ~is_invalid & ~is_spike
+
+
+def _outlier_findings(kind: str, column: str, t_s: Array, values: Array, is_invalid: Mask) -> list[InspectionFinding]:
+    if not is_invalid.any():
+        return []
+    valid = values[~is_invalid & np.isfinite(values)]
+    scale, middle = column_scale(valid), float(np.median(valid))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], is_invalid, [False]])))
+    findings = []
+    for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        run = values[start:stop]
+        value = float("nan") if kind == "missing" else float(run[np.argmax(np.abs(run - middle))])
+        times = abs(value - middle) / scale.span if scale.span > 0 else float("inf")
+        findings.append(InspectionFinding(kind, column, start, stop, float(t_s[start]), value, times))
+    return findings

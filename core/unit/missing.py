@@ -1,0 +1,162 @@
+"""What a logger did to a unit's recording: samples left out, gaps, jumps; how much of it allows no verdict."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from softcal.core.errors import UnitRefused
+from softcal.core.inspection.config import InspectionConfig
+from softcal.core.inspection.inspection import InspectionFinding
+from softcal.core.inspection.levels import level_findings
+from softcal.core.inspection.timing import timing_findings, window_share
+from softcal.core.maps.crossing import CACHED
+from softcal.core.recording import MaskedSamples, OutputRecording
+from softcal.core.unit.method import HealthConfig
+from softcal.core.unit.verdict import Finding, Verdict
+from softcal.core.words.reason import Reason, reason
+
+MASKED = {
+    "missing": "masked.missing",
+    "overflow": "masked.overflow",
+    "spike": "masked.spike",
+    "dropout": "masked.dropout",
+    "no_reference": "masked.no_reference",
+    "reference_outlier": "masked.reference_outlier",
+}
+"""Kind of masked samples → code of the reason that says so."""
+
+LEFT_OUT, SHARES = "masked_", ("missing_share", "window_share")
+"""Names under which a calibration stores what is missing of its recording."""
+
+
+@dataclass(frozen=True)
+class MissingSamples:
+    """What is missing of a recording.
+
+    Args:
+        masked: samples that were left out, by kind.
+        gaps: stretches without rows in its file.
+        slow: stretches at a slower rate than the rest.
+        share: of the samples that its time would hold, those that are masked or in no row.
+        window_share: of the windows that its rows would fill, those that are left.
+        windows: number of windows that are lost.
+    """
+
+    masked: dict[str, int]
+    gaps: tuple[InspectionFinding, ...]
+    slow: tuple[InspectionFinding, ...]
+    share: float
+    window_share: float
+    windows: int
+
+    @property
+    def is_any(self) -> bool:
+        return bool(self.masked or self.gaps or self.slow)
+
+    def to_evidence(self) -> dict[str, float]:
+        """Return its numbers as a calibration stores them; none where nothing is missing."""
+        if not self.is_any:
+            return {}
+        masked = {f"{LEFT_OUT}{kind}": float(count) for kind, count in self.masked.items()}
+        return {**masked, **dict(zip(SHARES, (self.share, self.window_share), strict=True))}
+
+
+def missing_evidence(evidence: Mapping[str, float | str | None]) -> dict[str, float]:
+    """Return of a calibration's stored numbers those that `MissingSamples.to_evidence` gave."""
+    names = (name for name in evidence if name.startswith(LEFT_OUT) or name in SHARES)
+    return {name: float(str(evidence[name])) for name in names}
+
+
+@lru_cache(maxsize=CACHED)
+def missing_samples(recording: OutputRecording) -> MissingSamples:
+    """Count what is missing of a recording."""
+    rate_Hz, valid = recording.sample_rate_Hz, len(recording)
+    t_s = np.sort(np.concatenate([recording.t_s, recording.masked.t_s]))
+    timing = timing_findings(t_s, rate_Hz)
+    gaps = tuple(finding for finding in timing if finding.kind == "gap")
+    slow = tuple(finding for finding in timing if finding.kind == "rate")
+    steps = np.diff(t_s) * rate_Hz
+    absent = float(np.sum(np.maximum(np.round(steps) - 1, 0)))
+    windows = window_share(recording.t_s, len(t_s), rate_Hz)
+    lost = round((1 - windows) / max(windows, 1e-9) * len(recording.window_rows))
+    share = (len(recording.masked) + absent) / (valid + len(recording.masked) + absent)
+    return MissingSamples(recording.masked.counts, gaps, slow, share, windows, lost)
+
+
+def check_windows(recording: OutputRecording) -> None:
+    """Refuse a recording with gaps so close that no window fits between them.
+
+    Raises:
+        UnitRefused: there is no window; the reason says what is missing.
+    """
+    if not len(recording.window_rows):
+        missing = missing_samples(recording)
+        raise UnitRefused(_too_much(missing, _observed(recording, missing)[0]))
+
+
+def missing_findings(recording: OutputRecording, config: HealthConfig) -> tuple[Finding, ...]:
+    """Say what is missing of a recording, and that too much is; none where nothing is."""
+    missing = missing_samples(recording)
+    if not missing.is_any:
+        return ()
+    said = _observed(recording, missing)
+    if missing.share <= config.max_missing_share and missing.window_share >= config.min_window_share:
+        return tuple(map(Finding, said))
+    first, *rest = said
+    return (Finding(_too_much(missing, first), Verdict.RETEST), *map(Finding, rest))
+
+
+@lru_cache(maxsize=CACHED)
+def jump_findings(recording: OutputRecording) -> tuple[Finding, ...]:
+    """Say where the level of an output jumps for good: a counter that starts again, or a baseline that moved."""
+    found = level_findings(recording.t_s, recording.output, recording.sample_rate_Hz, InspectionConfig())
+    wraps = [one for one in found if one.kind == "wrap"]
+    if wraps:
+        said = reason("wraps", count=len(wraps), first=wraps[0].time_s, jump=wraps[0].value)
+        return (Finding(said, Verdict.RETEST),)
+    return tuple(
+        Finding(reason("stepped", first=one.time_s, jump=one.value, unit=recording.output_unit, share=one.amount))
+        for one in found
+        if one.kind == "step"
+    )
+
+
+def _too_much(missing: MissingSamples, observed: Reason) -> Reason:
+    return reason("samples_missing", observed=observed, share=missing.share, windows=missing.window_share)
+
+
+def _observed(recording: OutputRecording, missing: MissingSamples) -> list[Reason]:
+    """Return what was observed, the most samples first."""
+    masked, said = recording.masked, list[tuple[float, Reason]]()
+    for kind, count in missing.masked.items():
+        times = {"times": _times_the_range(recording, masked)} if kind == "overflow" else {}
+        said.append((count, reason(MASKED[kind], count=count, first=_first(masked.of_kind(kind)), **times)))
+    if gaps := missing.gaps:
+        rows = sum(gap.amount for gap in gaps)
+        longest = max(gaps, key=lambda gap: gap.value)
+        absent = rows / (rows + len(recording) + len(masked))
+        said.append(
+            (rows, reason("gaps", gaps=len(gaps), longest=longest.value, at=longest.time_s, rows=rows, share=absent))
+        )
+    for slow in missing.slow:
+        # A slower stretch is as many samples short as its rate is lower.
+        said.append(
+            (len(recording), reason("slow", rate=slow.value, usual=recording.sample_rate_Hz, first=slow.time_s))
+        )
+    return [one for _, one in sorted(said, key=lambda pair: -pair[0])]
+
+
+def _first(masked: MaskedSamples) -> Reason:
+    """Return where the first masked sample stands, and its value."""
+    line, at, value = int(masked.lines[0]), float(masked.t_s[0]), float(masked.values[0])
+    place = reason("part.at_line", number=line, at=at) if line else reason("part.at_time", at=at)
+    return place if np.isnan(value) else reason("part.value_at", place=place, value=value)
+
+
+def _times_the_range(recording: OutputRecording, masked: MaskedSamples) -> float:
+    """Return how far the furthest overflow lies from the output, in ranges of it."""
+    span, values = float(np.ptp(recording.output)), masked.of_kind("overflow").values
+    furthest = float(np.max(np.abs(values - np.median(recording.output))))
+    return furthest / span if span > 0 else float("inf")

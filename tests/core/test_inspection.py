@@ -1,0 +1,249 @@
+"""One look at a recording finds what loggers and loose cables leave in it, and takes nothing good for a fault."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from softcal.core.errors import InputError
+from softcal.core.inspection.build import InspectedRecording, build_recording
+from softcal.core.inspection.words import check_reference
+from softcal.core.recording import Array
+
+PressUnit = Callable[[int, float, float, int], pd.DataFrame]
+RATE_HZ = 50.0
+
+
+def inspected(
+    output: Array, reference: Array | None = None, t_s: Array | None = None, rate_Hz: float = RATE_HZ
+) -> InspectedRecording:
+    t_s = np.arange(len(output)) / rate_Hz if t_s is None else t_s
+    return build_recording("U1", t_s, output, sample_rate_Hz=rate_Hz, reference=reference)
+
+
+def measured_outputs(folder: Path) -> Iterator[tuple[str, Array, float]]:
+    """Yield every measured output with its rate."""
+    for name in ("S1", "S2"):
+        yield name, pd.read_csv(folder / f"egain_pair/{name}.csv")["output_V"].to_numpy(), 50.0
+    for name in ("calibration", "validation_1"):
+        table = pd.read_parquet(folder / f"insole_lot/{name}.parquet")
+        for taxel in [column for column in table.columns if column.startswith("taxel")]:
+            yield f"{name} {taxel}", table[taxel].to_numpy(float), 48.9
+    for path in sorted((folder / "nylon_drift").glob("*.parquet")):
+        yield path.stem, pd.read_parquet(path)["output_R_over_R0"].to_numpy(), 10.0
+    for path in sorted((folder / "skin_places").glob("*.parquet")):
+        yield path.stem, pd.read_parquet(path)["output_V"].to_numpy(), 50.0
+
+
+def labelled_pairs(folder: Path) -> Iterator[tuple[str, Array, Array]]:
+    """Yield measured outputs with the force beside them, 50 Hz."""
+    for path in sorted([*(folder / "egain_pair").glob("*.csv"), *(folder / "skin_places").glob("*.parquet")]):
+        table = pd.read_csv(path) if path.suffix == ".csv" else pd.read_parquet(path)
+        yield path.stem, table["output_V"].to_numpy(), table["force_N"].to_numpy()
+
+
+SPIKES: dict[str, Callable[[Array], Array]] = {
+    "zero": lambda run: 0 * run,
+    "half": lambda run: run / 2,
+    "rail": lambda run: 0 * run + 5.0,
+}
+"""What a loose cable leaves of an output in volts."""
+
+
+def planted(output: Array, kind: str, length: int, rng: np.random.Generator, count: int = 5) -> tuple[Array, list[int]]:
+    """Return an output with spikes, and the rows that were changed."""
+    spoilt = output.copy()
+    starts = rng.choice(np.arange(20, len(output) - 20, 25), count, replace=False) + rng.integers(0, 20)
+    for start in starts:
+        spoilt[start : start + length] = SPIKES[kind](output[start : start + length])
+    return spoilt, [int(start) + k for start in starts for k in range(length)]
+
+
+def masked_rows(result: InspectedRecording, samples: int) -> set[int]:
+    return set(range(samples)) - set(result.rows.tolist())
+
+
+def test_of_measured_recordings_hardly_a_good_sample_is_masked(measured_data: Path) -> None:
+    samples = masked = 0
+    for _, output, rate_Hz in measured_outputs(measured_data):
+        samples, masked = samples + len(output), masked + len(inspected(output, rate_Hz=rate_Hz).inspection.masked)
+    assert samples > 1_000_000
+    assert masked <= 1e-4 * samples
+
+
+@pytest.mark.parametrize("kind", SPIKES)
+@pytest.mark.parametrize("length", [1, 2, 3])
+def test_a_loose_cable_is_found_and_its_neighbours_stay(
+    kind: str, length: int, press_unit: PressUnit, measured_data: Path, rng: np.random.Generator
+) -> None:
+    outputs = [press_unit(1500, 1 + 0.2 * k, 0.5, k)["output"].to_numpy() for k in range(8)]
+    outputs += [output for name, output, _ in measured_outputs(measured_data) if name in ("S1", "S2")]
+    changed = found = wrong = samples = 0
+    for output in outputs:
+        spoilt, rows = planted(output, kind, length, rng)
+        masked = masked_rows(inspected(spoilt), len(output))
+        changed, found = changed + len(rows), found + len(masked & set(rows))
+        wrong, samples = wrong + len(masked - set(rows)), samples + len(output)
+    assert found >= 0.99 * changed
+    assert wrong <= 1e-4 * samples
+
+
+@pytest.mark.parametrize("length", [1, 2, 3])
+def test_more_spikes_than_the_usual_movements_are_found_too(
+    length: int, press_unit: PressUnit, rng: np.random.Generator
+) -> None:
+    output = press_unit(1500, 1.0, 0.5, 3)["output"].to_numpy()
+    spoilt, rows = planted(output, "zero", length, rng, count=15)
+    assert masked_rows(inspected(spoilt), len(output)) == set(rows)
+
+
+@pytest.mark.parametrize("code", [8388607.0, -8388608.0, 9.9e37, -9999.0, 32767.0, 2147483647.0, np.inf, 1e9])
+@pytest.mark.parametrize("count", [1, 40])
+def test_values_that_loggers_write_instead_of_a_sample_are_masked(
+    code: float, count: int, press_unit: PressUnit, rng: np.random.Generator
+) -> None:
+    output = press_unit(1500, 1.0, 0.5, 3)["output"].to_numpy(copy=True)
+    rows = rng.choice(1500, count if abs(code) != 1e9 else 1, replace=False)
+    output[rows] = code
+    result = inspected(output)
+    assert masked_rows(result, 1500) == set(rows.tolist())
+    assert result.inspection.masked.counts == {"overflow": len(rows)}
+    assert {one.value for one in result.inspection.of_kind("overflow")} == {code}
+
+
+def test_a_recording_of_every_programme_without_noise_is_left_as_it_is() -> None:
+    t_s = np.arange(3000) / RATE_HZ
+    square, taps = (t_s % 4 < 2).astype(float), (t_s % 1 < 0.1).astype(float)
+    creep = np.where(t_s > 20, 1 - np.exp(-(t_s - 20) / 5), 0.0)
+    coarse = np.round(50 * np.sin(t_s)) / 50
+    for output in (square, taps, creep, coarse, np.sin(t_s) ** 8, np.cumsum(taps)):
+        assert len(inspected(output).inspection.masked) == 0
+
+
+def test_a_slow_logger_may_see_a_press_in_one_sample() -> None:
+    t_s = np.arange(600.0)
+    pressed = (np.arange(600) % 30 == 7).astype(float)
+    assert len(build_recording("U1", t_s, pressed, sample_rate_Hz=1.0).inspection.masked) == 0
+
+
+def test_a_cable_that_is_off_for_a_second_is_masked_as_a_whole(press_unit: PressUnit) -> None:
+    output = press_unit(1500, 1.0, 0.5, 3)["output"].to_numpy(copy=True)
+    output[700:750] = 0.0
+    result = inspected(output)
+    assert masked_rows(result, 1500) == set(range(700, 750))
+    (dropout,) = result.inspection.of_kind("dropout")
+    assert (dropout.start, dropout.stop, dropout.value) == (700, 750, 0.0)
+
+
+def test_missing_cells_leave_a_gap_and_travel_with_the_recording(press_unit: PressUnit) -> None:
+    table = press_unit(1500, 1.0, 0.5, 3)
+    output, reference = table["output"].to_numpy(), table["reference"].to_numpy(copy=True)
+    spoilt = output.copy()
+    spoilt[[10, 11, 800]], reference[900] = np.nan, np.nan
+    result = inspected(spoilt, reference)
+    assert result.recording.masked.counts == {"missing": 3, "no_reference": 1}
+    assert result.reference is not None and len(result.reference) == len(result.recording) == 1496
+    assert np.array_equal(result.recording.output, np.delete(output, [10, 11, 800, 900]))
+    assert len(result.recording.segments) == 4
+    assert result.recording.part(0, 100).masked.counts == {"missing": 2}
+    assert result.recording.sha256 != inspected(output).recording.sha256
+
+
+def test_a_recording_without_faults_is_hashed_as_before(press_unit: PressUnit) -> None:
+    recording = inspected(press_unit(1500, 1.0, 0.5, 3)["output"].to_numpy()).recording
+    assert set(recording.arrays()) == {"t_s", "output"}
+
+
+@pytest.mark.parametrize(("t_s", "words"), [([0, 0.02, 0.02], "repeats"), ([0, 0.04, 0.02], "backward")])
+def test_time_that_goes_back_stays_an_error_beside_masks(t_s: list[float], words: str) -> None:
+    times = np.concatenate([t_s, 1 + np.arange(50) / RATE_HZ])
+    output = np.linspace(0, 1, len(times))
+    output[1] = np.nan
+    with pytest.raises(InputError, match=words):
+        inspected(output, t_s=times)
+
+
+def test_gaps_are_counted_in_samples_and_seconds(press_unit: PressUnit) -> None:
+    output, kept = press_unit(1500, 1.0, 0.5, 3)["output"].to_numpy(), np.r_[0:500, 600:1500]
+    inspection = inspected(output[kept], t_s=kept / RATE_HZ).inspection
+    (gap,) = inspection.of_kind("gap")
+    assert (gap.start, gap.amount) == (500, 100)
+    assert gap.value == pytest.approx(2.02)
+    # Both ends of the gap lose a window's length less one.
+    assert inspection.window_share == pytest.approx((486 + 886) / 1386)
+
+
+def test_another_rate_in_a_part_is_no_row_of_gaps(press_unit: PressUnit) -> None:
+    output, kept = press_unit(1500, 1.0, 0.5, 3)["output"].to_numpy(), np.r_[0:1000, 1000:1500:5]
+    inspection = inspected(output[kept], t_s=kept / RATE_HZ).inspection
+    (slow,) = inspection.of_kind("rate")
+    assert slow.value == pytest.approx(10.0) and slow.start in range(995, 1003)
+    assert inspection.of_kind("gap") == () and len(inspection.masked) == 0
+
+
+@pytest.mark.parametrize("late_s", [0.2, 0.5, 1.0, -0.5])
+def test_a_late_reference_is_told_from_relaxation(late_s: float, measured_data: Path) -> None:
+    for name, output, force_N in labelled_pairs(measured_data):
+        rows = round(abs(late_s) * RATE_HZ)
+        early, late = slice(rows, None), slice(None, len(output) - rows)
+        pair = (output[early], force_N[late]) if late_s > 0 else (output[late], force_N[early])
+        (lag,) = inspected(*pair).inspection.of_kind("lag")
+        assert lag.value == pytest.approx(late_s, abs=0.05), name
+        assert inspected(output, force_N).inspection.of_kind("lag", "tare", "held") == (), name
+
+
+@pytest.mark.parametrize("share", [0.3, -0.3])
+def test_a_tare_in_the_middle_is_found_where_it_is(share: float, measured_data: Path) -> None:
+    placed = tried = 0
+    sizes: list[float] = []
+    for _, output, force_N in labelled_pairs(measured_data):
+        for part in (0.25, 0.4, 0.5, 0.6, 0.75):
+            row, tared = int(part * len(output)), force_N.copy()
+            tared[row:] += share * np.ptp(force_N)
+            found = [one for one in inspected(output, tared).inspection.of_kind("tare") if one.start == row]
+            placed, tried = placed + len(found), tried + 1
+            sizes += [one.value / (share * np.ptp(force_N)) for one in found]
+    assert placed >= 0.8 * tried
+    assert np.median(np.abs(np.array(sizes) - 1)) < 0.1
+
+
+def test_the_line_of_an_unusable_reference_is_named(press_unit: PressUnit) -> None:
+    table = press_unit(1500, 1.0, 0.5, 3)
+    output, force_N = table["output"].to_numpy(), table["reference"].to_numpy()
+    tared, held = force_N.copy(), force_N[np.arange(1500) // 6 * 6]
+    tared[700:] -= 1.0
+    with pytest.raises(InputError, match="line 702 .*tared"):
+        check_reference(inspected(output, tared).inspection, np.arange(1500) + 2)
+    with pytest.raises(InputError, match="8.33 Hz"):
+        check_reference(inspected(output, held).inspection)
+    with pytest.raises(InputError, match="never changes"):
+        check_reference(inspected(output, 0 * force_N).inspection)
+    check_reference(inspected(output, force_N).inspection)
+
+
+def test_a_baseline_that_jumps_and_a_counter_that_wraps_are_told_apart(press_unit: PressUnit) -> None:
+    output = press_unit(1500, 1.0, 0.5, 3)["output"].to_numpy()
+    counts = np.round(30000 + 10000 * (output - 0.5) / np.ptp(output))
+    stepped, wrapped = output.copy(), (counts + 32768) % 65536 - 32768
+    stepped[800:] += 0.5 * np.ptp(output)
+    (step,) = inspected(stepped).inspection.of_kind("step", "wrap")
+    assert (step.kind, step.start) == ("step", 800)
+    assert {one.kind for one in inspected(wrapped).inspection.of_kind("step", "wrap")} == {"wrap"}
+    assert inspected(output).inspection.findings == ()
+
+
+def test_a_reading_that_stands_still_in_a_press_is_found(press_unit: PressUnit) -> None:
+    output = press_unit(1500, 1.0, 0.5, 3)["output"].to_numpy(copy=True)
+    middle = int(np.argmin(np.abs(output[100:900] - np.quantile(output, 0.6)))) + 100
+    output[middle : middle + 250] = output[middle]
+    (stuck,) = inspected(output).inspection.of_kind("stuck")
+    assert (stuck.start, stuck.stop) == (middle, middle + 250)
+
+
+def test_a_load_cell_that_counts_compression_negative_is_named_and_not_corrected(press_unit: PressUnit) -> None:
+    table = press_unit(1500, 1.0, 0.5, 3)
+    result = inspected(table["output"].to_numpy(), -table["reference"].to_numpy())
+    assert result.inspection.of_kind("sign")
+    assert result.reference is not None and np.array_equal(result.reference, -table["reference"].to_numpy())
