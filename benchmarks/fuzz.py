@@ -156,21 +156,34 @@ def damaged(rng: random.Random, content: bytes) -> bytes:
 
 
 def expected(text: str) -> np.ndarray | None:
-    """Return (n, 3) time, output and reference as the text has them, or None where it leaves doubt what they are."""
+    """Return (n, 3) time, output and reference as the text has them, or None where it leaves doubt what they are.
+
+    NaN is a missing sample; of a last row that was cut off the last cell is missing, too.
+    """
     try:
         rows = [row for row in csv.reader(io.StringIO(text, newline=""), strict=True) if row]
     except csv.Error:
         return None
-    header = [cell.removeprefix("\ufeff") for cell in rows[0]] if rows else []
+    header = [cell.removeprefix("\ufeff").strip() for cell in rows[0]] if rows else []
     if any(header.count(name) != 1 for name in ("t_s", "output", "reference")):
         return None
     places = [header.index(name) for name in ("t_s", "output", "reference")]
     try:
-        values = np.array([[float(row[k].replace("_", "x")) for k in places] for row in rows[1:]])
+        if len(rows[-1]) < len(header) and not text.endswith(("\n", "\r")):
+            rows[-1] = rows[-1][:-1] + [""] * (len(header) - len(rows[-1]) + 1)
+        values = np.array([[_sample(row[k]) for k in places] for row in rows[1:]])
     except (ValueError, IndexError):
         return None
-    whole = all(len(row) <= len(header) for row in rows[1:]) and len(values) and np.isfinite(values).all()
-    return values if whole else None
+    if not len(values) or any(any(map(str.strip, row[len(header) :])) for row in rows[1:]):
+        return None
+    while len(values) and np.isnan(values[-1]).all():
+        values = values[:-1]
+    return values[np.isfinite(values[:, 0])]
+
+
+def _sample(cell: str) -> float:
+    value = float(cell.strip().replace("_", "x").encode("ascii")) if cell.strip() else np.nan
+    return value if np.isfinite(value) else np.nan
 
 
 class Fuzz:
@@ -226,17 +239,20 @@ class Fuzz:
         return content.getvalue()
 
     def _is_right(self, out: Path, text: str | None) -> bool:
-        source = open_lot_folder(out).read_source()
-        got = np.column_stack([source.unlabelled.t_s, source.unlabelled.output, source.reference])
+        got = pd.read_csv(out / "source" / "S0.csv").to_numpy(float)
         # Checksums of Excel and Parquet cover the cells; what still opens must hold them all.
         right = None if text is None else expected(text)
-        return right is not None and got.shape == right.shape and np.allclose(got, right, rtol=1e-14, atol=0)
+        return (
+            right is not None
+            and got.shape == right.shape
+            and np.allclose(got, right, rtol=1e-14, atol=0, equal_nan=True)
+        )
 
     def _count(self, what: str, example: str) -> None:
         # A refusal because memory ran out is no refusal.
         what = "memory" if "MemoryError" in example else what
         self.found[what] += 1
-        if what in ("traceback", "wrong", "left") and len(self.examples) < 12:
+        if what in ("traceback", "wrong", "left") and len(self.examples) < 40:
             self.examples.append(f"{self._kind} {what}: {example}")
 
 

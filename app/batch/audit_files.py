@@ -3,11 +3,13 @@
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from unicodedata import normalize
 
 from softcal.app.files.importing import Columns, ImportPlan, look_through
-from softcal.app.files.not_used import NotUsed
-from softcal.app.files.recording_file import replace_recording
+from softcal.app.files.not_used import NotUsed, no_reference_column
+from softcal.app.files.recording_file import FileRecording, write_rows
 from softcal.app.registry.same_recordings import same_recordings_with
+from softcal.app.tables.options import DETECT, TableOptions
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.quality.same_recording import Pressed, same_recordings
@@ -24,6 +26,7 @@ class AuditFile:
     serial: str
     recording: LabelledRecording | None
     refusal: Reason | None = None
+    read: FileRecording | None = None
 
 
 def unused_of_audits(
@@ -50,12 +53,12 @@ def unused_of_audits(
 
 
 def look_at_audits(
-    lot: Lot, units: Collection[str], files: Sequence[Path], columns: Columns, sheet: str | None = None
+    lot: Lot, units: Collection[str], files: Sequence[Path], columns: Columns, table: TableOptions = DETECT
 ) -> tuple[AuditFile, ...]:
     """Read tables as audits of a lot's units, and say which would be refused and why. A table is of
     one unit and called by its serial, or wide with a column per unit.
     """
-    plan = ImportPlan(files, columns, lot, audit=True, sheet=sheet)
+    plan = ImportPlan(files, columns, lot, audit=True, table=table)
     looked = []
     for look in look_through(plan):
         recording, refusal = None, None
@@ -64,20 +67,33 @@ def look_at_audits(
         elif look.serial not in units:
             refusal = reason("audit.stranger", serial=look.serial)
         elif look.unit.reference is None:
-            refusal = Reason("audit.no_reference")
+            is_asked = columns.reference is not None
+            refusal = no_reference_column(columns, look.unit.file.table) if is_asked else Reason("audit.no_reference")
         else:
             try:
-                recording = LabelledRecording(look.unit.recording, look.unit.reference)
+                recording = look.unit.labelled(lot.reference_unit)
             except InputError as error:
                 refusal = error.reason
-        looked.append(AuditFile(look.file, look.serial, recording, refusal))
+        read = None if look.unit is None else look.unit.audit or look.unit.file
+        looked.append(AuditFile(look.file, look.serial, recording, refusal, read))
     return tuple(looked)
 
 
 def write_audits(folder: Path, audits: Sequence[AuditFile]) -> list[str]:
     """Write the recordings that are taken into audit/; return the serials of those replaced."""
-    taken = {audit.serial: audit.recording for audit in audits if audit.recording is not None}
-    return [s for s, recording in taken.items() if replace_recording(folder / "audit", s, ".csv", recording)]
+    taken = {audit.serial: audit.read for audit in audits if audit.recording is not None and audit.read is not None}
+    return [serial for serial, read in taken.items() if _replaced(folder / "audit", serial, read)]
+
+
+def _replaced(folder: Path, serial: str, read: FileRecording) -> bool:
+    """Write what was read as the only audit of its serial; return whether one was there."""
+    folder.mkdir(exist_ok=True)
+    path, older = folder / f"{serial}.csv", [file for file in folder.iterdir() if normalize("NFC", file.stem) == serial]
+    write_rows(path, read)
+    for file in older:
+        if file != path:
+            file.unlink()
+    return bool(older)
 
 
 def store_audits(registry: Registry, lot_id: str, audits: Sequence[AuditFile], actor: str | None = None) -> int:

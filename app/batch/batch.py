@@ -67,7 +67,7 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     judge_leaning(registry, lot_id, actor)
     units = tuple(work.told(list(folder.unit_paths)).values())
     remarks = (*same_recordings_of(registry, lot_id), *([] if units else [Reason("lot.no_units")]))
-    unread = unused_columns(folder.root, folder.unit_paths)
+    unread = unused_columns(folder.root, folder.unit_paths, folder.names)
     not_used = (*folder.not_used, *unread, *unused_audits(folder.audit_paths, units))
     seconds = time.perf_counter() - start_s
     return BatchReport(lot_id, trained[0], units, seconds, audit, config.release, decided, not_used, remarks)

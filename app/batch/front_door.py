@@ -7,8 +7,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from softcal.app.batch.known import config_of, stated_sources
 from softcal.app.bootstrap import data_folder
 from softcal.app.files.importing import ImportPlan, LookedAt, import_lot, look_through
@@ -20,7 +18,6 @@ from softcal.app.registry.same_recordings import same_recordings_with
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.network.config import NetworkConfig
 from softcal.core.quality.same_recording import Pressed
-from softcal.core.recording import LabelledRecording
 from softcal.core.unit.findings import contradictions
 from softcal.core.unit.health import check_alive, health_findings, output_limits
 from softcal.core.unit.method import Method
@@ -74,13 +71,8 @@ def _expected(look: LookedAt, source: LookedAt | None, plan: ImportPlan) -> Expe
         return Expected(look.file, look.serial, problem=look.problem)
     recording, reference = look.unit.recording, look.unit.reference
     facts = (look.file, look.serial, len(recording), len(recording) / plan.lot.sample_rate_Hz)
-    if source is look:
-        if reference is None:
-            return Expected(*facts, problem=f"the source {look.serial} has no reference")
-        try:
-            LabelledRecording(recording, reference)
-        except InputError as error:
-            return Expected(*facts, problem=str(error))
+    if source is look and reference is None:
+        return Expected(*facts, problem=f"the source {look.serial} has no reference")
     if source is None or source is look or source.unit is None or source.unit.reference is None:
         return Expected(*facts)
     method, known = Method(), source.unit.recording
@@ -88,7 +80,7 @@ def _expected(look: LookedAt, source: LookedAt | None, plan: ImportPlan) -> Expe
         check_alive(recording, known, method.health)
     except UnitRefused as error:
         return Expected(*facts, findings=(error.reason,))
-    is_rising = bool(np.cov(known.output, source.unit.reference)[0, 1] > 0)
+    is_rising = source.unit.labelled(plan.lot.reference_unit).direction > 0
     limits = output_limits(recording, known, is_rising, method.health)
     against = contradictions(known, recording, limits, method) or health_findings(
         recording, known, limits, method.health

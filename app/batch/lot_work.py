@@ -129,7 +129,7 @@ class LotWork:
                         time.sleep(LOOK_EVERY_S)
                     continue
                 work = partial(each_alone, work_on, self._config.unit_limit_s)
-                shared = SharedWork(self._folder.lot, self._facts)
+                shared = SharedWork(self._folder.lot, self._facts, self._folder.names)
                 for answer in run_all(self._config.engine, work, shared, chain([first], chunks), Chunk.split):
                     outcome = lost(answer.item) if isinstance(answer, WorkerLost) else answer
                     for result in self._keep(claims, outcome):

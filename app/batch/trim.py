@@ -5,11 +5,14 @@ from pathlib import Path
 from softcal.app.batch.judging import judge_again
 from softcal.app.files.anchors import read_anchors
 from softcal.app.registry.trimmed import is_trimmed_by, keep_trim
+from softcal.app.tables.options import DETECT, TableOptions
 from softcal.core.unit.trim import Trimmed
 from softcal.db.registry import Registry
 
 
-def trim_unit(registry: Registry, serial: str, loads_file: Path, lot_id: str | None) -> tuple[Trimmed, int]:
+def trim_unit(
+    registry: Registry, serial: str, loads_file: Path, lot_id: str | None, table: TableOptions = DETECT
+) -> tuple[Trimmed, int]:
     """Re-anchor a unit's map by loads of a file; return the trim and the new revision.
 
     Args:
@@ -19,17 +22,19 @@ def trim_unit(registry: Registry, serial: str, loads_file: Path, lot_id: str | N
         InputError: the loads cannot be of this unit, or the unit is not in the registry; nothing was changed.
     """
     stored = registry.calibrations.get(serial, lot_id=lot_id)
-    trimmed = keep_trim(registry, stored, read_anchors(loads_file, [serial])[serial])
+    trimmed = keep_trim(registry, stored, read_anchors(loads_file, [serial], table)[serial])
     judge_again(registry, [stored.lot_id])
     return trimmed, registry.calibrations.get(serial, lot_id=stored.lot_id).revision
 
 
-def trimmed_by(registry: Registry, serial: str, loads_file: Path, lot_id: str | None) -> int:
+def trimmed_by(
+    registry: Registry, serial: str, loads_file: Path, lot_id: str | None, table: TableOptions = DETECT
+) -> int:
     """Return the revision that known loads made, trimming only where they have not yet.
 
     A stream that is followed again from its start is then followed from the same map.
     """
     stored = registry.calibrations.get(serial, lot_id=lot_id)
-    if is_trimmed_by(stored.record, read_anchors(loads_file, [serial])[serial]):
+    if is_trimmed_by(stored.record, read_anchors(loads_file, [serial], table)[serial]):
         return stored.revision
-    return trim_unit(registry, serial, loads_file, lot_id)[1]
+    return trim_unit(registry, serial, loads_file, lot_id, table)[1]

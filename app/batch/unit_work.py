@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from softcal.app.batch.calibrating import LotFacts, Refusal, Result, UnitInputs, calibrate_unit
-from softcal.app.files.recording_file import read_labelled, read_recording
+from softcal.app.files.recording_file import PLAIN, ColumnNames, read_labelled, read_recording
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.recording import LabelledRecording, OutputRecording
@@ -42,6 +42,7 @@ class SharedWork:
 
     lot: Lot
     facts: LotFacts
+    names: ColumnNames = PLAIN
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,11 +83,11 @@ def work_on(shared: SharedWork, chunk: Chunk) -> ChunkOutcome:
 
 
 def _work_on_unit(shared: SharedWork, task: UnitTask) -> UnitOutcome:
-    lot, file, audit = shared.lot, task.recording, task.audit
+    lot, names, file, audit = shared.lot, shared.names, task.recording, task.audit
     try:
         if file is None:
             raise InputError(task.problem)
-        recording = read_recording(file.path, task.serial, lot.sample_rate_Hz, lot.output_unit, file.content)
+        recording = read_recording(file.path, task.serial, lot.sample_rate_Hz, lot.output_unit, file.content, names)
     except InputError as error:
         refusal = Refusal(Verdict.RETEST, reason("unreadable", error=str(error)))
         return UnitOutcome(task.item_id, task.serial, refusal)
@@ -94,7 +95,7 @@ def _work_on_unit(shared: SharedWork, task: UnitTask) -> UnitOutcome:
     if audit is not None:
         units = lot.output_unit, lot.reference_unit
         try:
-            read = read_labelled(audit.path, task.serial, lot.sample_rate_Hz, units, audit.content)
+            read = read_labelled(audit.path, task.serial, lot.sample_rate_Hz, units, audit.content, names)
             facts = replace(facts, audit=read)
         except InputError as error:
             facts = replace(facts, unread_audit=str(error))

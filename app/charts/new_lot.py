@@ -1,6 +1,5 @@
 """A table that was dropped: its columns over time, and the reference over the output."""
 
-import fnmatch
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +20,7 @@ MOST_LINES = 8
 
 def columns_over_time(content: "pd.DataFrame", columns: Columns, colours: Palette, words: Words) -> go.Figure:
     """Draw the output columns over the time column, or over the row where there is none."""
-    names = [str(name) for name in content.columns if fnmatch.fnmatchcase(str(name), columns.output)]
+    names = [str(name) for name in content.columns if columns.is_output(str(name))]
     if not columns.is_wide:
         names = [columns.output]
     at = thinned(range(len(content)))

@@ -8,14 +8,14 @@ from softcal.app.charts.palette import Palette
 from softcal.app.charts.style import axis_titles, both_ways, coloured, steps, styled
 from softcal.app.texts.reasons import Words
 from softcal.app.views.common import thinned
-from softcal.app.views.unit import UnitView
+from softcal.app.views.unit import UnitSignals
 from softcal.core.lot import Lot
 from softcal.core.recording import LabelledRecording, OutputRecording
 
 BINS = 60
 
 
-def output_distributions(view: UnitView, colours: Palette, words: Words) -> go.Figure:
+def output_distributions(view: UnitSignals, colours: Palette, words: Words) -> go.Figure:
     """Draw the distribution of the source's output and of the unit's, raw and mapped."""
     figure = go.Figure()
     series = (
@@ -32,7 +32,7 @@ def output_distributions(view: UnitView, colours: Palette, words: Words) -> go.F
     return styled(figure, colours, f"{words('chart.output')} [{view.lot.output_unit}]", words("chart.density"))
 
 
-def map_curve(view: UnitView, colours: Palette, words: Words) -> go.Figure:
+def map_curve(view: UnitSignals, colours: Palette, words: Words) -> go.Figure:
     """Draw what the map makes of a steady output."""
     level, mapped = view.map_curve()
     figure = go.Figure()
@@ -42,7 +42,7 @@ def map_curve(view: UnitView, colours: Palette, words: Words) -> go.Figure:
     return styled(figure, colours, f"{words('chart.raw')} [{unit}]", f"{words('chart.source')} [{unit}]")
 
 
-def estimate_band(view: UnitView, colours: Palette, words: Words) -> go.Figure:
+def estimate_band(view: UnitSignals, colours: Palette, words: Words) -> go.Figure:
     """Draw the estimate over time with its interval."""
     result, unit = view.estimate, view.lot.reference_unit
     at = thinned(result.t_s)
@@ -55,7 +55,7 @@ def estimate_band(view: UnitView, colours: Palette, words: Words) -> go.Figure:
     return styled(figure, colours, words("chart.time"), f"{view.lot.reference_quantity} [{unit}]")
 
 
-def hysteresis(view: UnitView, colours: Palette, words: Words) -> go.Figure:
+def hysteresis(view: UnitSignals, colours: Palette, words: Words) -> go.Figure:
     """Draw the output over the estimate, loading and unloading apart."""
     value, output = view.estimate.estimate, view.recording.output
     known = np.isfinite(value)

@@ -4,7 +4,17 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import COUNT, FILE, add_columns, add_shared, column_names, registry_of, say_caution
+from softcal.app.cli.options import (
+    COUNT,
+    FILE,
+    add_columns,
+    add_shared,
+    column_names,
+    registry_of,
+    say_caution,
+    say_layout,
+    table_options,
+)
 from softcal.app.output import ProgressLine, say, write_json
 from softcal.core.errors import InputError
 
@@ -91,7 +101,7 @@ def run(options: argparse.Namespace) -> None:
                     "--loads trims the map in use at the start of a stream; without --revision and --resume. "
                     "`softcal trim` between two streams does the rest"
                 )
-            revision = trimmed_by(registry, options.serial, options.loads, options.lot)
+            revision = trimmed_by(registry, options.serial, options.loads, options.lot, table_options(options))
             say(f"{options.serial}: followed from revision {revision}, trimmed by {options.loads}")
         adapt = AdaptOptions(config, revision, options.stream, options.resume, lot_id=options.lot)
         names = column_names(options)
@@ -106,6 +116,7 @@ def run(options: argparse.Namespace) -> None:
             source, out = Path(options.source), Path(options.out)
             progress = ProgressLine("rows", count_rows(source))
             report = adapt_file(registry, options.serial, source, out, adapt, progress.reach, names)
+            say_layout(str(source), report.layout, report.remarks)
         say_caution(registry, (report.serial, report.revision, report.lot.id), "adapt")
         _report(registry, options, report)
 

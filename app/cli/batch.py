@@ -82,7 +82,7 @@ def run(options: argparse.Namespace) -> int:
     from softcal.core.unit.verdict import Release
 
     folder = open_lot_folder(options.lot)
-    for remark in folder.remarks:
+    for remark in (*folder.remarks, *folder.source_remarks()):
         say(f"note: {remark}")
     lack = None if options.no_own else lacking("torch", "no own calibration is trained for comparison")
     anchors = {} if options.anchors is None else read_anchors(options.anchors, folder.unit_paths)

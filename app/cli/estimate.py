@@ -3,7 +3,16 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.cli.options import COUNT, add_columns, add_shared, answer, column_names, registry_of, say_caution
+from softcal.app.cli.options import (
+    COUNT,
+    add_columns,
+    add_shared,
+    answer,
+    column_names,
+    registry_of,
+    say_caution,
+    say_layout,
+)
 from softcal.app.output import say
 
 EXAMPLES = """examples:
@@ -18,7 +27,7 @@ Columns of the result: t_s, estimate, lower, upper (a 90 % interval), flag (why 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Estimate the reference from the columns t_s, output of a recording with the unit's current map."""
     add = parser.add_argument
-    add("recording", type=Path, metavar="IN", help="CSV, Excel or Parquet with t_s, output")
+    add("recording", type=Path, metavar="IN", help="table with t_s, output: CSV and other text, .xlsx, Parquet, ...")
     add("--out", required=True, type=Path, metavar="OUT", help="CSV or Parquet to write")
     add_shared(parser, "serial")
     add_columns(parser)
@@ -32,10 +41,16 @@ def run(options: argparse.Namespace) -> None:
 
     with registry_of(options) as registry:
         unit = options.serial, options.revision, options.lot
-        result = estimate_file(registry, options.recording, options.out, *unit, names=column_names(options))
+        made = estimate_file(registry, options.recording, options.out, *unit, names=column_names(options))
         say_caution(registry, unit, "estimate")
+    result, file = made.estimate, made.file
+    say_layout(str(options.recording), file.table.layout, file.remarks)
     flags = [flag for flag in result.flag if flag]
     counts = {flag: flags.count(flag) for flag in sorted(set(flags))}
     said = ", ".join(f"{count} {flag}" for flag, count in counts.items()) or "no row flagged"
     say(f"{options.out}: {len(result.flag)} rows; {said}")
-    answer(options, "estimate/1", {"rows": len(result.flag), "flags": counts})
+    answer(
+        options,
+        "estimate/1",
+        {"rows": len(result.flag), "flags": counts, "layout": file.table.layout, "remarks": list(file.remarks)},
+    )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from softcal.app.cli.gap_challenge import add_challenge_actions
 from softcal.app.cli.gap_lot import add_lot, add_transfer
-from softcal.app.cli.options import COUNT, FILE, actions_of, add_shared, answer
+from softcal.app.cli.options import COUNT, FILE, actions_of, add_layout, add_shared, answer, table_options
 from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
 
@@ -93,6 +93,7 @@ def _add_case(parser: argparse.ArgumentParser) -> None:
     add("--adc-bits", **COUNT, help="resolution of the ADC")
     add("--rate-Hz", type=float, dest="rate_Hz", metavar="HZ", help="sample rate")
     add("--series-ohm", type=float, metavar="OHM", help="series resistor; without it resistances come as shares of it")
+    add_layout(parser)
     parser.add_argument(
         "--simulator",
         metavar="MODULE:NAME",
@@ -109,13 +110,13 @@ def _diagnose(options: argparse.Namespace) -> None:
     from softcal.app.gap.simulator import diagnose_with, load_simulator
 
     if not options.simulator:
-        diagnosis = diagnose_case(options.case, say, _table_readout(options))
+        diagnosis = diagnose_case(options.case, say, _table_readout(options), table_options(options))
         _show_twin(diagnosis, options.json)
         if options.page:
             write_page(options.page, diagnosis)
         return
     _refuse_electronics(options)
-    diagnosed = diagnose_with(options.case, load_simulator(options.simulator), say)
+    diagnosed = diagnose_with(options.case, load_simulator(options.simulator), say, table_options(options))
     if options.json != "-":
         _show(diagnosed)
     write_json(options.json, diagnosed.report())
@@ -135,9 +136,9 @@ def _check(options: argparse.Namespace) -> None:
 
     if options.simulator:
         _refuse_electronics(options)
-        mistakes, identifiability = check_with(options.case, load_simulator(options.simulator))
+        mistakes, identifiability = check_with(options.case, load_simulator(options.simulator), table_options(options))
     else:
-        mistakes, identifiability = check_case(options.case, _table_readout(options))
+        mistakes, identifiability = check_case(options.case, _table_readout(options), table_options(options))
     record = None if identifiability is None else identifiability.record()
     data = [mistake.record() for mistake in mistakes]
     if not answer(options, "gap.check/1", {"data": data, "identifiability": record}):

@@ -1,11 +1,29 @@
-"""`softcal import`: a lot folder out of CSV, Excel or Parquet files."""
+"""`softcal import`: a lot folder out of the files that loggers and laboratories write."""
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import COUNT, FILE, add_shared, answer, converted, say_unused, unused_json
+from softcal.app.cli.options import (
+    COUNT,
+    FILE,
+    SAMPLE_RATE_HELP,
+    TIME_COLUMN_HELP,
+    add_layout,
+    add_shared,
+    answer,
+    converted,
+    positive,
+    say_layout,
+    say_unused,
+    table_options,
+    unused_json,
+)
 from softcal.app.output import say
 from softcal.core.errors import InputError
+
+if TYPE_CHECKING:
+    from softcal.app.files.importing import ImportedLot, ImportPlan
 
 EXAMPLES = """examples:
   one file per unit; S1 has a load cell; the others' forces are their audits:
@@ -22,7 +40,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Make a lot folder: one file per unit, or one wide file with a column per unit. Nothing is written unless every
     file can be used.
     """
-    parser.add_argument("files", nargs="+", **FILE, help="CSV, .xlsx or Parquet; of a folder, all")
+    parser.add_argument(
+        "files", nargs="+", **FILE, help="CSV and other text, .xlsx, .ods, Parquet, .mat, .h5, .tdms; of a folder, all"
+    )
     parser.add_argument("--out", required=True, type=Path, help="lot folder to make; must not exist yet")
     parser.add_argument(
         "--source",
@@ -36,13 +56,15 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("columns, where they are not t_s, output, reference and stage_mm")
     group.add_argument("--output-column", default="output", help="column of the output; with * one unit per column")
     group.add_argument("--reference-column", default="reference", help="column of the load cell; the source has one")
-    group.add_argument("--time-column", help="column of the time in s")
+    group.add_argument("--time-column", help=TIME_COLUMN_HELP)
     group.add_argument("--stage-column", default="stage_mm", help="column of the stage position in mm")
-    group.add_argument(
-        "--sample-rate", type=float, metavar="HZ",
-        help="default: what the time column shows; without --time-column it makes the time",
-    )  # fmt: skip
-    parser.add_argument("--serial", action="append", metavar="S", help="serial of each file in order; else its name")
+    group.add_argument("--sample-rate", type=positive, metavar="HZ", help=SAMPLE_RATE_HELP)
+    parser.add_argument(
+        "--serial",
+        action="append",
+        metavar="[OLD=]NEW",
+        help="serial of the file or column OLD, or of each file in order; default: the names of files or columns",
+    )
     parser.add_argument(
         "--audit",
         action="store_true",
@@ -55,11 +77,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--most-cells", default=20_000_000, **COUNT,
         help="refuse larger tables before they are read (default 20 million; a tenth of it for Excel)",
     )  # fmt: skip
-    parser.add_argument("--sheet", help="sheet of an Excel file")
     parser.add_argument("--reference-quantity", default="force")
     parser.add_argument("--reference-unit", default="N")
     parser.add_argument("--output-unit", default="V")
     parser.add_argument("--limit", type=float, metavar="RMSE", help="largest acceptable error, in the reference unit")
+    add_layout(parser)
     add_shared(parser, "json")
 
 
@@ -70,15 +92,13 @@ def _rows(text: str) -> tuple[int, int]:
 
 def run(options: argparse.Namespace) -> None:
     """Import, and say what was made."""
-    from softcal.app.files.importing import Columns, ImportPlan, import_lot, median_rate_Hz, tables_of
-    from softcal.app.files.not_used import unread_files
+    from softcal.app.files.importing import Columns, ImportPlan, import_lot, shown_rate_Hz, tables_of
     from softcal.core.lot import Lot
 
-    time = options.time_column or (None if options.sample_rate else "t_s")
     files = [file for path in options.files for file in tables_of(path)]
-    rate_Hz = options.sample_rate or median_rate_Hz(
-        files[0], options.time_column or "t_s", options.sheet, options.most_cells
-    )
+    columns = Columns(options.output_column, options.reference_column, options.time_column, options.stage_column)
+    table = table_options(options)
+    rate_Hz = options.sample_rate or shown_rate_Hz(files[0], columns, table)
     first, *more = options.source
     if len(set(options.source)) < len(options.source):
         raise InputError(f"--source {' --source '.join(options.source)}: give each source once")
@@ -92,17 +112,39 @@ def run(options: argparse.Namespace) -> None:
         output_unit=options.output_unit,
         limit_rmse=options.limit,
     )
-    columns = Columns(options.output_column, options.reference_column, time, options.stage_column)
+    serials, renames = _serials(options.serial or [])
     plan = ImportPlan(
-        files, columns, lot, options.audit, options.rows, options.audit_rows, options.sheet, options.serial,
-        options.most_cells, more_sources=more,
-    )  # fmt: skip
-    made = import_lot(plan, options.out)
-    not_used = (*(item for path in options.files for item in unread_files(path)), *made.not_used)
-    units, sources = len(made.units), ", ".join(options.source)
-    say(f"{options.out}: lot {lot.id!r}, source {sources}, {units} target units, {rate_Hz:g} Hz")
-    if options.audit:
-        say(f"audits: {len(made.audits)} of {units}")
-    say_unused(not_used, made.remarks)
-    facts = {"lot": lot.id, "source": lot.source, "units": list(made.units), "audits": list(made.audits)}
-    answer(options, "import/1", facts | unused_json(not_used, made.remarks))
+        files, columns, lot, options.audit, options.rows, options.audit_rows, table, serials, renames, more_sources=more
+    )
+    _report(options, plan, import_lot(plan, options.out))
+
+
+def _serials(given: list[str]) -> tuple[list[str] | None, dict[str, str]]:
+    """Return serials of files in order, or new serials by the names of files or columns."""
+    renames = dict(text.rsplit("=", 1) for text in given if "=" in text)
+    if renames and len(renames) < len(given):
+        raise InputError("--serial: give either OLD=NEW for names, or one serial per file in order, not both")
+    return (None, renames) if renames or not given else (given, {})
+
+
+def _report(options: argparse.Namespace, plan: "ImportPlan", imported: "ImportedLot") -> None:
+    """Report what was made, how the files were read, and what was not used."""
+    from softcal.app.files.not_used import unread_files
+
+    lot, by_layout = plan.lot, dict[str, list[str]]()
+    for name, layout in imported.layouts.items():
+        by_layout.setdefault(layout, []).append(name)
+    for layout, names in by_layout.items():
+        say_layout(names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more", layout)
+    units = f"{len(imported.units)} target units"
+    say(f"{options.out}: lot {lot.id!r}, source {', '.join(options.source)}, {units}, {lot.sample_rate_Hz:g} Hz")
+    not_used = (*(item for path in options.files for item in unread_files(path)), *imported.not_used)
+    if plan.audit:
+        why = next((f"; {item.why}" for item in not_used if item.kind == "audit"), "")
+        say(f"audits: {len(imported.audits)} of {len(imported.units)}{why}")
+    say_unused(not_used, imported.remarks)
+    if any(item.why.code.startswith("name.") for item in imported.not_used):
+        say("note: --serial 'OLD=NEW' gives a file or a column another serial")
+    facts: dict[str, object] = {"lot": lot.id, "source": lot.source, "units": list(imported.units)}
+    facts |= {"audits": list(imported.audits), "layouts": dict(imported.layouts)}
+    answer(options, "import/1", facts | unused_json(not_used, imported.remarks))

@@ -9,7 +9,10 @@ from softcal.app.cli.options import (
     COUNT,
     DIR,
     FILE,
+    SAMPLE_RATE_HELP,
+    TIME_COLUMN_HELP,
     actions_of,
+    add_layout,
     add_network,
     add_shared,
     answer,
@@ -17,7 +20,9 @@ from softcal.app.cli.options import (
     network_config,
     positive,
     registry_of,
+    say_layout,
     say_unused,
+    table_options,
     unused_json,
 )
 from softcal.app.output import print_table, say, write_json
@@ -112,11 +117,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add("files", nargs="*", **FILE, help="CSV, .xlsx or Parquet; of a folder, all")
     add("--output-column", default="output", help="default output; with * one unit per column")
     add("--reference-column", default="reference", help="column of the load cell; default reference")
-    add("--time-column", metavar="NAME", help="column of the time in s; default t_s")
-    add("--sample-rate", type=positive, metavar="HZ", help="without a column of time: samples a second")
-    add("--sheet", help="sheet of an Excel file")
+    add("--time-column", metavar="NAME", help=TIME_COLUMN_HELP)
+    add("--sample-rate", type=positive, metavar="HZ", help=SAMPLE_RATE_HELP)
     add("--confirm", metavar="SERIAL", help="the audit of this unit is right in spite of the doubt")
     add("--reason", default="", help="why; needed with --confirm")
+    add_layout(brought)
     add_shared(brought, "registry", "json")
     audit = action(
         "audit-plan",
@@ -345,29 +350,35 @@ def _bring(options: argparse.Namespace) -> int:
     from softcal.app.files.not_used import unread_files
     from softcal.app.registry.lot_recordings import target_serials
 
-    time = options.time_column or (None if options.sample_rate else "t_s")
-    columns = Columns(options.output_column, options.reference_column, time)
+    columns, table = (
+        Columns(options.output_column, options.reference_column, options.time_column),
+        table_options(options),
+    )
     files = [file for path in options.files for file in tables_of(path)]
     folder, replaced, then = Path(options.lot), list[str](), "they are scored, and the lot is judged"
     if (folder / "lot.toml").is_file():
         opened = open_lot_folder(folder)
         lot = opened.lot
         _check_rate(options.sample_rate, lot.sample_rate_Hz)
-        looked = look_at_audits(lot, opened.unit_paths.keys(), files, columns, options.sheet)
+        looked = look_at_audits(lot, opened.unit_paths.keys(), files, columns, table)
         refusals, remarks = unused_of_audits(lot, looked, others=opened.readable_audits())
         replaced, then = write_audits(folder, looked), f"next: softcal batch {options.lot}"
     else:
         with registry_of(options) as registry:
             lot = registry.lots.get(options.lot)
             _check_rate(options.sample_rate, lot.sample_rate_Hz)
-            looked = look_at_audits(lot, target_serials(registry, lot.id), files, columns, options.sheet)
+            looked = look_at_audits(lot, target_serials(registry, lot.id), files, columns, table)
             refusals, remarks = unused_of_audits(lot, looked, registry)
             store_audits(registry, lot.id, looked)
             judge_again(registry, [lot.id])
+    for audit in looked:
+        if audit.read is not None:
+            say_layout(audit.file, audit.read.table.layout, audit.read.remarks)
     taken = [audit.serial for audit in looked if audit.recording is not None]
     refused = {audit.file: str(audit.refusal) for audit in looked if audit.recording is None}
+    layouts = {audit.file: audit.read.table.layout for audit in looked if audit.read is not None}
     not_used = (*(item for path in options.files for item in unread_files(path)), *refusals)
-    facts = {"lot": lot.id, "audited": taken, "replaced": replaced, "refused": refused}
+    facts = {"lot": lot.id, "audited": taken, "replaced": replaced, "refused": refused, "layouts": layouts}
     if answer(options, "lot.audit-files/1", facts | unused_json(not_used, remarks)):
         rows = [
             [audit.file, audit.serial, "taken" if audit.recording else f"refused: {audit.refusal}"] for audit in looked

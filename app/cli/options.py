@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from softcal.app.batch.report import UnitResult
     from softcal.app.files.not_used import NotUsed
     from softcal.app.files.recording_file import ColumnNames
+    from softcal.app.tables.options import TableOptions
     from softcal.core.network.config import EpochReport, NetworkConfig
     from softcal.core.words.reason import Reason
     from softcal.db.registry import Registry
@@ -111,19 +112,57 @@ def add_columns(parser: argparse.ArgumentParser) -> None:
     """Add what `import` calls the columns of a table: for tables as an instrument wrote them."""
     group = parser.add_argument_group("columns of IN, where they are not t_s and output")
     group.add_argument("--output-column", metavar="NAME", help="column of the output")
-    group.add_argument("--time-column", metavar="NAME", help="column of the time in s")
+    group.add_argument("--time-column", metavar="NAME", help=TIME_COLUMN_HELP)
+    group.add_argument("--sample-rate", type=positive, metavar="HZ", help=SAMPLE_RATE_HELP)
+    add_layout(parser)
+
+
+TIME_COLUMN_HELP = "column of the time; default: t_s, time, timestamp or the like"
+SAMPLE_RATE_HELP = "samples a second: a check of the time stamps; a file without any gets stamps by it"
+
+
+def add_layout(parser: argparse.ArgumentParser) -> None:
+    """Add how tables are laid out, for what is not to be detected."""
+    group = parser.add_argument_group("layout of the tables, which is detected where nothing is stated")
+    group.add_argument("--delimiter", metavar="MARK", help="between cells: one character, tab or blanks")
+    group.add_argument("--decimal", choices=(".", ","), help="decimal mark")
+    group.add_argument("--encoding", metavar="NAME", help="of a text file, such as utf-16 or latin-1")
+    group.add_argument("--header-row", metavar="LINE", type=int, help="line with the names of the columns; 0: none")
+    group.add_argument("--sheet", metavar="NAME", help="sheet of a workbook, group or variable of a binary file")
     group.add_argument(
-        "--sample-rate", type=positive, metavar="HZ", help="without a column of time: samples a second make the time"
+        "--time-format",
+        metavar="FORMAT",
+        help="s, ms, us, ns, min, iso, excel, or a pattern such as '%%d/%%m/%%Y %%H:%%M:%%S.%%f'",
     )
+    group.add_argument(
+        "--missing", metavar="TEXT", action="append", default=[],
+        help="text that stands for a missing sample, beside an empty cell and NaN; again for further ones",
+    )  # fmt: skip
+
+
+def table_options(options: argparse.Namespace) -> "TableOptions":
+    """Return the layout that the options state."""
+    from softcal.app.tables.options import TableOptions
+
+    names = ("delimiter", "decimal", "encoding", "header_row", "sheet", "time_format")
+    stated = {name: value for name in names if (value := getattr(options, name)) is not None}
+    cells = getattr(options, "most_cells", None)
+    return TableOptions(missing=tuple(options.missing), **stated, **({} if cells is None else {"max_cells": cells}))
+
+
+def say_layout(name: str, layout: str, remarks: Sequence[str] = ()) -> None:
+    """Report how a file was read, where it has not the plain form."""
+    for line in (layout, *remarks):
+        if line:
+            say(f"{name}: {line}")
 
 
 def column_names(options: argparse.Namespace) -> "ColumnNames":
     """Return the columns that the options name."""
     from softcal.app.files.recording_file import PLAIN, ColumnNames
 
-    is_timed = options.time_column is not None or options.sample_rate is None
-    time = (options.time_column or PLAIN.time) if is_timed else None
-    return ColumnNames(options.output_column or PLAIN.output, time, options.sample_rate)
+    output = options.output_column or PLAIN.output
+    return ColumnNames(output, options.time_column, rate_Hz=options.sample_rate, table=table_options(options))
 
 
 def _widths(text: str) -> tuple[int, ...]:
@@ -186,7 +225,7 @@ def answer(options: argparse.Namespace, schema: str, facts: Mapping[str, object]
     return options.json != "-" or getattr(options, "csv", None) is not None
 
 
-def say_unused(not_used: "Iterable[NotUsed]", remarks: "Iterable[Reason]") -> None:
+def say_unused(not_used: "Iterable[NotUsed]", remarks: "Iterable[Reason | str]") -> None:
     """Say at the end of a command what of its files is odd, and what was not used and why."""
     from softcal.app.files.not_used import not_used_lines
 
@@ -194,7 +233,7 @@ def say_unused(not_used: "Iterable[NotUsed]", remarks: "Iterable[Reason]") -> No
         say(line)
 
 
-def unused_json(not_used: "Iterable[NotUsed]", remarks: "Iterable[Reason]") -> dict[str, object]:
+def unused_json(not_used: "Iterable[NotUsed]", remarks: "Iterable[Reason | str]") -> dict[str, object]:
     """Return the same as keys of a JSON answer."""
     return {"not_used": [item.to_json() for item in not_used], "remarks": list(map(str, remarks))}
 

@@ -29,7 +29,7 @@ def run(options: argparse.Namespace) -> None:
     from softcal.app.registry.reference import state_reference
 
     folder = open_lot_folder(options.lot)
-    for remark in folder.remarks:
+    for remark in (*folder.remarks, *folder.source_remarks()):
         say(f"note: {remark}")
     lot, source = folder.lot, folder.read_source()
     with registry_of(options, create=True) as registry:

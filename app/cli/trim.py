@@ -2,7 +2,7 @@
 
 import argparse
 
-from softcal.app.cli.options import FILE, add_shared, answer, registry_of
+from softcal.app.cli.options import FILE, add_layout, add_shared, answer, registry_of, say_layout, table_options
 from softcal.app.output import say
 
 EXAMPLES = """examples:
@@ -17,17 +17,22 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Correct gain and zero of a unit's map by known loads at its place of use."""
     add_shared(parser, "serial")
     parser.add_argument("--loads", required=True, **FILE, help="CSV or Parquet: output, reference")
+    add_layout(parser)
     add_shared(parser, "lot", "registry", "json")
 
 
 def run(options: argparse.Namespace) -> None:
     """Trim, and say what it changed."""
     from softcal.app.batch.trim import trim_unit
+    from softcal.app.tables.read import layout_of
 
+    layout, remarks = layout_of(options.loads, table_options(options))
+    say_layout(str(options.loads), layout, remarks)
     with registry_of(options) as registry:
-        trimmed, revision = trim_unit(registry, options.serial, options.loads, options.lot)
+        trimmed, revision = trim_unit(registry, options.serial, options.loads, options.lot, table_options(options))
     gain, offset = trimmed.unit_map.gain, trimmed.unit_map.offset
     facts = {"serial": options.serial, "revision": revision, "gain": gain, "offset": offset}
+    facts["layout"] = layout
     facts |= {name: getattr(trimmed, name) for name in ("gain_error", "rest_error", "before_rmse", "after_rmse")}
     if answer(options, "trim/1", facts):
         print(

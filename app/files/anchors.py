@@ -5,30 +5,32 @@ from pathlib import Path
 
 import numpy as np
 
-from softcal.app.files.recording_file import column, named_column, read_table, write_columns
+from softcal.app.files.recording_file import write_columns
+from softcal.app.tables.options import DETECT, TableOptions
+from softcal.app.tables.read import read_table
 from softcal.core.errors import InputError
 from softcal.core.maps.interface import Anchors
 
 
-def read_anchors(path: Path, serials: Collection[str]) -> Mapping[str, Anchors]:
+def read_anchors(path: Path, serials: Collection[str], options: TableOptions = DETECT) -> Mapping[str, Anchors]:
     """Read the anchors of a lot by serial.
 
     Raises:
         InputError: no such table, a unit that the lot does not have, or nobody's loads.
     """
-    table = read_table(path)
-    output, reference = column(table, "output", path), column(table, "reference", path)
-    if "serial" not in table.columns:
+    table = read_table(path, options, is_requested={"serial", "output", "reference"}.__contains__)
+    output, reference = table.finite_numbers("output"), table.finite_numbers("reference")
+    if "serial" not in table.names:
         if len(serials) != 1:
             raise InputError(
                 f"{path}: no column 'serial', and the lot has {len(serials)} units; say whose anchors they are"
             )
         return {next(iter(serials)): Anchors(output, reference)}
-    owners = named_column(table, "serial", path).astype(str).to_numpy()
+    owners = np.array(table.texts("serial"))
     strangers = sorted(set(owners) - set(serials))
     if strangers:
         row = int(np.flatnonzero(owners == strangers[0])[0])
-        raise InputError(f"{path}: line {row + 2}: the lot has no unit {strangers[0]!r}")
+        raise InputError(f"{path}: line {table.lines[row]}: the lot has no unit {strangers[0]!r}")
     return {serial: Anchors(output[owners == serial], reference[owners == serial]) for serial in sorted(set(owners))}
 
 

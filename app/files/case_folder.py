@@ -2,20 +2,20 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 
-from softcal.app.files.recording_file import column, naming, read_table
+from softcal.app.files.recording_file import ColumnNames, naming, read_times
+from softcal.app.tables.options import DETECT, TableOptions
+from softcal.app.tables.read import READERS, read_table
+from softcal.app.tables.table import Table
 from softcal.core.errors import InputError
 from softcal.core.gap.case import CHANNELS, KINDS, Case, Run
 from softcal.core.recording import Array
 from softcal.core.twin.parameters import ReadoutMetadata, SensorType
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 RECORDING, METADATA = "recording.csv", "recording.json"
 KNOWN_COLUMNS = (*CHANNELS, "known_force_N")
@@ -35,7 +35,7 @@ def open_case(folder: Path) -> Case:
     if (folder / RECORDING).is_file():
         places = [folder]
     if not places:
-        tables = sorted(p.name for p in folder.iterdir() if p.suffix in (".csv", ".parquet", ".xlsx"))
+        tables = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in READERS)
         hint = f"; to diagnose {tables[0]} alone, name it and give vref_V, adc_bits and rate_Hz" if tables else ""
         raise InputError(f"{folder}: neither {RECORDING} nor runs/<n>/{RECORDING}; this is no case{hint}")
     for place in places:
@@ -62,8 +62,8 @@ OTHER_NAMES = {"output": "output_V", "reference": "force_N"}
 """Columns of a lot folder's audits, and what they are to the twin."""
 
 
-def open_table(path: Path, readout: ReadoutMetadata) -> Case:
-    """Read one plain table (CSV, .xlsx, Parquet) as the only run of a case; the electronics it does
+def open_table(path: Path, readout: ReadoutMetadata, options: TableOptions = DETECT) -> Case:
+    """Read one plain table as the only run of a case; the electronics it does
     not say.
 
     Args:
@@ -73,10 +73,10 @@ def open_table(path: Path, readout: ReadoutMetadata) -> Case:
     Raises:
         InputError: the table cannot be read or shows no gap.
     """
-    table = read_table(path).rename(columns=OTHER_NAMES)
-    channels = _channels(table, CHANNELS, path)
+    table = read_table(path, options)
+    renamed = {OTHER_NAMES.get(name, name): name for name in table.names}
+    t_s, channels = _samples(table, {name: renamed[name] for name in CHANNELS if name in renamed}, readout, options)
     with naming(path):
-        t_s = _time(table, path, readout.sample_rate_Hz)
         return Case(path.stem, (Run(name=path.stem, t_s=t_s, readout=readout, **channels),))
 
 
@@ -125,11 +125,11 @@ def _run(place: Path, case: Path, metadata: Mapping[str, object]) -> Run:
             sample_rate_Hz=_number(metadata, "sample_rate_Hz", described),
             sensor_type=cast(SensorType, metadata.get("sensor_type") or "pressure"),
         )
-    channels = _channels(table, KNOWN_COLUMNS, path)
+    t_s, channels = _samples(table, {name: name for name in KNOWN_COLUMNS if name in table.names}, readout)
     with naming(path):
         return Run(
             name=place.name if place != case else "recording",
-            t_s=_time(table, path, readout.sample_rate_Hz),
+            t_s=t_s,
             readout=readout,
             dummy_ohm=_number(metadata, "dummy_ohm", described) if metadata.get("dummy_ohm") is not None else None,
             kind=kind,
@@ -138,16 +138,24 @@ def _run(place: Path, case: Path, metadata: Mapping[str, object]) -> Run:
         )
 
 
-def _channels(table: "pd.DataFrame", names: Sequence[str], path: Path) -> dict[str, Any]:
-    """Return the channels that were recorded: a column of nothing but empty cells is none."""
-    recorded = [name for name in names if name in table.columns and not bool(table[name].isna().all())]
-    return {name: column(table, name, path) for name in recorded}
+def _samples(
+    table: Table, columns: Mapping[str, str], readout: ReadoutMetadata, options: TableOptions = DETECT
+) -> tuple[Array, dict[str, Any]]:
+    """Return the time and the channels that were recorded: a column of nothing but empty cells is none.
 
-
-def _time(table: "pd.DataFrame", path: Path, sample_rate_Hz: float) -> Array:
-    if "t_s" in table.columns:
-        return column(table, "t_s", path)
-    if not any(name in table.columns for name in KNOWN_COLUMNS):
-        seen = ", ".join(map(str, table.columns[:12]))
-        raise InputError(f"{path}: none of t_s, {', '.join(KNOWN_COLUMNS)}; the file has: {seen}")
-    return np.arange(len(table)) / sample_rate_Hz
+    A row that lacks its time or a recorded channel is left out, which leaves a gap.
+    """
+    values = {channel: table.numbers(name) for channel, name in columns.items()}
+    recorded = {channel: cells for channel, cells in values.items() if not bool(np.isnan(cells).all())}
+    if not columns and "t_s" not in table.names:
+        seen = ", ".join(table.names[:12])
+        raise InputError(f"{table.path}: none of t_s, {', '.join(KNOWN_COLUMNS)}; the file has: {seen}")
+    if "t_s" in table.names and options.time_format is None:
+        # As it stands: the diagnosis itself finds a wrong unit or rate.
+        t_s = table.numbers("t_s")
+    else:
+        t_s, _ = read_times(table, ColumnNames(output="", table=options), readout.sample_rate_Hz)
+    is_whole = np.isfinite(t_s)
+    for cells in recorded.values():
+        is_whole &= np.isfinite(cells)
+    return t_s[is_whole], {channel: cells[is_whole] for channel, cells in recorded.items()}

@@ -1,28 +1,32 @@
 """Make a lot folder out of tables: one file per unit, or one wide file with a column per unit."""
 
 import fnmatch
-import re
 import unicodedata
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from softcal.app.files.atomic import whole_folder
-from softcal.app.files.bounded_table import MOST_CELLS, NAMES
 from softcal.app.files.lot_folder import write_lot_toml
 from softcal.app.files.not_used import NotUsed, unused_of_import
-from softcal.app.files.recording_file import STAGE, SUFFIXES, column, naming, read_table, timed, write_recording
+from softcal.app.files.recording_file import (
+    ColumnNames,
+    FileRecording,
+    build_from_table,
+    read_times,
+    write_rows,
+)
+from softcal.app.tables.options import DETECT, TableOptions
+from softcal.app.tables.read import READERS, read_table
+from softcal.app.tables.table import Table
+from softcal.app.tables.timestamps import INDEX, is_time_heading, median_rate_Hz
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial, file_stem, serial_key
 from softcal.core.quality.same_recording import Pressed, same_recordings
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.words.reason import Reason, reason
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -30,8 +34,8 @@ class Columns:
     """Which columns of the tables hold what.
 
     Args:
-        output: the output column; with `*` or `?` many, each becomes a unit of that name.
-        time: name of the time column in s; None makes time stamps from the sample rate.
+        output: the output column; with `*` or `?` many, each becomes a unit of that name. Brackets are those of a unit.
+        time: name of the time column; None takes the one that a table has, else the sample rate makes the stamps.
         stage: column of the stage position in mm, None without; `stage_mm` may be missing.
     """
 
@@ -42,13 +46,24 @@ class Columns:
 
     @property
     def is_wide(self) -> bool:
-        return any(c in self.output for c in "*?[")
+        return any(c in self.output for c in "*?")
 
-    def asks_for(self, name: str) -> bool:
+    def is_output(self, name: str) -> bool:
+        """Whether a column of this name is an output."""
+        # In `AIN0 [V]` the brackets hold a unit: to fnmatch they are a choice of letters.
+        return fnmatch.fnmatchcase(name, self.output.replace("[", "[[]"))
+
+    def is_requested(self, name: str) -> bool:
         """Whether a column of this name is needed; others are not read where possible."""
-        return name in (self.reference, self.time, self.stage) or (
-            fnmatch.fnmatchcase(name, self.output) if self.is_wide else name == self.output
-        )
+        if name in (self.reference, self.time, self.stage) or (
+            self.time is None and (is_time_heading(name) or name == INDEX)
+        ):
+            return True
+        return self.is_output(name)
+
+    def names(self, output: str, table: TableOptions) -> ColumnNames:
+        """Return the columns of one unit."""
+        return ColumnNames(output, self.time, self.reference or "", self.stage, table=table)
 
 
 @dataclass(frozen=True)
@@ -56,11 +71,13 @@ class ImportPlan:
     """What to import and what the lot is to be.
 
     Args:
-        lot: facts of the lot; its `sample_rate_Hz` must be known unless there is a time column.
+        lot: facts of the lot; stamps of a table must have its `sample_rate_Hz`, which makes them where it has none.
         audit: whether references of target units are kept in audit/: they decide.
         fit_rows, audit_rows: (start, stop) of data rows, counted from 0, for recordings that fit and that score;
             None takes all.
+        table: the declared layout of the files.
         serials: serial of each file in order; None takes the file names.
+        renames: name of a file or of a column of a wide table → serial.
     """
 
     files: Sequence[Path]
@@ -69,51 +86,59 @@ class ImportPlan:
     audit: bool = False
     fit_rows: tuple[int, int] | None = None
     audit_rows: tuple[int, int] | None = None
-    sheet: str | None = None
+    table: TableOptions = DETECT
     serials: Sequence[str] | None = None
-    most_cells: int = MOST_CELLS
+    renames: Mapping[str, str] = field(default_factory=dict)
     without: frozenset[str] = frozenset()
     more_sources: Sequence[str] = ()
 
     @property
     def sources(self) -> tuple[str, ...]:
         """Serials of the units whose references train a network, the lot's own source first."""
-        return (self.lot.source, *map(check_serial, self.more_sources))
+        return (self.lot.source, *self.more_sources)
 
 
 @dataclass(frozen=True, eq=False)
 class ImportedUnit:
-    """One unit as read: the whole recording, its reference where the table had one, and the names of all columns."""
+    """One unit as read.
 
-    recording: OutputRecording
-    reference: Array | None
-    names: tuple[str, ...] = ()
+    Args:
+        file: its output, and of a source its reference.
+        audit: output and reference of a target where they are asked for; None where its table has no reference.
+    """
 
-    def part(self, rows: tuple[int, int] | None) -> "ImportedUnit":
-        """Return the given data rows; the whole where `rows` is None."""
-        if rows is None:
-            return self
-        start, stop = rows
-        if not 0 <= start < stop <= len(self.recording):
-            raise InputError(f"rows {start}:{stop} of {self.recording.serial}: it has {len(self.recording)} rows")
-        reference = None if self.reference is None else self.reference[start:stop]
-        return ImportedUnit(self.recording.part(start, stop), reference, self.names)
+    file: FileRecording
+    audit: FileRecording | None = None
+
+    @property
+    def recording(self) -> OutputRecording:
+        return self.file.recording
+
+    @property
+    def reference(self) -> Array | None:
+        """(n,) beside the samples of `labelled`; None where none was read."""
+        return (self.audit or self.file).inspected.reference
+
+    def labelled(self, reference_unit: str) -> LabelledRecording:
+        """Return the recording with its reference."""
+        return (self.audit or self.file).labelled(reference_unit)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ImportedLot:
     """What an import wrote, and what of the tables it did not use.
 
     Args:
-        units: serials of the target units.
-        audits: those of them whose references are kept as audits.
-        remarks: what is odd and no error, such as one recording under two serials.
+        units, audits: serials of the target units, and of those whose references are kept.
+        layouts: what was detected of each file, in one line; "" where it has the plain form.
+        remarks: what is odd but no error, such as one recording under two serials.
     """
 
     units: tuple[str, ...]
     audits: tuple[str, ...]
+    layouts: Mapping[str, str]
     not_used: tuple[NotUsed, ...]
-    remarks: tuple[Reason, ...]
+    remarks: tuple[Reason | str, ...]
 
 
 def tables_of(path: Path) -> list[Path]:
@@ -126,30 +151,57 @@ def tables_of(path: Path) -> list[Path]:
         return [path]
     folders = [path, path / "source", path / "units"]
     files = [file for folder in folders if folder.is_dir() for file in sorted(folder.iterdir())]
-    tables = [file for file in files if file.suffix.lower() in SUFFIXES and not file.name.startswith(".")]
+    tables = [file for file in files if file.suffix.lower() in READERS and not file.name.startswith(".")]
     if not tables:
-        raise InputError(f"{path}: there is no table in this folder; {', '.join(sorted(SUFFIXES))} were looked for")
+        raise InputError(f"{path}: there is no table in this folder; {', '.join(sorted(READERS))} were looked for")
     return tables
 
 
 def import_lot(plan: ImportPlan, folder: Path) -> ImportedLot:
-    """Write a lot folder, whole or not at all, and return what was written and what was not used.
+    """Write a lot folder, whole or not at all, with every row that a table has: empty cells stay empty.
 
     Raises:
         InputError: `folder` exists and is not empty, a table cannot be used, a source comes twice,
             or the source is not among the units or has no reference.
     """
     if not plan.files:
-        raise InputError("no file to import; name at least one CSV, Excel or Parquet file")
+        raise InputError("no file to import; name at least one table")
     if plan.serials is not None and (plan.columns.is_wide or len(plan.serials) != len(plan.files)):
         raise InputError(f"{len(plan.serials)} serials for {len(plan.files)} files; give one serial per file, in order")
+    tables, unnamed = _named_units(plan)
+    units = {serial: unit for _, serial, unit in tables}
+    for serial in plan.sources:
+        if serial not in units:
+            raise InputError(f"source {serial!r} is none of the units {', '.join(list(units)[:8])}")
+        if units[serial].reference is None:
+            raise InputError(f"source {serial!r} has no reference; name its column")
+    with whole_folder(folder) as part:
+        write_lot_toml(part, plan.lot, more_sources=plan.more_sources)
+        for serial, unit in units.items():
+            place = "source" if serial in plan.sources else "units"
+            write_rows(part / place / f"{serial}.csv", unit.file, plan.fit_rows)
+            audit = unit.file if serial in plan.sources else unit.audit
+            if plan.audit and audit is not None:
+                write_rows(part / "audit" / f"{serial}.csv", audit, plan.audit_rows)
+    audits, not_used = unused_of_import(plan, tables)
+    layouts = {path.name: unit.file.table.layout for path, _, unit in tables}
+    of_files = dict.fromkeys(f"{path.name}: {remark}" for path, _, unit in tables for remark in unit.file.remarks)
+    targets = tuple(serial for serial in units if serial not in plan.sources)
+    pressed = [Pressed(serial, plan.lot.id, unit.recording.output_sha256) for serial, unit in units.items()]
+    remarks: list[Reason | str] = [*of_files, *same_recordings(pressed)]
+    remarks += [] if targets else [Reason("lot.no_units")]
+    return ImportedLot(targets, tuple(audits), layouts, (*unnamed, *not_used), tuple(remarks))
+
+
+def _named_units(plan: ImportPlan) -> tuple[list[tuple[Path, str, ImportedUnit]], list[NotUsed]]:
+    """Read the units of a plan by the name of their file in the lot, and say which files name no unit."""
     rows: list[tuple[Path, str, ImportedUnit]] = []
     for path, serial, unit in _read(plan):
         if isinstance(unit, InputError):
             raise unit
         rows.append((path, serial, unit))
     problems = _name_problems([(path, serial) for path, serial, _ in rows])
-    units, tables, unnamed = {}, [], list[NotUsed]()
+    tables, unnamed = [], list[NotUsed]()
     for number, ((path, serial, unit), problem) in enumerate(zip(rows, problems, strict=True), start=1):
         stem = serial
         if problem is not None:
@@ -158,33 +210,8 @@ def import_lot(plan: ImportPlan, folder: Path) -> ImportedLot:
             # Its file keeps a name that is no serial: the batch gives it a row that says why it is not calibrated.
             stem = file_stem(f"{serial} (file {number})" if problem.code == "name.twice" else serial)
             unnamed.append(NotUsed("file", path.name, problem))
-        units[stem] = unit
         tables.append((path, stem, unit))
-    for serial in plan.sources:
-        source = units.get(serial)
-        if source is None:
-            raise InputError(f"source {serial!r} is none of the units {', '.join(list(units)[:8])}")
-        if source.reference is None:
-            raise InputError(f"source {serial!r} has no reference; name its column")
-    with whole_folder(folder) as part:
-        write_lot_toml(part, plan.lot, more_sources=plan.more_sources)
-        for serial, unit in units.items():
-            fit = unit.part(plan.fit_rows)
-            if serial in plan.sources and fit.reference is not None:
-                # Both columns are checked here: a lot folder never holds a broken source.
-                LabelledRecording(fit.recording, fit.reference)
-                write_recording(part / "source" / f"{serial}.csv", fit.recording, fit.reference)
-            else:
-                write_recording(part / "units" / f"{serial}.csv", fit.recording)
-            if plan.audit and unit.reference is not None:
-                audit = unit.part(plan.audit_rows)
-                write_recording(part / "audit" / f"{serial}.csv", audit.recording, audit.reference)
-    audits, not_used = unused_of_import(plan, tables)
-    not_used = (*unnamed, *not_used)
-    targets = tuple(serial for serial in units if serial not in plan.sources)
-    named = [Pressed(serial, plan.lot.id, unit.recording.output_sha256) for serial, unit in units.items()]
-    remarks = (*same_recordings(named), *([] if targets else [Reason("lot.no_units")]))
-    return ImportedLot(targets, tuple(audits), not_used, remarks)
+    return tables, unnamed
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,76 +270,62 @@ def _name_problem(serial: str, same: Sequence[str]) -> Reason | None:
 
 def _read(plan: ImportPlan) -> Iterator[tuple[Path, str, "ImportedUnit | InputError"]]:
     """Yield every unit of a plan with its file and serial; in place of one that is refused, or of a table, why."""
-    columns = plan.columns
-    others = (columns.reference, columns.time, columns.stage)
+    columns, renamed = plan.columns, set[str]()
+    others = (columns.reference, columns.stage)
     for k, path in enumerate(plan.files):
         try:
-            table = read_table(path, plan.sheet, most_cells=plan.most_cells, wanted=columns.asks_for)
+            table = read_table(path, plan.table, is_requested=columns.is_requested)
+            names = columns.names(columns.output, plan.table)
+            t_s, remarks = read_times(table, names, plan.lot.sample_rate_Hz)
             outputs = [columns.output]
             if columns.is_wide:
-                names = [str(name) for name in table.columns if name not in others]
-                outputs = [name for name in names if fnmatch.fnmatchcase(name, columns.output)]
+                time = columns.time or next(filter(is_time_heading, table.names), None)
+                shown = [column.name for column in table.columns if column.name not in (*others, time, INDEX)]
+                outputs = list(filter(columns.is_output, shown))
                 if not outputs:
                     raise InputError(f"{path}: no column matches {columns.output!r}")
         except InputError as error:
             yield path, "", error
             continue
+        table = replace(table, remarks=(*table.remarks, *remarks))
         for output in outputs:
-            serial = path.stem
-            if columns.is_wide:
-                serial = output
-            elif plan.serials:
-                serial = plan.serials[k]
-            serial = unicodedata.normalize("NFC", serial)
+            name = output if columns.is_wide else path.stem
+            serial = unicodedata.normalize("NFC", plan.renames.get(name, plan.serials[k] if plan.serials else name))
+            renamed.add(name)
             if serial in plan.without:
                 continue
             try:
-                yield path, serial, _checked(plan, table, path, output, serial)
+                yield path, serial, _build_unit(plan, table, t_s, output, serial)
             except InputError as error:
                 yield path, serial, error
+    if unused := sorted(set(plan.renames) - renamed):
+        raise InputError(f"--serial {unused[0]}={plan.renames[unused[0]]}: no file or column is named {unused[0]!r}")
 
 
-def _checked(plan: ImportPlan, table: "pd.DataFrame", path: Path, output: str, serial: str) -> ImportedUnit:
-    with naming(path):
-        columns, rate_Hz = plan.columns, plan.lot.sample_rate_Hz
-        values = column(table, output, path)
-        t_s = timed(table, columns.time, rate_Hz, path)
-        is_still = columns.stage is None or (columns.stage == STAGE and STAGE not in table.columns)
-        stage_mm = None if is_still else column(table, str(columns.stage), path)
-        reference = None
-        is_read = serial in plan.sources or (plan.audit and columns.reference in table.columns)
-        if columns.reference is not None and is_read:
-            reference = column(table, columns.reference, path)
-        recording = OutputRecording(serial, t_s, values, rate_Hz, plan.lot.output_unit, stage_mm)
-    return ImportedUnit(recording, reference, tuple(map(str, table.attrs.get(NAMES, table.columns))))
+def _build_unit(plan: ImportPlan, table: Table, t_s: Array, output: str, serial: str) -> ImportedUnit:
+    lot, columns = plan.lot, plan.columns
+    names, units = columns.names(output, plan.table), (lot.output_unit, lot.reference_unit)
+
+    def build(*, with_reference: bool) -> FileRecording:
+        return build_from_table(table, t_s, serial, lot.sample_rate_Hz, units, names, with_reference=with_reference)
+
+    if serial in plan.sources and columns.reference is not None:
+        return ImportedUnit(build(with_reference=True))
+    has_audit = plan.audit and columns.reference in table.names
+    return ImportedUnit(build(with_reference=False), build(with_reference=True) if has_audit else None)
 
 
-OTHER_TIMES = re.compile(r"(?:^|[^A-Za-z])(ms|us|µs|μs|ns|msec|usec|min|millis|micros)(?:$|[^A-Za-z])", re.IGNORECASE)
-"""Names of time columns that are not in seconds."""
-
-SLOWEST_HZ = 0.5
-"""A soft sensor that is read less often is none: the time column is not in seconds."""
-
-
-def median_rate_Hz(path: Path, time_column: str, sheet: str | None = None, most_cells: int = MOST_CELLS) -> float:
+def shown_rate_Hz(path: Path, columns: Columns, table: TableOptions = DETECT) -> float:
     """Return the sample rate that the time column of a table shows, rounded to five digits.
 
     Raises:
-        InputError: the column never advances, or is not in seconds by its name or by its steps.
+        InputError: there is no such column, it never advances, or nothing states its unit.
     """
-    if unit := OTHER_TIMES.search(time_column):
+    read = read_table(path, table, is_requested=columns.is_requested)
+    t_s, _ = read_times(read, columns.names(columns.output, table), None)
+    rate_Hz = median_rate_Hz(t_s)
+    if not np.isfinite(rate_Hz):
         raise InputError(
-            f"{path}: column {time_column!r} is in {unit[1]} by its name, not in s; convert it, or leave out "
-            "the time column and give the sample rate"
-        )
-    t_s = timed(read_table(path, sheet, most_cells=most_cells, wanted=time_column.__eq__), time_column, 1.0, path)
-    steps = np.diff(t_s)
-    if not np.any(steps > 0):
-        raise InputError(f"{path}: column {time_column!r} never advances; give the sample rate, or another time column")
-    rate_Hz = float(f"{1 / np.median(steps[steps > 0]):.5g}")
-    if rate_Hz < SLOWEST_HZ:
-        raise InputError(
-            f"{path}: column {time_column!r} shows {rate_Hz:g} Hz if it is in s; is it in ms? convert it, or give "
-            "the sample rate and leave out the time column"
+            f"{path}: column {columns.time or 't_s'!r} never advances; give the sample rate, or another time column"
         )
     return rate_Hz

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import get_type_hints
 
@@ -10,11 +10,19 @@ import tomlkit
 
 from softcal.app.files.anchors import read_anchors
 from softcal.app.files.atomic import write_text
-from softcal.app.files.bounded_table import CSV, PARQUET
 from softcal.app.files.not_used import NotUsed, unused_of_lot
-from softcal.app.files.recording_file import naming, read_labelled, read_recording, read_table
+from softcal.app.files.recording_file import (
+    PLAIN,
+    ColumnNames,
+    FileRecording,
+    inspect_recording,
+    naming,
+    read_recording,
+)
 from softcal.app.files.regular import read_regular
 from softcal.app.files.toml_file import read_toml, typed
+from softcal.app.tables.options import TableOptions
+from softcal.app.tables.read import READERS, read_table
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial, row_name, serial_key
 from softcal.core.maps.interface import Anchors
@@ -26,6 +34,9 @@ from softcal.core.words.reason import Reason, reason
 STATED = {"cell", "certificate", "laboratory", *DAYS, *NUMBERS}
 """What lot.toml says of the instrument behind the reference."""
 
+COLUMN_KEYS = ("output", "reference", "time", "stage")
+"""Keys of [table] that name a column; the others state its layout."""
+
 KNOWN_KEYS = {
     "": {"sample_rate_Hz", "source"},
     "lot": {"id", "sensor_model", "sample_rate_Hz", "source", "more_sources", "simulated"},
@@ -33,6 +44,7 @@ KNOWN_KEYS = {
     "output": {"unit", "sample_rate_Hz", "source"},
     "limit": {"rmse"},
     "line": {"load_spread", "day_spread"},
+    "table": {"delimiter", "decimal", "encoding", "header_row", "sheet", "time_format", "missing", *COLUMN_KEYS},
 }
 """Keys of lot.toml by table. Two bare keys may also stand where TOML puts what follows."""
 
@@ -57,6 +69,7 @@ class LotFolder:
         reference: what the source was compared with; None where `lot.toml` does not say.
         golden_path: the source pressed again in the units' sitting; None without.
         anchors_path: known loads of units (`serial, output, reference`); None without.
+        names: columns and layout of the recordings, where `lot.toml` states them.
         problems: why recordings of `unit_paths` are not used, by their row: no serial, or one that is given twice.
     """
 
@@ -73,6 +86,7 @@ class LotFolder:
     anchors_path: Path | None = None
     more_source_paths: Mapping[str, Path] = field(default_factory=dict)
     problems: Mapping[str, Reason] = field(default_factory=dict)
+    names: ColumnNames = PLAIN
 
     def read_anchors(self) -> Mapping[str, Anchors]:
         """Read the known loads of the lot's units by serial; empty where there are none.
@@ -84,6 +98,12 @@ class LotFolder:
 
     def read_source(self) -> LabelledRecording:
         return self._labelled(self.source_path, self.lot.source)
+
+    def source_remarks(self) -> list[str]:
+        """Return what the look at the recordings of the sources shows, one line each with file and line."""
+        paths = {self.lot.source: self.source_path, **self.more_source_paths}
+        files = {path.name: self._inspect(path, serial) for serial, path in paths.items()}
+        return [f"{name}: {remark}" for name, file in files.items() for remark in file.remarks]
 
     def read_more_sources(self) -> list[LabelledRecording]:
         """Read the labelled recordings of further sources, in the order of `lot.toml`."""
@@ -99,7 +119,7 @@ class LotFolder:
         self.check_name(serial)
         path = self.unit_paths[serial]
         content = read_regular(path, self.root)
-        return read_recording(path, serial, self.lot.sample_rate_Hz, self.lot.output_unit, content)
+        return read_recording(path, serial, self.lot.sample_rate_Hz, self.lot.output_unit, content, self.names)
 
     def read_audit(self, serial: str) -> LabelledRecording | None:
         path = self.audit_paths.get(serial)
@@ -117,16 +137,20 @@ class LotFolder:
         if path is None:
             return None
         content = read_regular(path, self.root)
-        if "reference" in read_table(path, content=content):
-            return read_labelled(path, self.lot.source, self.lot.sample_rate_Hz, self._units, content)
-        return read_recording(path, self.lot.source, self.lot.sample_rate_Hz, self.lot.output_unit, content)
+        if self.names.reference in read_table(path, self.names.table, content=content).names:
+            return self._labelled(path, self.lot.source)
+        return read_recording(path, self.lot.source, self.lot.sample_rate_Hz, self.lot.output_unit, content, self.names)
 
     @property
     def _units(self) -> tuple[str, str]:
         return self.lot.output_unit, self.lot.reference_unit
 
     def _labelled(self, path: Path, serial: str) -> LabelledRecording:
-        return read_labelled(path, serial, self.lot.sample_rate_Hz, self._units, read_regular(path, self.root))
+        return self._inspect(path, serial).labelled(self.lot.reference_unit)
+
+    def _inspect(self, path: Path, serial: str) -> FileRecording:
+        content, rate_Hz = read_regular(path, self.root), self.lot.sample_rate_Hz
+        return inspect_recording(path, serial, rate_Hz, self._units, content, self.names, with_reference=True)
 
 
 def open_lot_folder(folder: Path) -> LotFolder:
@@ -138,7 +162,7 @@ def open_lot_folder(folder: Path) -> LotFolder:
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such lot folder; make one with `softcal import`")
-    lot, line, reference, more, remarks = _read_lot_toml(folder / "lot.toml")
+    lot, line, reference, more, remarks, names = _read_lot_toml(folder / "lot.toml")
     listed = {name: _recordings(folder / name) for name in ("source", "units", "audit", GOLDEN)}
     sources = listed["source"].usable
     for serial in (lot.source, *more):
@@ -160,7 +184,7 @@ def open_lot_folder(folder: Path) -> LotFolder:
     run = golden.get(lot.source)
     not_used = unused_of_lot(folder, {lot.source: source, **further}, units)
     return LotFolder(
-        folder, lot, source, units, audits, remarks, not_used, line, reference, run, loads, further, problems
+        folder, lot, source, units, audits, remarks, not_used, line, reference, run, loads, further, problems, names
     )
 
 
@@ -184,7 +208,7 @@ def _recordings(folder: Path) -> _Listing:
     problems: dict[str, Reason] = {}
     files: dict[str, list[tuple[str, str]]] = {}
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
-        if path.name.startswith(".") or path.suffix.lower() not in CSV | PARQUET:
+        if path.name.startswith(".") or path.suffix.lower() not in READERS:
             continue
         try:
             row = check_serial(path.stem)
@@ -200,10 +224,14 @@ def _recordings(folder: Path) -> _Listing:
     return _Listing(paths, problems)
 
 
-def _read_lot_toml(path: Path) -> tuple[Lot, LineSpread | None, Reference | None, tuple[str, ...], tuple[str, ...]]:
+LotToml = tuple[Lot, LineSpread | None, Reference | None, tuple[str, ...], tuple[str, ...], ColumnNames]
+"""What lot.toml says: the lot, its line, the source's reference, further sources, remarks, how its tables are read."""
+
+
+def _read_lot_toml(path: Path) -> LotToml:
     content = read_toml(path, "`softcal import` writes one", path.parent)
     with naming(path):
-        tables = {name: content.get(name, {}) for name in ("lot", "reference", "output", "limit", "line")}
+        tables = {name: content.get(name, {}) for name in ("lot", "reference", "output", "limit", "line", "table")}
         for name, table in tables.items():
             if not isinstance(table, dict):
                 raise InputError(f"[{name}] must be a table")
@@ -235,7 +263,31 @@ def _read_lot_toml(path: Path) -> tuple[Lot, LineSpread | None, Reference | None
         serials = tuple(map(check_serial, more))
         if len({lot.source, *serials}) <= len(serials):
             raise InputError(f"[lot] more_sources is {more!r}; each source once, and {lot.source!r} is the first")
-        return lot, line, reference, serials, tuple(_unknown_keys(path, content))
+        return (
+            lot,
+            line,
+            reference,
+            serials,
+            tuple(_unknown_keys(path, content)),
+            _column_names(tables["table"], lot.sample_rate_Hz),
+        )
+
+
+def _column_names(stated: Mapping[str, object], rate_Hz: float) -> ColumnNames:
+    """Return the columns and the layout that [table] states; the lot's rate makes stamps that such files lack."""
+    if not stated:
+        return PLAIN
+    names = {key: typed(f"[table] {key}", str, stated[key]) for key in COLUMN_KEYS if key in stated}
+    layout: dict[str, object] = {}
+    for key in ("delimiter", "decimal", "encoding", "sheet", "time_format"):
+        if key in stated:
+            layout[key] = typed(f"[table] {key}", str, stated[key])
+    if "header_row" in stated:
+        layout["header_row"] = typed("[table] header_row", int, stated["header_row"])
+    if "missing" in stated:
+        missing = stated["missing"] if isinstance(stated["missing"], list) else [stated["missing"]]
+        layout["missing"] = tuple(str(text) for text in missing)
+    return replace(PLAIN, **names, rate_Hz=rate_Hz, table=TableOptions(**layout))  # type: ignore[arg-type]
 
 
 def _only(places: tuple[Mapping[str, object], ...], key: str) -> object:

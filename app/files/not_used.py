@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 from unicodedata import normalize
 
-from softcal.app.files.bounded_table import CSV, PARQUET
-from softcal.app.files.recording_file import PLAIN, STAGE, SUFFIXES
+from softcal.app.files.recording_file import ColumnNames
+from softcal.app.tables.read import PARQUET, READERS
 from softcal.core.words.reason import Reason, reason
 
 if TYPE_CHECKING:
-    from softcal.app.files.importing import ImportedUnit, ImportPlan
+    from softcal.app.files.importing import Columns, ImportedUnit, ImportPlan
+    from softcal.app.tables.table import Table
 
 Kind = Literal["file", "rows", "column", "audit"]
 
@@ -21,8 +22,6 @@ PARTS = ("source", "units", "audit", "golden")
 """Folders of a lot folder that hold recordings."""
 
 MAX_NAMES, MAX_HEADER_BYTES = 8, 1 << 16
-RECORDED = frozenset({PLAIN.time, PLAIN.output, STAGE})
-"""Columns that are read of a unit's file in a lot folder."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +70,8 @@ def unread_files(path: Path) -> list[NotUsed]:
         for entry in _entries(folder):
             if entry.is_dir() and entry not in folders and _entries(entry):
                 items.append(NotUsed("file", f"{entry.relative_to(path)}/", Reason("unused.folder")))
-            elif not entry.is_dir() and entry.suffix.lower() not in SUFFIXES and entry.name != "lot.toml":
-                items.append(NotUsed("file", str(entry.relative_to(path)), _format(SUFFIXES)))
+            elif not entry.is_dir() and entry.suffix.lower() not in READERS and entry.name != "lot.toml":
+                items.append(NotUsed("file", str(entry.relative_to(path)), _format(READERS)))
     return items
 
 
@@ -84,7 +83,7 @@ def unused_of_import(
     items: dict[NotUsed, None] = {}
     for path, serial, unit in units:
         is_source = serial in plan.sources
-        if not is_source and unit.reference is not None:
+        if not is_source and unit.audit is not None:
             audits.append(serial)
         for item in (*_columns(plan, path, unit, is_source), *_audit(plan, path, serial, unit), *_rows(plan, unit)):
             items[item] = None
@@ -93,8 +92,8 @@ def unused_of_import(
 
 def _columns(plan: "ImportPlan", path: Path, unit: "ImportedUnit", is_source: bool) -> Iterator[NotUsed]:
     columns = plan.columns
-    for name in unit.names:
-        if not columns.asks_for(name):
+    for name in unit.file.table.names:
+        if not columns.is_requested(name):
             yield NotUsed("column", name, reason("unused.column"), path.name)
         elif name == columns.reference and not (is_source or plan.audit or columns.is_wide):
             yield NotUsed("column", name, reason("unused.reference"), path.name)
@@ -102,11 +101,17 @@ def _columns(plan: "ImportPlan", path: Path, unit: "ImportedUnit", is_source: bo
 
 def _audit(plan: "ImportPlan", path: Path, serial: str, unit: "ImportedUnit") -> Iterator[NotUsed]:
     asked = plan.columns.reference
-    if plan.audit and unit.reference is None and asked is not None and serial not in plan.sources:
-        alike = [name for name in unit.names if _folded(name) == _folded(asked)]
-        others = alike or [name for name in unit.names if not plan.columns.asks_for(name)]
-        shown = ", ".join(map(repr, others[:MAX_NAMES])) or "no other column"
-        yield NotUsed("audit", serial, reason("unused.no_column", file=path.name, column=repr(asked), others=shown))
+    if plan.audit and unit.audit is None and asked is not None and serial not in plan.sources:
+        yield NotUsed("audit", serial, no_reference_column(plan.columns, unit.file.table))
+
+
+def no_reference_column(columns: "Columns", table: "Table") -> Reason:
+    """Return that a table lacks the column of the reference, and which one may be meant."""
+    asked = columns.reference or ""
+    alike = [name for name in table.names if _folded(name) == _folded(asked)]
+    others = alike or [name for name in table.names if not columns.is_requested(name)]
+    shown = ", ".join(map(repr, others[:MAX_NAMES])) or "no other column"
+    return reason("unused.no_column", file=table.path.name, column=repr(asked), others=shown)
 
 
 def _folded(name: str) -> str:
@@ -114,7 +119,7 @@ def _folded(name: str) -> str:
 
 
 def _rows(plan: "ImportPlan", unit: "ImportedUnit") -> Iterator[NotUsed]:
-    total, serial = len(unit.recording), unit.recording.serial
+    total, serial = len(unit.file.table), unit.recording.serial
     is_audited = plan.audit and unit.reference is not None
     parts = [plan.fit_rows or (0, total), *([plan.audit_rows or (0, total)] if is_audited else [])]
     used = {row for start, stop in parts for row in range(start, min(stop, total))}
@@ -134,8 +139,8 @@ def unused_of_lot(root: Path, sources: Mapping[str, Path], units: Mapping[str, P
         used = {"source": set(sources), "audit": {*units, *sources}}.get(part.name)
         for entry in _entries(part):
             name = str(entry.relative_to(root))
-            if entry.suffix.lower() not in CSV | PARQUET:
-                items.append(NotUsed("file", name, _format(CSV | PARQUET)))
+            if entry.suffix.lower() not in READERS:
+                items.append(NotUsed("file", name, _format(READERS)))
             elif used is not None and normalize("NFC", entry.stem) not in used:
                 if part.name == "audit":
                     items.append(NotUsed("audit", entry.stem, reason("unused.stranger"), name))
@@ -144,18 +149,22 @@ def unused_of_lot(root: Path, sources: Mapping[str, Path], units: Mapping[str, P
     for entry in _entries(root):
         is_folder = entry.is_dir() and entry.name not in PARTS
         tables = _entries(entry) if is_folder else [entry]
-        if any(one.suffix.lower() in SUFFIXES and one.is_file() for one in tables) and entry.stem != "anchors":
+        if any(one.suffix.lower() in READERS and one.is_file() for one in tables) and entry.stem != "anchors":
             items.append(NotUsed("file", f"{entry.name}/" if is_folder else entry.name, Reason("unused.place")))
     return tuple(items)
 
 
-def unused_columns(root: Path, units: Mapping[str, Path]) -> list[NotUsed]:
-    """Return columns of the units' files in a lot folder that no fit reads; a file that cannot be read has none."""
+def unused_columns(root: Path, units: Mapping[str, Path], names: ColumnNames) -> list[NotUsed]:
+    """Return columns of the units' files in a lot folder that no fit reads.
+
+    Only a header in the first line is looked at; a file that cannot be read has none.
+    """
     items = []
     for path in units.values():
-        for name in _header(path, root):
-            if name not in RECORDED:
-                code = "unused.labelled" if name == "reference" else "unused.unit_column"
+        header = _header(path, root)
+        for name in header if names.output in header else ():
+            if not names.is_requested(name):
+                code = "unused.labelled" if name == names.reference else "unused.unit_column"
                 items.append(NotUsed("column", name, Reason(code), path.name))
     return items
 

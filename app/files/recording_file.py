@@ -1,141 +1,238 @@
-"""Tables on disk (CSV, Parquet, Excel) into columns of numbers; errors name file and line."""
+"""Recordings on disk: columns of a table into a recording that was inspected, and back."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from io import BytesIO
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from unicodedata import normalize
 
 import numpy as np
 
-from softcal.app.files.bounded_table import CSV, EXCEL, MOST_CELLS, NAMES, PARQUET, Wanted, parsed
+from softcal.app.tables.options import DETECT, TableOptions
+from softcal.app.tables.read import PARQUET, read_table
+from softcal.app.tables.table import Table
+from softcal.app.tables.timestamps import INDEX, Clock, find_time_column, is_time_heading, median_rate_Hz
 from softcal.core.errors import InputError
-from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.inspection.build import InspectedRecording, build_recording
+from softcal.core.inspection.words import check_reference, summarise
+from softcal.core.recording import RATE_TOLERANCE, Array, Indices, LabelledRecording, OutputRecording
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-SUFFIXES = CSV | PARQUET | EXCEL
+STAGE = "stage_mm"
+NO_TIME = "there is no column of time such as 't_s'; name it with --time-column, or give the sample rate"
 
 
 @dataclass(frozen=True)
 class ColumnNames:
-    """Which columns of a table hold a recording's output and time.
+    """Which columns of a table hold a recording, and how the table is laid out.
 
     Args:
-        time: name of the column of time in s; None makes the time from `rate_Hz`.
-        rate_Hz: samples a second, where there is no column of time.
-
-    Raises:
-        InputError: neither a column of time nor a rate.
+        time: name of the column of time; None takes the one that the file has.
+        reference: name of the column of the reference, where it is read.
+        stage: name of the column of the stage position in mm; `stage_mm` may be missing, None takes none.
+        rate_Hz: declared samples a second: a check of the time stamps; makes them where the file has none.
+        table: the declared layout.
     """
 
     output: str = "output"
-    time: str | None = "t_s"
+    time: str | None = None
+    reference: str = "reference"
+    stage: str | None = STAGE
     rate_Hz: float | None = None
+    table: TableOptions = DETECT
 
-    def __post_init__(self) -> None:
-        if self.time is None and not (self.rate_Hz is not None and 0 < self.rate_Hz < float("inf")):
-            raise InputError("there is neither a column of time nor a positive sample rate; give one of them")
+    def is_requested(self, name: str, *, with_reference: bool = False) -> bool:
+        """Whether a column of this name is read."""
+        if name in (self.output, self.time, self.stage) or (with_reference and name == self.reference):
+            return True
+        return self.time is None and (is_time_heading(name) or name == INDEX)
 
 
 PLAIN = ColumnNames()
-STAGE = "stage_mm"
+"""The columns of a lot folder's files."""
 
 
-def read_table(
-    path: Path,
-    sheet: str | None = None,
-    content: bytes | None = None,
-    most_cells: int = MOST_CELLS,
-    wanted: Wanted | None = None,
-) -> "pd.DataFrame":
-    """Read a table without interpreting it further than the file format does.
+@dataclass(frozen=True, eq=False)
+class FileRecording:
+    """A recording, and the rows of the table that it was built from.
 
     Args:
-        content: the bytes of the file where somebody has read them already.
-        wanted: tells whether a column is asked for: others of Parquet and Excel are not read.
+        columns: `t_s`, `output`, `reference` and `stage_mm` where there are such, each (n,) with NaN where a sample is
+            missing.
+        rows: (m,) row of the table of each sample of the recording.
+        remarks: what a person should know of the table, its time and its samples.
+    """
+
+    table: Table
+    inspected: InspectedRecording
+    columns: Mapping[str, Array]
+    rows: Indices
+    remarks: tuple[str, ...]
+
+    @property
+    def t_s(self) -> Array:
+        """(n,) time of each row of the table."""
+        return self.columns["t_s"]
+
+    @property
+    def lines(self) -> Indices:
+        """(k,) line of the file of each row that has a time: of each row that was inspected."""
+        return self.table.lines[np.isfinite(self.t_s)]
+
+    @property
+    def recording(self) -> OutputRecording:
+        return self.inspected.recording
+
+    def labelled(self, reference_unit: str) -> LabelledRecording:
+        """Return the recording with its reference.
+
+        Raises:
+            InputError: it was read without one, or its reference can label nothing; the line is named.
+        """
+        if self.inspected.reference is None:
+            raise InputError(f"{self.table.path}: the recording was read without its reference")
+        with naming(self.table.path):
+            check_reference(self.inspected.inspection, self.lines)
+            return LabelledRecording(self.recording, self.inspected.reference, reference_unit)
+
+
+def read_times(table: Table, names: ColumnNames, rate_Hz: float | None) -> tuple[Array, list[str]]:
+    """Return (n,) time in s, NaN where a stamp is missing, and remarks.
+
+    Args:
+        rate_Hz: declared rate; makes the time where the table has no column of it.
 
     Raises:
-        InputError: the file is missing, empty, or not a table of its format.
+        InputError: no column of time and no rate, or a column that cannot be read as time.
     """
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(f"{path}: {suffix or 'no'} suffix; one of {', '.join(sorted(SUFFIXES))} was expected")
-    if content is None and not path.is_file():
-        raise InputError(f"{path}: there is no such file")
-    if (path.stat().st_size if content is None else len(content)) == 0:
-        raise InputError(f"{path}: the file is empty")
-    try:
-        with path.open("rb") if content is None else BytesIO(content) as file:
-            table = parsed(file, path, sheet, most_cells, wanted)
-    except InputError:
-        raise
-    except UnicodeDecodeError as error:
+    clock = clock_of(table, names, rate_Hz)
+    if clock is None:
+        if not rate_Hz:
+            raise InputError(f"{table.path}: {NO_TIME}; the file has: {', '.join(table.names[:12])}")
+        return np.arange(len(table)) / rate_Hz, []
+    return clock.seconds(table, ", or give the sample rate"), clock.remarks
+
+
+def check_rate(path: Path, t_s: Array, rate_Hz: float) -> None:
+    """Refuse a declared rate that is not that of the time stamps, with `InputError`."""
+    shown_Hz = median_rate_Hz(t_s)
+    if abs(shown_Hz / rate_Hz - 1) > RATE_TOLERANCE:
         raise InputError(
-            f"{path}: not a text file (byte {error.start} is not UTF-8); export it as CSV again"
-        ) from error
-    # The readers raise many kinds for a damaged file; whatever it was, this file is no such table.
-    except Exception as error:
-        what = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
-        raise InputError(f"{path}: cannot be read as a {suffix[1:]} table: {what}") from error
-    if table.empty:
-        raise InputError(f"{path}: there is no row of data below the header")
-    return table
-
-
-def named_column(table: "pd.DataFrame", name: str, path: Path, cure: str = "") -> "pd.Series[Any]":
-    """Return one column as it stands in the file; `cure` says what else helps where it is missing.
-
-    Raises:
-        InputError: the column is missing or stands there twice.
-    """
-    names = [str(c) for c in table.columns]
-    if names.count(name) != 1:
-        there = table.attrs.get(NAMES, names)
-        seen = ", ".join(there[:12]) + (", ..." if len(there) > 12 else "")
-        problem = "there is no column" if name not in names else "more than one column is named"
-        raise InputError(f"{path}: {problem} {name!r}; the file has: {seen}; name the one that is meant{cure}")
-    return table.iloc[:, names.index(name)]
-
-
-def timed(table: "pd.DataFrame", name: str | None, rate_Hz: float, path: Path) -> Array:
-    """Return the time in s as finite numbers; made from the rate where no column is named."""
-    if name is None:
-        return np.arange(len(table)) / rate_Hz
-    return column(table, name, path, ", or give the sample rate")
-
-
-def column(table: "pd.DataFrame", name: str, path: Path, cure: str = "") -> Array:
-    """Return one column as finite numbers; `cure` says what else helps where it is missing.
-
-    Raises:
-        InputError: it is missing, stands there twice, or holds no finite number.
-    """
-    import pandas as pd
-
-    raw = named_column(table, name, path, cure)
-    truth = [value for value in raw if isinstance(value, bool)] if raw.dtype == object else []
-    is_time = pd.api.types.is_datetime64_any_dtype(raw) or pd.api.types.is_timedelta64_dtype(raw)
-    if pd.api.types.is_bool_dtype(raw) or truth or is_time:
-        value = truth[0] if truth else raw.iloc[0]
-        raise InputError(f"{path}: column {name!r} holds {shown(value)} where numbers were expected")
-    values: Array = pd.to_numeric(raw, errors="coerce").to_numpy(dtype=np.float64, copy=True)
-    bad = np.flatnonzero(~np.isfinite(values))
-    if len(bad):
-        row = int(bad[0])
-        more = f" ({len(bad)} such rows)" if len(bad) > 1 else ""
-        raise InputError(
-            f"{path}: line {row + 2}, column {name!r}: {shown(raw.iloc[row])} where a finite number was expected"
-            f"{more}; measure again, or remove the row if it was never a sample"
+            f"{path}: the time stamps show {shown_Hz:.4g} Hz, the declared sample rate is {rate_Hz:.4g} Hz; "
+            "correct the one that is wrong"
         )
-    return values
 
 
-def shown(value: object) -> str:
-    """Return a cell of a table as an error message shows it."""
-    text = str(value)
-    return "nothing or nan" if text in ("nan", "None", "<NA>") else repr(text[:40])
+def clock_of(table: Table, names: ColumnNames, rate_Hz: float | None) -> Clock | None:
+    """Return what reads the time of a table: of the named column, else of the one it has; None where there is none."""
+    name = names.time
+    if name is None:
+        with naming(table.path):
+            others = [one for one in table.names if one not in (names.output, names.reference)]
+            name = find_time_column(others, table.columns)
+        if name is None or _is_empty(table, name):
+            return None
+    return Clock(name, names.table.time_format, rate_Hz)
+
+
+def _is_empty(table: Table, name: str) -> bool:
+    cells = table.column(name).cells
+    return cells.dtype.kind == "f" and bool(np.isnan(cells).all())
+
+
+def inspect_recording(
+    path: Path,
+    serial: str,
+    sample_rate_Hz: float | None,
+    units: tuple[str, str] = ("V", "N"),
+    content: bytes | None = None,
+    names: ColumnNames = PLAIN,
+    *,
+    with_reference: bool = False,
+) -> FileRecording:
+    """Read and inspect a recording; its reference is looked at only where it is asked for.
+
+    Args:
+        sample_rate_Hz: rate that the time stamps must have; None takes the declared one of `names`, else theirs.
+
+    Raises:
+        InputError: the table cannot be read, or is no recording.
+    """
+    table = read_table(
+        path,
+        names.table,
+        content=content,
+        is_requested=lambda name: names.is_requested(name, with_reference=with_reference),
+    )
+    table.column(names.output)
+    t_s, remarks = read_times(table, names, names.rate_Hz)
+    if names.rate_Hz and sample_rate_Hz:
+        check_rate(path, t_s, names.rate_Hz)
+    rate_Hz = sample_rate_Hz or names.rate_Hz
+    built = build_from_table(table, t_s, serial, rate_Hz, units, names, with_reference=with_reference)
+    return replace(built, remarks=(*built.remarks, *remarks))
+
+
+def build_from_table(
+    table: Table,
+    t_s: Array,
+    serial: str,
+    rate_Hz: float | None,
+    units: tuple[str, str],
+    names: ColumnNames,
+    *,
+    with_reference: bool = False,
+) -> FileRecording:
+    """Build an inspected recording out of columns of a table; rows without a time are none of it.
+
+    Raises:
+        InputError: a column is missing or holds text, or what is left is no recording.
+    """
+    output = table.numbers(names.output)
+    reference = table.numbers(names.reference) if with_reference else None
+    is_still = names.stage is None or (names.stage == STAGE and not table.has(STAGE))
+    stage_mm = None if is_still else table.numbers(str(names.stage))
+    timed = np.flatnonzero(np.isfinite(t_s))
+    remarks = list(table.remarks)
+    if len(timed) < len(t_s):
+        first = table.lines[np.flatnonzero(~np.isfinite(t_s))[0]]
+        remarks.append(f"{len(t_s) - len(timed)} rows have no time and are left out (line {first})")
+    with naming(table.path):
+        inspected = build_recording(
+            serial,
+            t_s[timed],
+            output[timed],
+            sample_rate_Hz=rate_Hz,
+            output_unit=units[0],
+            stage_mm=None if stage_mm is None else stage_mm[timed],
+            reference=None if reference is None else reference[timed],
+            lines=table.lines[timed],
+        )
+    remarks += map(str, summarise(inspected.inspection, table.lines[timed]))
+    columns = {"t_s": t_s, "output": output, "reference": reference, STAGE: stage_mm}
+    present = {name: values for name, values in columns.items() if values is not None}
+    return FileRecording(table, inspected, present, timed[inspected.rows], tuple(remarks))
+
+
+def read_columns(path: Path, names: ColumnNames, *, with_reference: bool) -> dict[str, Array]:
+    """Return `output` and, where the table has them, `t_s`, `reference` and `stage_mm`, each (n,).
+
+    NaN stands where a value is missing; rows without a time are left out.
+
+    Raises:
+        InputError: the file is no table, or lacks a column.
+    """
+    table = read_table(
+        path, names.table, is_requested=lambda name: names.is_requested(name, with_reference=with_reference)
+    )
+    columns = {"output": table.numbers(names.output)}
+    clock = clock_of(table, names, names.rate_Hz)
+    if clock is not None:
+        columns["t_s"] = clock.seconds(table)
+    if with_reference:
+        columns["reference"] = table.numbers(names.reference)
+    if names.stage is not None and (names.stage != STAGE or table.has(STAGE)):
+        columns[STAGE] = table.numbers(names.stage)
+    timed = np.isfinite(columns.get("t_s", np.zeros(len(table))))
+    return {name: values[timed] for name, values in columns.items()}
 
 
 def read_recording(
@@ -146,12 +243,8 @@ def read_recording(
     content: bytes | None = None,
     names: ColumnNames = PLAIN,
 ) -> OutputRecording:
-    """Read `t_s, output` (and `stage_mm` where there is one); no other column is looked at. Without
-    a declared rate the median one of the time stamps is taken.
-    """
-    asked = {names.output, names.time, STAGE}
-    table = read_table(path, content=content, wanted=asked.__contains__)
-    return _recording(table, path, serial, sample_rate_Hz, output_unit, names)
+    """Read `t_s, output` (and `stage_mm` where there is one); no other column is looked at."""
+    return inspect_recording(path, serial, sample_rate_Hz, (output_unit, ""), content, names).recording
 
 
 def read_labelled(
@@ -160,31 +253,11 @@ def read_labelled(
     sample_rate_Hz: float | None,
     units: tuple[str, str] = ("V", "N"),
     content: bytes | None = None,
+    names: ColumnNames = PLAIN,
 ) -> LabelledRecording:
     """Read `t_s, output, reference`."""
-    output_unit, reference_unit = units
-    asked = {PLAIN.output, PLAIN.time, "reference", STAGE}
-    table = read_table(path, content=content, wanted=asked.__contains__)
-    unlabelled = _recording(table, path, serial, sample_rate_Hz, output_unit)
-    return LabelledRecording(unlabelled, column(table, "reference", path), reference_unit)
-
-
-def _recording(
-    table: "pd.DataFrame",
-    path: Path,
-    serial: str,
-    sample_rate_Hz: float | None,
-    output_unit: str,
-    names: ColumnNames = PLAIN,
-) -> OutputRecording:
-    output = column(table, names.output, path)
-    t_s = timed(table, names.time, names.rate_Hz or 1.0, path)
-    stage_mm = column(table, STAGE, path) if STAGE in table.columns else None
-    if not sample_rate_Hz:
-        steps = np.diff(t_s)
-        sample_rate_Hz = 1.0 / float(np.median(steps[steps > 0])) if np.any(steps > 0) else float("nan")
-    with naming(path):
-        return OutputRecording(serial, t_s, output, sample_rate_Hz, output_unit, stage_mm)
+    file = inspect_recording(path, serial, sample_rate_Hz, units, content, names, with_reference=True)
+    return file.labelled(units[1])
 
 
 class naming:
@@ -215,10 +288,30 @@ def write_columns(path: Path, columns: Sequence[tuple[str, Array | Sequence[str]
             table.to_csv(part, index=False, lineterminator="\n")
 
 
+def write_rows(path: Path, file: FileRecording, rows: tuple[int, int] | None = None) -> None:
+    """Write what a table holds of a recording as a lot folder has it: each row that has a time, empty cells empty.
+
+    Args:
+        rows: (start, stop) of data rows, counted from 0; None takes all.
+
+    Raises:
+        InputError: the table has not so many rows.
+    """
+    start, stop = rows or (0, len(file.t_s))
+    if not 0 <= start < stop <= len(file.t_s):
+        raise InputError(f"rows {start}:{stop} of {file.recording.serial}: it has {len(file.t_s)} rows")
+    chosen = np.arange(start, stop)
+    chosen = chosen[np.isfinite(file.t_s[chosen])]
+    write_columns(path, [(name, values[chosen]) for name, values in file.columns.items()])
+
+
 def replace_recording(folder: Path, serial: str, suffix: str, recording: OutputRecording | LabelledRecording) -> bool:
     """Write a recording as the only one of its serial in a folder; return whether one was there."""
     folder.mkdir(exist_ok=True)
-    path, older = folder / f"{serial}{suffix}", [file for file in folder.iterdir() if file.stem == serial]
+    path, older = (
+        folder / f"{serial}{suffix}",
+        [file for file in folder.iterdir() if normalize("NFC", file.stem) == serial],
+    )
     write_recording(path, recording)
     for file in older:
         if file != path:

@@ -1,16 +1,16 @@
 """Long streams on disk, piece by piece: `t_s, output` in, estimates out."""
 
-import csv
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from softcal.app.files.atomic import whole_file
-from softcal.app.files.bounded_table import CSV, PARQUET
-from softcal.app.files.recording_file import PLAIN, ColumnNames, named_column, read_table, shown
+from softcal.app.files.recording_file import NO_TIME, PLAIN, ColumnNames, check_rate, clock_of
+from softcal.app.tables.read import PARQUET, TEXT, table_pieces
+from softcal.app.tables.timestamps import Clock
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
 from softcal.core.unit.estimate import Estimate
@@ -26,116 +26,71 @@ HEADER = f"{','.join(COLUMNS)}\n"
 """First line of such a file as CSV."""
 
 PIECE = 1024
-"""Rows read, estimated and written at once."""
+"""Rows estimated and written at once."""
+
+PIECES_AT_ONCE = 32
+"""Pieces of a text file that are read at once."""
 
 
-def read_stream(path: Path, names: ColumnNames = PLAIN) -> Iterator[tuple[Array, Array]]:
-    """Yield `t_s` and `output` in pieces, every row of the file; what is empty is NaN.
+class Stream:
+    """A long recording, read piece by piece.
 
-    Raises:
-        InputError: no such file or columns, a text for a number, or fewer rows than a window.
+    Args:
+        path: text files are read a piece at a time, others at once.
+        is_resumed: it goes on where another one ended, which takes a column of time.
     """
-    rows = 0
-    wanted = (names.output,) if names.time is None else (names.time, names.output)
-    for columns in _csv_pieces(path, wanted) if path.suffix.lower() in CSV else _table_pieces(path, wanted):
-        output = columns[-1]
-        t_s = (rows + np.arange(len(output))) / names.rate_Hz if names.rate_Hz and not names.time else columns[0]
-        rows += len(output)
-        # A first piece this short is the whole file.
-        if rows < TAPS:
-            raise InputError(f"{path}: {rows} rows; at least {TAPS} are needed to fill one window")
-        yield t_s, output
+
+    def __init__(self, path: Path, names: ColumnNames = PLAIN, *, is_resumed: bool = False) -> None:
+        self._path, self._names, self._is_resumed = path, names, is_resumed
+        self.layout = ""
+        self.remarks: list[str] = []
+
+    def pieces(self) -> Iterator[tuple[Array, Array]]:
+        """Yield `t_s` and `output` in pieces, every row of the file; what is empty is NaN.
+
+        Raises:
+            InputError: no such file or columns, a text for a number, time that goes back, or fewer rows than a window.
+        """
+        rows, path, names = 0, self._path, self._names
+        clock: Clock | None = None
+        for table in table_pieces(path, names.table, names.is_requested, PIECES_AT_ONCE * PIECE):
+            if not rows:
+                table.column(names.output)
+                clock, self.layout = clock_of(table, names, names.rate_Hz), table.layout
+                if clock is None and self._is_resumed:
+                    raise InputError(
+                        f"{path}: --resume goes on in time; name the column of the time with --time-column"
+                    )
+                if clock is None and not names.rate_Hz:
+                    raise InputError(f"{path}: {NO_TIME}; the file has: {', '.join(table.names[:12])}")
+            self.remarks += [remark for remark in table.remarks if remark not in self.remarks]
+            output = table.numbers(names.output)
+            made = (rows + np.arange(len(output))) / (names.rate_Hz or 1.0)
+            t_s = made if clock is None else clock.seconds(table, ", or give the sample rate")
+            rows += len(output)
+            # A first piece this short is the whole file.
+            if rows < TAPS:
+                raise InputError(f"{path}: {rows} rows; at least {TAPS} are needed to fill one window")
+            if clock is not None and names.rate_Hz and rows == len(output):
+                check_rate(path, t_s, names.rate_Hz)
+            for start in range(0, len(output), PIECE):
+                yield t_s[start : start + PIECE], output[start : start + PIECE]
+        self.remarks += [] if clock is None else clock.remarks
 
 
 def count_rows(path: Path) -> int:
     """Return about how many rows a file holds; 0 where only reading it would tell."""
-    if path.suffix.lower() in PARQUET:
+    suffix = path.suffix.lower()
+    if suffix in PARQUET:
         from pyarrow.lib import ArrowInvalid
         from pyarrow.parquet import read_metadata
 
         with suppress(ArrowInvalid, OSError):
             return int(read_metadata(path).num_rows)
-    elif path.suffix.lower() in CSV and path.is_file():
+    elif suffix in TEXT and path.is_file():
         with path.open("rb") as file:
             return max(0, sum(block.count(b"\n") for block in iter(lambda: file.read(1 << 20), b"")) - 1)
     return 0
-
-
-def _table_pieces(path: Path, names: tuple[str, ...]) -> Iterator[tuple[Array, ...]]:
-    import pandas as pd
-
-    table = read_table(path)
-    columns = []
-    for name in names:
-        raw = named_column(table, name, path)
-        values = pd.to_numeric(raw, errors="coerce").to_numpy(dtype=np.float64)
-        text = np.flatnonzero(np.isnan(values) & raw.notna().to_numpy())
-        if len(text):
-            raise _not_a_number(path, int(text[0]) + 2, name, raw.iloc[text[0]])
-        columns.append(values)
-    for start in range(0, len(table), PIECE):
-        yield tuple(values[start : start + PIECE] for values in columns)
-
-
-def _csv_pieces(path: Path, names: tuple[str, ...]) -> Iterator[tuple[Array, ...]]:
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file")
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        try:
-            yield from _numbers(path, file, names)
-        except UnicodeDecodeError as error:
-            raise InputError(
-                f"{path}: not a text file (byte {error.start} is not UTF-8); export it as CSV again"
-            ) from error
-        except csv.Error as error:
-            raise InputError(f"{path}: cannot be read as a CSV table: {error}") from error
-
-
-def _numbers(path: Path, file: IO[str], names: tuple[str, ...]) -> Iterator[tuple[Array, ...]]:
-    import pandas as pd
-
-    reader = csv.reader(file, delimiter="\t" if path.suffix.lower() == ".tsv" else ",")
-    header = next(reader, None)
-    if header is None:
-        raise InputError(f"{path}: the file is empty")
-    header = [name.strip() for name in header]
-    for name in names:
-        named_column(pd.DataFrame(columns=header), name, path)
-    places = [header.index(name) for name in names]
-    piece: list[list[float]] = []
-    wrong: InputError | None = None
-    for row in reader:
-        if wrong is not None:
-            raise wrong
-        if not row:
-            continue
-        values = []
-        for name, place in zip(names, places, strict=True):
-            text = row[place].strip() if place < len(row) else ""
-            try:
-                values.append(float(text) if text else np.nan)
-            except ValueError:
-                # A last line may have been cut off; only a further one makes it wrong.
-                wrong = wrong or _not_a_number(path, reader.line_num, name, text)
-                values.append(np.nan)
-        piece.append(values)
-        if len(piece) == PIECE:
-            yield _columns(piece)
-            piece = []
-    if piece:
-        yield _columns(piece)
-    elif reader.line_num <= 1:
-        raise InputError(f"{path}: there is no row of data below the header")
-
-
-def _columns(piece: list[list[float]]) -> tuple[Array, ...]:
-    return tuple(np.array(piece).T.copy())
-
-
-def _not_a_number(path: Path, line: int, name: str, value: object) -> InputError:
-    return InputError(
-        f"{path}: line {line}, column {name!r}: {shown(value)} is not a number; correct the row or leave it empty"
-    )
 
 
 @contextmanager

@@ -17,7 +17,7 @@ Section = TypeVar("Section")
 MOST_BYTES = 1_000_000
 """What people write by hand has some ten lines."""
 
-WANTED = {float: "a number", date: "a date such as 2026-01-31"}
+WANTED = {int: "a whole number", float: "a number", date: "a date such as 2026-01-31"}
 
 
 def read_toml(path: Path, hint: str = "", folder: Path | None = None) -> dict[str, Any]:
@@ -70,6 +70,8 @@ def typed(key: str, hint: Any, value: object, folder: Path = Path()) -> Any:
         return folder / value
     if wanted is float and isinstance(value, int | float) and not isinstance(value, bool):
         return float(value)
+    if wanted is int and type(value) is int:
+        return value
     # A date with a time is a date, too, and a text of nothing says nothing.
     if wanted in (date, str) and type(value) is wanted and str(value).strip():
         return value

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from softcal.app.files.atomic import write_text
 from softcal.app.files.case_folder import open_case, open_table
+from softcal.app.tables.options import DETECT, TableOptions
 from softcal.app.texts.catalogue import text
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case
@@ -23,33 +24,37 @@ if TYPE_CHECKING:
 
 
 def diagnose_case(
-    place: Path, progress: Callable[[str], None] | None = None, readout: ReadoutMetadata | None = None
+    place: Path,
+    progress: Callable[[str], None] | None = None,
+    readout: ReadoutMetadata | None = None,
+    table: TableOptions = DETECT,
 ) -> Diagnosis:
     """Read a case and diagnose it.
 
     Args:
         place: folder of a case, or a plain table.
         readout: the electronics of a plain table; a case folder states its own.
+        table: the declared layout of a plain table.
 
     Raises:
         InputError: the case cannot be read, or a table comes without its electronics.
     """
-    return diagnose(_opened(place, readout), progress)
+    return diagnose(_opened(place, readout, table), progress)
 
 
 def check_case(
-    place: Path, readout: ReadoutMetadata | None = None
+    place: Path, readout: ReadoutMetadata | None = None, table: TableOptions = DETECT
 ) -> tuple[tuple[DataMistake, ...], Identifiability | None]:
     """Return a case's mistakes and, where it can be diagnosed, what its runs tell."""
-    return checked(_opened(place, readout))
+    return checked(_opened(place, readout, table))
 
 
-def _opened(place: Path, readout: ReadoutMetadata | None) -> Case:
+def _opened(place: Path, readout: ReadoutMetadata | None, table: TableOptions) -> Case:
     if not place.is_file():
         return open_case(place)
     if readout is None:
         raise InputError(f"{place}: a plain table does not say its electronics; give vref_V, adc_bits and rate_Hz")
-    return open_table(place, readout)
+    return open_table(place, readout, table)
 
 
 def write_page(path: Path, diagnosis: GapDiagnosis[Any]) -> None:

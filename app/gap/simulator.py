@@ -11,13 +11,17 @@ import numpy as np
 
 from softcal.app.files.atomic import write_text
 from softcal.app.files.case_folder import METADATA, RECORDING
-from softcal.app.files.recording_file import column, read_table
+from softcal.app.files.recording_file import ColumnNames, read_times
 from softcal.app.gap.diagnose import NO_TERMS
+from softcal.app.tables.options import DETECT, TableOptions
+from softcal.app.tables.read import read_table
+from softcal.app.tables.timestamps import find_time_column
 from softcal.core.errors import InputError
 from softcal.core.gap.data_mistake import DataMistake
 from softcal.core.gap.identifiability import Identifiability
 from softcal.core.gap.simulator import Simulator, SimulatorRun, recorded, term_of, with_terms
 from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis, check_simulator, diagnose_simulator
+from softcal.core.recording import Array
 
 PARAMETERS_SCHEMA = "softcal.simulator/1"
 
@@ -58,7 +62,10 @@ def load_simulator(reference: str) -> Simulator:
 
 
 def diagnose_with(
-    place: Path, simulator: Simulator, progress: Callable[[str], None] | None = None
+    place: Path,
+    simulator: Simulator,
+    progress: Callable[[str], None] | None = None,
+    options: TableOptions = DETECT,
 ) -> SimulatorDiagnosis:
     """Read the runs of a mechanism and diagnose its simulator.
 
@@ -69,16 +76,18 @@ def diagnose_with(
     Raises:
         InputError: there is no run, a column is missing, or the simulator fails.
     """
-    runs, serial = _recorded(place, simulator)
+    runs, serial = _recorded(place, simulator, options)
     return diagnose_simulator(simulator, runs, serial, progress)
 
 
-def check_with(place: Path, simulator: Simulator) -> tuple[tuple[DataMistake, ...], Identifiability | None]:
+def check_with(
+    place: Path, simulator: Simulator, options: TableOptions = DETECT
+) -> tuple[tuple[DataMistake, ...], Identifiability | None]:
     """Return the mistakes of a mechanism's runs and what they tell of its simulator."""
-    return check_simulator(simulator, _recorded(place, simulator)[0])
+    return check_simulator(simulator, _recorded(place, simulator, options)[0])
 
 
-def _recorded(place: Path, simulator: Simulator) -> tuple[list[SimulatorRun], str]:
+def _recorded(place: Path, simulator: Simulator, options: TableOptions = DETECT) -> tuple[list[SimulatorRun], str]:
     if place.is_file():
         paths = [place]
     elif (place / RECORDING).is_file():
@@ -91,11 +100,22 @@ def _recorded(place: Path, simulator: Simulator) -> tuple[list[SimulatorRun], st
     runs = []
     for path in paths:
         name = str(path.parent.relative_to(place)) if place.is_dir() else path.stem
-        table = read_table(path)
-        names = [c for c in ("t_s", *simulator.inputs, *simulator.channels) if c in table.columns]
-        columns = {c: column(table, c, path) for c in names}
+        columns = _columns(path, simulator, options)
         runs.append(recorded(simulator, name, columns, str(_said(path).get("profile", ""))))
     return runs, str(_said(paths[0]).get("serial", place.stem))
+
+
+def _columns(path: Path, simulator: Simulator, options: TableOptions) -> dict[str, Array]:
+    """Return `t_s`, inputs and channels of a run; a row that lacks one of them is left out, which leaves a gap."""
+    table = read_table(path, options)
+    columns = {name: table.numbers(name) for name in (*simulator.inputs, *simulator.channels) if name in table.names}
+    if "t_s" in table.names and options.time_format is None:
+        # As it stands: the diagnosis itself finds a wrong unit or rate.
+        columns["t_s"] = table.numbers("t_s")
+    elif (time := find_time_column([name for name in table.names if name not in columns])) is not None:
+        columns["t_s"], _ = read_times(table, ColumnNames("", time, table=options), None)
+    is_whole = np.all([np.isfinite(values) for values in columns.values()], axis=0) if columns else slice(None)
+    return {name: values[is_whole] for name, values in columns.items()}
 
 
 def _said(path: Path) -> dict[str, object]:

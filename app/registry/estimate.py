@@ -1,12 +1,21 @@
 """Estimates of one calibrated unit over a recording: f∘γ with interval and flags."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
-from softcal.app.files.recording_file import PLAIN, ColumnNames, read_recording, write_columns
+from softcal.app.files.recording_file import PLAIN, ColumnNames, FileRecording, inspect_recording, write_columns
 from softcal.app.files.stream_file import COLUMNS
 from softcal.app.registry.unit import calibrated_unit
 from softcal.core.unit.estimate import Estimate, estimate
 from softcal.db.registry import Registry
+
+
+@dataclass(frozen=True, eq=False)
+class FileEstimate:
+    """The estimates of a file, a row for each of its rows, and the file as it was read."""
+
+    estimate: Estimate
+    file: FileRecording
 
 
 def estimate_file(
@@ -17,11 +26,14 @@ def estimate_file(
     revision: int | None = None,
     lot_id: str | None = None,
     names: ColumnNames = PLAIN,
-) -> Estimate:
-    """Read `t_s, output` of `source`, write `t_s, estimate, lower, upper, flag` to `target`, whole or not at all."""
+) -> FileEstimate:
+    """Read `t_s, output` of `source`, write `t_s, estimate, lower, upper, flag` to `target`, whole or not at all.
+
+    A row of `source` without a usable sample is `invalid`; rows whose window reaches over it are a `gap`.
+    """
     lot, network, calibration = calibrated_unit(registry, serial, revision, lot_id)
-    recording = read_recording(source, serial, lot.sample_rate_Hz, lot.output_unit, names=names)
-    result = estimate(network, calibration, recording)
+    file = inspect_recording(source, serial, lot.sample_rate_Hz, (lot.output_unit, ""), names=names)
+    result = estimate(network, calibration, file.recording).spread(file.t_s, file.rows)
     numbers = [(name, getattr(result, name)) for name in COLUMNS[:-1]]
     write_columns(target, [*numbers, ("flag", result.flag.tolist())])
-    return result
+    return FileEstimate(result, file)

@@ -3,10 +3,17 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from softcal.app.tables.numbers import number_cure, shown, to_numbers
+from softcal.core.errors import InputError
+from softcal.core.recording import Array
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Cell = str | float | int | bool | None
 """One cell of a grid: text, a number, or None where it is empty. Spreadsheets also give datetime, date and time."""
@@ -19,10 +26,13 @@ class Grid:
     Args:
         rows: cells of each row; rows may have unequal lengths.
         lines: line of the file (row of the sheet) of each row, counted from 1.
+        layout, remarks: as of a table, where the grid is one of several.
     """
 
     rows: Sequence[Sequence[Any]]
     lines: Sequence[int]
+    layout: str = ""
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +61,7 @@ class Table:
         lines: (n,) line of the file of each row, counted from 1.
         layout: what was detected, in one line: "tabs; decimal comma; header in line 7; units in line 8".
         remarks: what a person should know, one sentence each.
+        decimal: mark in the texts of its columns.
     """
 
     path: Path
@@ -59,3 +70,80 @@ class Table:
     lines: NDArray[np.int64]
     layout: str = ""
     remarks: tuple[str, ...] = field(default=())
+    decimal: str = "."
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def has(self, name: str) -> bool:
+        """Whether a column of this name was read."""
+        return any(column.name == name for column in self.columns)
+
+    def column(self, name: str, cure: str = "") -> Column:
+        """Return a column by its name; `cure` says what else helps where it is missing.
+
+        Raises:
+            InputError: there is none of this name; one with other capitals is named.
+        """
+        named = [column for column in self.columns if column.name == name]
+        if len(named) == 1:
+            return named[0]
+        raise InputError(f"{self.path}: {missing_column(name, self.names)}; name the one that is meant{cure}")
+
+    def numbers(self, name: str, cure: str = "") -> Array:
+        """Return a column as (n,) float64, NaN where a sample is missing.
+
+        Raises:
+            InputError: there is no such column, or it holds text, a truth value or a date; the line is named.
+        """
+        column = self.column(name, cure)
+        cells = column.cells
+        values = to_numbers(cells, self.decimal)
+        if values is not None:
+            return values
+        if cells.dtype.kind == "O":
+            bad = [row for row, cell in enumerate(cells) if to_numbers(cells[row : row + 1], self.decimal) is None]
+        else:
+            bad = list(range(len(cells)))
+        cell, more = cells[bad[0]], f" ({len(bad)} such rows)" if len(bad) > 1 else ""
+        raise InputError(
+            f"{self.path}: line {self.lines[bad[0]]}, column {name!r}: {shown(cell)} where a number was "
+            f"expected{more}; "
+            f"{number_cure(cell, self.decimal)}"
+        )
+
+    def finite_numbers(self, name: str, cure: str = "") -> Array:
+        """Return a column as `numbers` does; an empty cell is refused with its line."""
+        values = self.numbers(name, cure)
+        missing = np.flatnonzero(np.isnan(values))
+        if len(missing):
+            raise InputError(
+                f"{self.path}: line {self.lines[missing[0]]}, column {name!r}: nothing where a number was "
+                f"expected; fill in "
+                "the cell, or remove the row"
+            )
+        return values
+
+    def to_frame(self) -> "pd.DataFrame":
+        """Return the columns as a data frame."""
+        import pandas as pd
+
+        return pd.DataFrame({column.name: column.cells for column in self.columns})
+
+    def texts(self, name: str) -> list[str]:
+        """Return a column as texts, "" for empty cells; whole numbers without a decimal point."""
+        cells = self.column(name).cells.tolist()
+        return ["" if cell is None or cell != cell else _text(cell) for cell in cells]
+
+
+def _text(cell: Any) -> str:
+    return str(int(cell)) if isinstance(cell, float) and cell.is_integer() else str(cell).strip()
+
+
+def missing_column(name: str, names: Sequence[str]) -> str:
+    """Return that there is no such column, and which there are: first what it may be."""
+    alike = [other for other in names if other.casefold().strip() == name.casefold().strip() and other != name]
+    if alike:
+        return f"there is no column {name!r}, it has {', '.join(map(repr, alike))}"
+    there = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+    return f"there is no column {name!r}; the file has: {there}"

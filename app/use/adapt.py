@@ -11,7 +11,7 @@ from typing import Any
 from softcal.app.charts.adaptation import Trace, adaptation_figure
 from softcal.app.files.atomic import write_text
 from softcal.app.files.recording_file import PLAIN, ColumnNames
-from softcal.app.files.stream_file import estimate_writer, read_stream
+from softcal.app.files.stream_file import Stream, estimate_writer
 from softcal.app.registry.lot_recordings import source_recording
 from softcal.app.registry.unit import UnitInUse, unit_in_use
 from softcal.core.errors import InputError
@@ -61,6 +61,7 @@ class AdaptReport:
         verdicts: how often the map was followed, held or jumped.
         changed: numbers of the method that differ from those the stream was followed with before.
         trace: the course of output, estimate and predicted error, thinned.
+        layout, remarks: how the file was read.
     """
 
     serial: str
@@ -75,6 +76,8 @@ class AdaptReport:
     flags: Counter[str] = field(default_factory=Counter)
     verdicts: Counter[str] = field(default_factory=Counter)
     trace: Trace = field(default_factory=Trace)
+    layout: str = ""
+    remarks: list[str] = field(default_factory=list)
 
 
 class Follower:
@@ -237,8 +240,6 @@ def adapt_file(
         InputError: `source` cannot be read or fills no queue, the registry does not know the serial, or a stream is to
             go on without a column of time.
     """
-    if options.resume and names.time is None:
-        raise InputError(f"{source}: --resume goes on in time; name the column of the time with --time-column")
     unit = unit_in_use(registry, serial, options.revision, options.lot_id)
     stream = options.stream or _stream_of(source, options.config.name, names)
     follower = Follower(registry, unit, stream, options, is_repeatable=True)
@@ -246,7 +247,8 @@ def adapt_file(
         follower.begin_file()
     kept = 0
     with estimate_writer(target) as write:
-        for t_s, output in read_stream(source, names):
+        read = Stream(source, names, is_resumed=options.resume)
+        for t_s, output in read.pieces():
             write(follower.advance(t_s, output))
             on_rows(follower.report.rows)
             if follower.report.rows - kept >= FILE_MAPS_ROWS:
@@ -261,6 +263,7 @@ def adapt_file(
                     "give a shorter --queue, or another --mode"
                 )
     follower.checkpoint()
+    follower.report.layout, follower.report.remarks = read.layout, read.remarks
     return follower.report
 
 
@@ -270,7 +273,7 @@ def _stream_of(source: Path, mode: str, names: ColumnNames) -> str:
         raise InputError(f"{source}: there is no such file")
     with source.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
-    read_as = "" if names == PLAIN else f" {content_sha256({}, asdict(names))[:8]}"
+    read_as = "" if names == PLAIN else f" {content_sha256({}, {'names': repr(names)})[:8]}"
     return f"{source.name[:40]} {digest[:16]} {mode}{read_as}"
 
 
@@ -283,6 +286,8 @@ def report_json(report: AdaptReport, course: list[Mapping[str, Any]]) -> dict[st
         "stream": report.stream,
         "mode": report.mode,
         "rows": report.rows,
+        "layout": report.layout,
+        "remarks": report.remarks,
         "flags": {flag: count for flag, count in sorted(report.flags.items()) if flag},
         "verdicts": dict(report.verdicts),
         "method": {"id": report.method.id, "changed": report.changed, "numbers": report.method.to_json()},

@@ -19,16 +19,14 @@ CURVE_POINTS = 200
 
 
 @dataclass(frozen=True, eq=False)
-class UnitView:
-    """One revision of one unit in full: its recording, f∘γ over it, and why its verdict is so."""
+class UnitSignals:
+    """A recording of a calibrated unit, with the source and f∘γ over it."""
 
-    stored: StoredCalibration
     calibration: Calibration
     lot: Lot
     source: LabelledRecording
     recording: OutputRecording
     estimate: Estimate
-    explanation: Explanation
 
     @property
     def mapped(self) -> Array:
@@ -46,6 +44,14 @@ class UnitView:
         return int(np.sum(self.estimate.flag != ""))
 
 
+@dataclass(frozen=True, eq=False)
+class UnitView(UnitSignals):
+    """One revision of one unit in full, and why its verdict is so."""
+
+    stored: StoredCalibration
+    explanation: Explanation
+
+
 def unit_view(registry: Registry, serial: str, revision: int | None = None, lot_id: str | None = None) -> UnitView:
     """Read one revision of a unit in full, the one in use without a number."""
     stored = registry.calibrations.get(serial, revision, lot_id=lot_id)
@@ -54,11 +60,11 @@ def unit_view(registry: Registry, serial: str, revision: int | None = None, lot_
     recording = unlabelled(registry.recordings.get(stored.record.recording_sha256))
     model = source_model(registry, network.id, calibration.method or Method())
     return UnitView(
-        stored,
         calibration,
         registry.lots.get(stored.lot_id),
         model.source,
         recording,
         estimate(network, calibration, recording),
+        stored,
         explain(model, calibration, recording),
     )

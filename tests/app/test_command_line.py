@@ -238,9 +238,7 @@ def test_one_recording_under_two_serials_is_remarked(
     files = [str(tmp_path / f"S{k}.csv") for k in (1, 2, 3)]
     options = ["--source", "S1", "--reference-column", "reference", "--time-column", "t_s"]
     assert main(["import", *files, *options, "--out", str(tmp_path / "lot")]) == 0
-    assert "S2, S3" in capsys.readouterr().err
-    main(["train", str(tmp_path / "lot"), "--hidden", "4", "--registry", f"sqlite:///{tmp_path / 'r.db'}"])
-    assert "S2, S3" in capsys.readouterr().err
+    assert "S2 (lot), S3 (lot)" in capsys.readouterr().err
 
 
 def _logged(calibrated: Path, folder: Path) -> Path:
@@ -311,3 +309,25 @@ def test_a_report_escapes_what_a_lot_and_its_units_are_called(calibrated: Path) 
 def test_a_report_of_an_unknown_lot_is_one_line(calibrated: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["report", "lot-9", "--registry", _url(calibrated)]) == 2
     assert "lot-9" in capsys.readouterr().err
+
+
+def test_a_row_without_a_sample_is_invalid_and_a_hole_in_time_stays(
+    calibrated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = pd.read_csv(calibrated / "lot/units/A1.csv")
+    table.loc[100, "output"] = np.nan
+    table.loc[300:, "t_s"] += 2.0
+    source, out = tmp_path / "in.csv", tmp_path / "out.csv"
+    table.to_csv(source, index=False, sep=";", decimal=",")
+    unit = ["--serial", "A1", "--registry", _url(calibrated), str(source), "--out", str(out)]
+    for command in ("estimate", "adapt"):
+        report = tmp_path / f"{command}.json"
+        assert main([command, *unit, "--sample-rate", "50", "--json", str(report)]) == 0
+        rows = pd.read_csv(out)
+        flags = rows["flag"].fillna("").str.split("; ").str[0]
+        np.testing.assert_array_equal(rows["t_s"], table["t_s"])
+        assert flags[100] == "invalid" and flags[101] == "gap" and flags[300] == "gap"
+        assert "semicolons; decimal comma" in capsys.readouterr().err
+        assert json.loads(report.read_text())["layout"] == "semicolons; decimal comma"
+    assert main(["estimate", *unit, "--sample-rate", "25"]) == 2
+    assert "25 Hz" in capsys.readouterr().err

@@ -1,5 +1,6 @@
 """`softcal import`: tables become a lot folder, or nothing is written and one line says why."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -7,9 +8,8 @@ import pandas as pd
 import pytest
 
 from softcal.app.cli.main import main
-from softcal.app.files.importing import median_rate_Hz
 from softcal.app.files.lot_folder import open_lot_folder
-from softcal.app.files.recording_file import column, read_table
+from softcal.app.tables.read import read_table
 from softcal.core.errors import InputError
 from softcal.core.lot import check_serial
 
@@ -77,12 +77,6 @@ def _empty(folder: Path) -> Path:
     return path
 
 
-def _of_another_country(folder: Path) -> Path:
-    path = _table(folder)
-    path.write_text(path.read_text().replace(",", ";").replace(".", ","))
-    return path
-
-
 def _without_time(folder: Path) -> Path:
     path = _table(folder)
     pd.read_csv(path).drop(columns="t").to_csv(path, index=False)
@@ -95,11 +89,10 @@ def _without_time(folder: Path) -> Path:
         (_broken_excel, "S1.xlsx"),
         (_with_text, "line 42, column 'volts': 'abc'"),
         (_empty, "S1.csv"),
-        (_of_another_country, "separated by ';'"),
         (_without_time, "or give the sample rate"),
         (lambda folder: folder / "S1.csv", "S1.csv"),
         (lambda folder: _table(folder, rows=10), " 15"),
-        (lambda folder: _table(folder, volts=[np.nan] * 60), "(60 "),
+        (lambda folder: _table(folder, volts=[np.nan] * 60), " 60 rows"),
         (lambda folder: _table(folder, t=np.zeros(60)), "'t'"),
     ],
 )
@@ -150,17 +143,105 @@ def test_a_serial_that_windows_cannot_write_is_refused() -> None:
             check_serial(serial)
 
 
-def test_truth_values_days_and_milliseconds_are_no_numbers_of_seconds(tmp_path: Path) -> None:
+def test_truth_values_are_no_numbers(tmp_path: Path) -> None:
     path = tmp_path / "a.parquet"
-    pd.DataFrame({"t": pd.date_range("2026-01-01", periods=5, freq="20ms")}).to_parquet(path)
-    with pytest.raises(InputError):
-        column(read_table(path), "t", path)
-    mixed = pd.DataFrame({"output": pd.Series([1.0, True, 2.0], dtype=object)})
-    with pytest.raises(InputError, match="'True'"):
-        column(mixed, "output", path)
-    for name, message in (("t_ms", "ms"), ("t", "0.05 Hz")):
-        pd.DataFrame({name: np.arange(50) * 20.0}).to_csv(tmp_path / "b.csv", index=False)
-        with pytest.raises(InputError, match=message):
-            median_rate_Hz(tmp_path / "b.csv", name)
-    pd.DataFrame({"time_s": np.arange(50) * 0.02}).to_csv(tmp_path / "c.csv", index=False)
-    assert median_rate_Hz(tmp_path / "c.csv", "time_s") == pytest.approx(50)
+    pd.DataFrame({"output": [True, False], "day": pd.date_range("2026-01-01", periods=2)}).to_parquet(path)
+    for name in ("output", "day"):
+        with pytest.raises(InputError, match=f"'{name}'.*number was expected"):
+            read_table(path).numbers(name)
+
+
+def _loggers_table(folder: Path, name: str, rows: int = 60, text: str = "") -> Path:
+    """Write semicolons, decimal commas, a preamble and a row of units."""
+    t_s, lines = np.arange(rows) / 50, ["Logger 7", "Time;Volts;Force", "(s);(V);(N)"]
+    lines += [f"{t:.2f};{0.5 + 0.1 * np.sin(t):.6f};{1 + np.sin(t):.6f}".replace(".", ",") for t in t_s]
+    path = folder / f"{name}.csv"
+    path.write_text("\n".join(lines) + "\n" + text)
+    return path
+
+
+def _import_loggers(*files: Path, out: Path, extra: tuple[str, ...] = ()) -> int:
+    options = ["--output-column", "Volts", "--reference-column", "Force", "--audit"]
+    return main(["import", *map(str, files), "--source", "S1", "--out", str(out), *options, *extra])
+
+
+def test_the_layout_of_a_logger_s_file_is_reported_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = [_loggers_table(tmp_path, "S1"), _loggers_table(tmp_path, "S2")]
+    assert _import_loggers(*files, out=tmp_path / "lot", extra=("--json", "-")) == 0
+    printed = capsys.readouterr()
+    layout = "semicolons; decimal comma; header in line 2; units in line 3"
+    assert f"S1.csv and 1 more: {layout}" in printed.err
+    facts = json.loads(printed.out)
+    assert facts["layouts"] == {"S1.csv": layout, "S2.csv": layout} and facts["audits"] == ["S2"]
+    folder = open_lot_folder(tmp_path / "lot")
+    assert folder.lot.sample_rate_Hz == 50
+    np.testing.assert_allclose(folder.read_unit("S2").output, 0.5 + 0.1 * np.sin(np.arange(60) / 50), atol=1e-6)
+
+
+def test_stamps_of_a_file_stay_as_they_are_and_the_rate_is_a_check(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    t_s = np.arange(60) / 50
+    t_s[30:] += 2.0
+    path = _table(tmp_path, t=t_s)
+    options = ["--output-column", "volts", "--reference-column", "newton", "--sample-rate"]
+    for rate, out in ((50, "lot"), (100, "other")):
+        command = ["import", str(path), "--source", "S1", "--out", str(tmp_path / out), *options, str(rate)]
+        assert main(command) == (0 if rate == 50 else 2)
+    np.testing.assert_array_equal(open_lot_folder(tmp_path / "lot").read_source().unlabelled.t_s, t_s)
+    error = capsys.readouterr().err
+    assert "50 Hz" in error and "100 Hz" in error and not (tmp_path / "other").exists()
+
+
+def test_a_file_without_time_gets_stamps_by_the_rate(tmp_path: Path) -> None:
+    path = _without_time(tmp_path)
+    options = ["--output-column", "volts", "--reference-column", "newton", "--sample-rate", "50"]
+    assert main(["import", str(path), "--source", "S1", "--out", str(tmp_path / "lot"), *options]) == 0
+    np.testing.assert_allclose(open_lot_folder(tmp_path / "lot").read_source().unlabelled.t_s, np.arange(60) / 50)
+
+
+def test_missing_cells_stay_missing_in_the_lot_folder(tmp_path: Path) -> None:
+    volts = 0.5 + 0.1 * np.sin(np.arange(60) / 50)
+    volts[20] = np.nan
+    assert _import(_table(tmp_path), _table(tmp_path, "S2", volts=volts), out=tmp_path / "lot") == 0
+    written = pd.read_csv(tmp_path / "lot" / "units" / "S2.csv")
+    assert len(written) == 60 and np.flatnonzero(written["output"].isna()).tolist() == [20]
+    unit = open_lot_folder(tmp_path / "lot").read_unit("S2")
+    assert len(unit) == 59 and len(unit.segments) == 2
+
+
+def test_audits_that_are_not_there_are_counted_and_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    other = _table(tmp_path, "S2")
+    other.write_text(other.read_text().replace("newton", "Newton"))
+    assert _import(_table(tmp_path), other, out=tmp_path / "lot", extra=("--audit",)) == 0
+    assert "audits: 0 of 1; S2.csv has no column 'newton', it has 'Newton'" in capsys.readouterr().err
+
+
+def test_serials_are_given_by_the_names_of_files_and_columns(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, second = _table(tmp_path, "run 1"), _table(tmp_path, "run 2")
+    extra = ("--serial", "run 1=S1", "--serial", "run 2=S2")
+    assert _import(first, second, out=tmp_path / "lot", extra=extra) == 0
+    assert list(open_lot_folder(tmp_path / "lot").unit_paths) == ["S2"]
+    wide = _table(tmp_path, "wide", **{"pad 1": np.linspace(0, 1, 60), "pad 2": np.linspace(1, 2, 60)})
+    options = ["--output-column", "pad *", "--reference-column", "newton", "--source", "P1"]
+    renames = ["--serial", "pad 1=P1", "--serial", "pad 2=P2"]
+    assert main(["import", str(wide), "--out", str(tmp_path / "w"), *options, *renames]) == 0
+    np.testing.assert_allclose(open_lot_folder(tmp_path / "w").read_unit("P2").output, np.linspace(1, 2, 60))
+    assert main(["import", str(wide), "--out", str(tmp_path / "x"), *options, *renames, "--serial", "pad 9=P9"]) == 2
+    assert "'pad 9'" in capsys.readouterr().err
+    # A name that is no serial stops nothing: the batch gives its unit a row, and the import says what renames it.
+    assert main(["import", str(wide), "--out", str(tmp_path / "x"), *options, *renames[:2]]) == 0
+    err = capsys.readouterr().err
+    assert "pad 2" in err and "--serial 'OLD=NEW'" in err
+
+
+def test_an_option_reads_what_is_asked_about(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = _table(tmp_path, t=np.arange(60) * 20)
+    assert _import(path, out=tmp_path / "lot") == 2
+    assert "--time-format" in capsys.readouterr().err
+    assert _import(path, out=tmp_path / "lot", extra=("--time-format", "ms")) == 0
+    assert open_lot_folder(tmp_path / "lot").lot.sample_rate_Hz == 50

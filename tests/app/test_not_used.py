@@ -103,14 +103,14 @@ def test_files_of_a_lot_folder_that_no_batch_reads_are_named(tables, tmp_path) -
     shutil.copy(lot / "source/S1.csv", lot / "source/S8.csv")
     (lot / "audits").mkdir()
     shutil.copy(lot / "audit/S2.csv", lot / "audits")
-    (lot / "units/S2.mat").write_bytes(b"MATLAB")
+    (lot / "units/S2.doc").write_bytes(b"notes")
     (lot / "README.txt.md").write_text("about this lot")
     items = {(item.kind, item.name, item.why.code) for item in open_lot_folder(lot).not_used}
     assert items == {
         ("audit", "S9", "unused.stranger"),
         ("file", "source/S8.csv", "unused.source"),
         ("file", "audits/", "unused.place"),
-        ("file", "units/S2.mat", "unused.format"),
+        ("file", "units/S2.doc", "unused.format"),
     }
 
 

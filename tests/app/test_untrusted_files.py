@@ -14,7 +14,9 @@ import pyarrow.parquet
 import pytest
 
 from softcal.app.cli.main import main
-from softcal.app.files.recording_file import column, read_recording, read_table
+from softcal.app.files.recording_file import read_recording
+from softcal.app.tables.options import TableOptions
+from softcal.app.tables.read import read_table
 from softcal.core.errors import InputError
 
 BENCHMARKS = str(Path(__file__).parents[2] / "benchmarks")
@@ -75,7 +77,7 @@ def test_a_file_that_unpacks_to_gigabytes_is_not_opened(tmp_path, kind, most_cel
             archive.writestr("sheet1.xml", bytes(21_000_000))
     assert path.stat().st_size < 100_000
     with pytest.raises(InputError, match=BOMB):
-        read_table(path, most_cells=most_cells)
+        read_table(path, TableOptions(max_cells=most_cells))
 
 
 def test_a_parquet_footer_that_ends_pyarrow_s_process_is_refused_in_one_line(tmp_path):
@@ -142,7 +144,7 @@ def _sheet(path: Path, rows: str) -> Path:
 )
 def test_a_sheet_whose_cells_stand_far_out_is_refused_while_it_is_counted(tmp_path, rows):
     with pytest.raises(InputError, match=BOMB):
-        read_table(_sheet(tmp_path / "far.xlsx", rows), most_cells=1_000_000)
+        read_table(_sheet(tmp_path / "far.xlsx", rows), TableOptions(max_cells=1_000_000))
 
 
 def test_of_a_sheet_only_the_columns_asked_for_are_kept(tmp_path):
@@ -150,21 +152,21 @@ def test_of_a_sheet_only_the_columns_asked_for_are_kept(tmp_path):
     pd.DataFrame({"t_s": [0.0, 0.1], "output": [1, 2], "note": ["x", "y"], "more": [None, 3.5]}).to_excel(
         path, index=False
     )
-    table = read_table(path, wanted={"output", "more"}.__contains__)
-    assert list(table.columns) == ["output", "more"] and table["output"].tolist() == [1, 2]
+    table = read_table(path, is_requested={"output", "more"}.__contains__)
+    assert [c.name for c in table.columns] == ["output", "more"] and table.numbers("output").tolist() == [1, 2]
     with pytest.raises(InputError, match="'gone'.*t_s, output, note, more"):
-        column(read_table(path, wanted={"gone"}.__contains__), "gone", path)
+        read_table(path, is_requested={"gone"}.__contains__).numbers("gone")
 
 
 def test_of_a_parquet_file_only_the_columns_asked_for_count(tmp_path):
     path = tmp_path / "wide.parquet"
     pyarrow.parquet.write_table(pa.table({name: np.arange(100_000.0) for name in ("t_s", "output", "a", "b")}), path)
     with pytest.raises(InputError, match=BOMB):
-        read_table(path, most_cells=300_000)
-    table = read_table(path, most_cells=300_000, wanted={"t_s", "output"}.__contains__)
-    assert list(table.columns) == ["t_s", "output"] and len(table) == 100_000
+        read_table(path, TableOptions(max_cells=300_000))
+    table = read_table(path, TableOptions(max_cells=300_000), is_requested={"t_s", "output"}.__contains__)
+    assert [c.name for c in table.columns] == ["t_s", "output"] and len(table) == 100_000
     with pytest.raises(InputError, match="'gone'.*t_s, output, a, b"):
-        column(read_table(path, wanted={"gone"}.__contains__), "gone", path)
+        read_table(path, is_requested={"gone"}.__contains__).numbers("gone")
 
 
 @pytest.mark.parametrize("what", ["text", "lists"])
@@ -182,15 +184,15 @@ def test_a_parquet_column_that_holds_no_numbers_does_not_unpack(tmp_path, what):
 def test_numbers_that_parquet_keeps_as_text_read_as_before(tmp_path):
     path = tmp_path / "text.parquet"
     pyarrow.parquet.write_table(pa.table({"output": ["1.5", "2.5", "1.5"]}), path)
-    assert column(read_table(path), "output", path).tolist() == [1.5, 2.5, 1.5]
+    assert read_table(path).numbers("output").tolist() == [1.5, 2.5, 1.5]
 
 
 def test_a_text_file_of_too_many_cells_is_refused_before_it_is_read(tmp_path):
     path = tmp_path / "long.csv"
     path.write_text("t_s,output\n" + "0,1\n" * 1000)
-    assert len(read_table(path, most_cells=2100)) == 1000
+    assert len(read_table(path, TableOptions(max_cells=2100))) == 1000
     with pytest.raises(InputError, match=BOMB):
-        read_table(path, most_cells=1500)
+        read_table(path, TableOptions(max_cells=1500))
     path.write_text("output\n" + "1" * 60_000)
     with pytest.raises(InputError, match=BOMB):
-        read_table(path, most_cells=2000)
+        read_table(path, TableOptions(max_cells=2000))

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import streamlit as st
 
 from softcal.app.batch.front_door import expect, store_lot
 from softcal.app.charts.new_lot import columns_over_time, reference_over_output
-from softcal.app.files.importing import Columns, ImportPlan, median_rate_Hz
+from softcal.app.files.importing import Columns, ImportPlan, shown_rate_Hz
 from softcal.app.texts.reasons import all_said
 from softcal.app.ui.account import actor, permit
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
@@ -54,7 +53,7 @@ def render() -> None:
             rate_Hz = float(st.number_input(f"{say('column.rate')} [Hz]", 0.1, 100_000.0, 50.0, key="new-lot-rate"))
         else:
             try:
-                rate_Hz = median_rate_Hz(path, columns.time)
+                rate_Hz = shown_rate_Hz(path, columns)
                 st.caption(say("new_lot.rate", rate=f"{rate_Hz:g}"))
             except InputError as error:
                 rate_Hz = 0.0
@@ -92,7 +91,7 @@ def _facts(files: Sequence[Path], content: pd.DataFrame, columns: Columns) -> tu
     if columns.is_wide:
         others = {columns.reference, columns.time, columns.stage}
         names = (str(name) for name in content.columns if name not in others)
-        serials = [name for name in names if fnmatchcase(name, columns.output)]
+        serials = list(filter(columns.is_output, names))
     else:
         serials = [file.stem for file in files]
     first, second, third, fourth = st.columns(4)

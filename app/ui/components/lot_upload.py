@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import streamlit as st
 
 from softcal.app.files.importing import Columns
-from softcal.app.files.recording_file import SUFFIXES, read_table
+from softcal.app.tables.read import READERS, read_table
 from softcal.app.ui.desk import in_words, say
 from softcal.core.errors import InputError
 
@@ -32,7 +32,7 @@ NAMES = {
 
 def dropped_files(field: str = NEW_LOT) -> list[Path]:
     """Draw the field for files; return where they lie. A name dropped twice is one file."""
-    kinds = sorted(suffix[1:] for suffix in SUFFIXES)
+    kinds = sorted(suffix[1:] for suffix in READERS)
     # A field that was forgotten is another one afterwards, so that it is empty.
     key = f"{field}-files-{st.session_state.get(f'{field}-forgotten', 0)}"
     dropped = st.file_uploader(say("new_lot.files"), type=kinds, accept_multiple_files=True, key=key)
@@ -74,7 +74,7 @@ def first_readable(files: Sequence[Path]) -> "tuple[Path, pd.DataFrame] | None":
 
 @st.cache_resource(max_entries=8, show_spinner=False)
 def _table(path: str, written_ns: int) -> "pd.DataFrame":
-    return read_table(Path(path))
+    return read_table(Path(path)).to_frame()
 
 
 def choose_columns(table: "pd.DataFrame", wide: bool) -> Columns:

@@ -1,0 +1,224 @@
+"""MATLAB's .mat files: vectors, structs of vectors, matrices; of version 5 (scipy) and 7.3 (HDF5)."""
+
+import struct
+import zlib
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softcal.app.tables.arrays import Channel, choose_group, read_channels, refuse_large
+from softcal.app.tables.hdf5 import check_dataset, dataset_channel, members, text
+from softcal.app.tables.headings import IsRequested
+from softcal.app.tables.options import TableOptions
+from softcal.app.tables.table import Table
+from softcal.core.errors import InputError
+
+if TYPE_CHECKING:
+    import h5py
+
+WORKSPACE = "workspace"
+"""Name of the table that the vectors beside each other make."""
+
+HEADER_BYTES, COMPRESSED = 128, 15
+BYTES_AT_ONCE = 1 << 20
+HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+IS_OBJECT = (
+    "is an object of MATLAB (a timeseries, table or string), which only MATLAB can open; save its parts as vectors: "
+    "t = x.Time; y = x.Data; save('file.mat', 't', 'y')"
+)
+
+Groups = dict[str, list[Channel]]
+
+
+def read_matlab(file: BinaryIO, path: Path, options: TableOptions, is_requested: IsRequested) -> Table:
+    """Return the requested columns of the variable that holds samples, or of the one that is declared.
+
+    Raises:
+        InputError: several variables hold samples and none is declared, an object that only MATLAB can open, or too
+            many cells.
+    """
+    start = file.read(520)
+    file.seek(0)
+    if HDF5_MAGIC in start:
+        import h5py
+
+        with h5py.File(file, "r") as opened:
+            return _chosen(path, _groups_of_hdf5(path, opened, options), options, is_requested)
+    from scipy.io import loadmat
+
+    _check_size(file, path, options)
+    variables = loadmat(file, chars_as_strings=True, struct_as_record=True, appendmat=False)
+    return _chosen(path, _groups_of_variables(path, variables), options, is_requested)
+
+
+def _chosen(path: Path, groups: Groups, options: TableOptions, is_requested: IsRequested) -> Table:
+    name = choose_group(path, groups, options, is_requested, "variable")
+    layout = "" if name == WORKSPACE else f"variable {name!r}"
+    return read_channels(path, groups[name], options, is_requested, layout)
+
+
+def _check_size(file: BinaryIO, path: Path, options: TableOptions) -> None:
+    """Refuse a file whose compressed variables unpack to more than is allowed; leave the file at its start."""
+    content = file.read()
+    file.seek(0)
+    order = ">" if content[126:128] == b"MI" else "<"
+    position, size = HEADER_BYTES, len(content)
+    while position + 8 <= len(content) and content[124:128].strip(b"\0"):
+        kind, length = struct.unpack_from(f"{order}II", content, position)
+        if kind == COMPRESSED:
+            unpacker, rest = zlib.decompressobj(), content[position + 8 : position + 8 + length]
+            while rest and not unpacker.eof:
+                size += len(unpacker.decompress(rest, BYTES_AT_ONCE))
+                rest = unpacker.unconsumed_tail
+                refuse_large(path, size // 8, options.max_cells)
+        position += 8 + length
+    refuse_large(path, size // 8, options.max_cells)
+
+
+def _groups_of_variables(path: Path, variables: Mapping[str, Any]) -> Groups:
+    from scipy.sparse import issparse
+
+    groups: Groups = {}
+    workspace: list[Channel] = []
+    for name, value in variables.items():
+        if type(value).__name__ == "MatlabOpaque":
+            stored = text(value["s0"].flat[0]) or name
+            groups[stored] = [_refused(path, stored)]
+        elif name.startswith("__") or type(value).__name__ == "MatlabFunction":
+            continue
+        elif issparse(value):
+            groups[name] = [_refused(path, name, "is a sparse matrix; save it as a full one: full(x)")]
+        elif value.dtype.names:
+            groups |= _structs(path, name, value)
+        elif _is_vector(value):
+            workspace.append(_vector(name, value))
+        elif _is_matrix(value):
+            groups[name] = _matrix(name, value)
+    return ({WORKSPACE: workspace} if workspace else {}) | groups
+
+
+def _structs(path: Path, name: str, value: NDArray[Any]) -> Groups:
+    """Return the vectors of a struct; of one with `time` and `signals`, as Simulink writes, their values."""
+    if value.size != 1:
+        return {name: _records(name, value)}
+    fields = {key: value.flat[0][key] for key in value.dtype.names or ()}
+    if {"time", "signals"} <= fields.keys() and fields["signals"].dtype.names:
+        return {name: _simulink(fields)}
+    columns: list[Channel] = []
+    groups: Groups = {}
+    for key, part in fields.items():
+        if type(part).__name__ == "MatlabOpaque":
+            columns.append(_refused(path, key))
+        elif part.dtype.names:
+            groups |= {
+                f"{name}.{inner.partition('.')[2] or key}": got for inner, got in _structs(path, key, part).items()
+            }
+        elif _is_vector(part):
+            columns.append(_vector(key, part))
+        elif _is_matrix(part):
+            columns += _matrix(key, part)
+    return ({name: columns} if columns else {}) | groups
+
+
+def _records(name: str, value: NDArray[Any]) -> list[Channel]:
+    """Return the fields of an array of structs, one struct a sample, as columns."""
+
+    def read(key: str) -> NDArray[Any]:
+        cells = [np.ravel(cell) for cell in np.ravel(value[key])]
+        if any(len(cell) > 1 for cell in cells):
+            raise InputError(f"field {key!r} of {name!r} holds more than one number a sample; save it as a matrix")
+        return np.array([cell[0] if len(cell) else np.nan for cell in cells])
+
+    return [Channel(key, value.size, partial(read, key)) for key in value.dtype.names or ()]
+
+
+def _simulink(fields: Mapping[str, NDArray[Any]]) -> list[Channel]:
+    columns = [_vector("time", fields["time"])]
+    for k, signal in enumerate(fields["signals"].flat):
+        label = str(signal["label"].item()) if "label" in signal.dtype.names and signal["label"].size == 1 else ""
+        values = signal["values"]
+        name = label or f"signal_{k + 1}"
+        columns += [_vector(name, values)] if _is_vector(values) else _matrix(name, values)
+    return columns
+
+
+def _refused(path: Path, name: str, problem: str = IS_OBJECT) -> Channel:
+    """Return a variable that cannot be read: who asks for it learns why."""
+
+    def refuse() -> NDArray[Any]:
+        raise InputError(f"{path}: {name!r} {problem}")
+
+    return Channel(name, 0, refuse)
+
+
+def _is_vector(value: NDArray[Any]) -> bool:
+    is_text = value.dtype.kind in "US"
+    return value.size > 1 and max(value.shape) == value.size and (value.dtype.kind in "buifc" or is_text)
+
+
+def _is_matrix(value: NDArray[Any]) -> bool:
+    return value.ndim == 2 and min(value.shape) > 1 and value.dtype.kind in "uifc"
+
+
+def _vector(name: str, value: NDArray[Any]) -> Channel:
+    return Channel(name, value.size, value.ravel)
+
+
+def _matrix(name: str, value: NDArray[Any]) -> list[Channel]:
+    return [Channel(f"{name}_{k + 1}", len(value), value[:, k].copy) for k in range(value.shape[1])]
+
+
+def _groups_of_hdf5(path: Path, root: "h5py.Group", options: TableOptions) -> Groups:
+    import h5py
+
+    workspace, groups = _columns_of_hdf5(path, root, options)
+    for name in members(path, root, h5py.Group):
+        if not name.startswith("#"):
+            columns, matrices = _columns_of_hdf5(path, root[name], options)
+            groups |= {name: columns} if columns else {}
+            groups |= {f"{name}.{key}": matrix for key, matrix in matrices.items()}
+    return ({WORKSPACE: workspace} if workspace else {}) | groups
+
+
+def _columns_of_hdf5(path: Path, group: "h5py.Group", options: TableOptions) -> tuple[list[Channel], Groups]:
+    """Return the vectors of a group and, apart, its matrices; HDF5 holds MATLAB's columns as rows."""
+    import h5py
+
+    columns: list[Channel] = []
+    matrices: Groups = {}
+    for name in members(path, group, h5py.Dataset):
+        data = group[name]
+        kind = text(data.attrs.get("MATLAB_class", ""))
+        if "MATLAB_object_decode" in data.attrs:
+            columns.append(_refused(path, name))
+        elif kind in ("char", "cell") or "MATLAB_empty" in data.attrs or data.size is None or data.size < 2:
+            continue
+        elif max(data.shape) == data.size:
+            channel = dataset_channel(path, name, data, options)
+            columns.append(Channel(name, channel.rows, partial(_real, channel), channel.unit))
+        elif len(data.shape) == 2:
+            matrices[name] = _matrix_of_hdf5(path, name, data, options)
+    return columns, matrices
+
+
+def _real(channel: Channel) -> NDArray[Any]:
+    """Return the samples; complex ones, which MATLAB stores as records of `real` and `imag`, as complex numbers."""
+    values = channel.read()
+    if values.dtype.names == ("real", "imag"):
+        complexes: NDArray[Any] = values["real"] + 1j * values["imag"]
+        return complexes
+    return values
+
+
+def _matrix_of_hdf5(path: Path, name: str, data: "h5py.Dataset", options: TableOptions) -> list[Channel]:
+    def read(k: int) -> NDArray[Any]:
+        check_dataset(path, name, data, options)
+        values: NDArray[Any] = data[k, :]
+        return values
+
+    refuse_large(path, data.shape[0], options.max_cells)
+    return [Channel(f"{name}_{k + 1}", data.shape[1], partial(read, k)) for k in range(data.shape[0])]

@@ -1,0 +1,126 @@
+"""The one reader: a file, or its bytes, into a table, whatever program wrote it."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO
+
+from softcal.app.extras import missing_extra
+from softcal.app.tables.calamine import read_calamine
+from softcal.app.tables.columnar import read_arrow, read_parquet
+from softcal.app.tables.grid import grid_table
+from softcal.app.tables.hdf5 import read_hdf5
+from softcal.app.tables.headings import IsRequested
+from softcal.app.tables.matlab import read_matlab
+from softcal.app.tables.numbers import to_numbers
+from softcal.app.tables.options import DETECT, TableOptions
+from softcal.app.tables.spreadsheet import read_excel
+from softcal.app.tables.table import Grid, Table
+from softcal.app.tables.tdms import read_tdms
+from softcal.app.tables.text import read_text, text_pieces
+from softcal.core.errors import InputError, SoftcalError
+
+Reader = Callable[[BinaryIO, Path, TableOptions, IsRequested], Grid | Table]
+"""Reads a file that is open at its beginning; where requested columns are named, others need not be read."""
+
+TEXT = (".csv", ".txt", ".tsv", ".lvm", ".dat", ".asc")
+PARQUET = (".parquet", ".pq")
+READERS: dict[str, Reader] = {
+    **dict.fromkeys(TEXT, read_text),
+    **dict.fromkeys(PARQUET, read_parquet),
+    **dict.fromkeys((".feather", ".arrow"), read_arrow),
+    **dict.fromkeys((".xlsx", ".xlsm"), read_excel),
+    **dict.fromkeys((".xls", ".ods"), read_calamine),
+    **dict.fromkeys((".h5", ".hdf5"), read_hdf5),
+    ".mat": read_matlab,
+    ".tdms": read_tdms,
+}
+"""Suffix of a file → what reads it."""
+
+
+def read_table(
+    path: Path,
+    options: TableOptions = DETECT,
+    *,
+    content: bytes | None = None,
+    is_requested: IsRequested = None,
+) -> Table:
+    """Read a table: its names, its cells, and how it is laid out.
+
+    Args:
+        content: the bytes of the file where somebody has read them already.
+        is_requested: tells whether a column is asked for; others are not read where the format allows it.
+
+    Raises:
+        InputError: the file is missing, empty, too large, not a table of its format, or has two possible readings.
+    """
+    with _refusing(path, content), path.open("rb") if content is None else BytesIO(content) as file:
+        read = READERS[path.suffix.lower()](file, path, options, is_requested)
+    table = grid_table(read, path, options, is_requested) if isinstance(read, Grid) else read
+    if not len(table):
+        raise InputError(f"{path}: there is no row of data below the header")
+    return _typed(table, options)
+
+
+def layout_of(path: Path, options: TableOptions = DETECT) -> tuple[str, tuple[str, ...]]:
+    """Return how a file is laid out, in one line, and what a person should know of it."""
+    table = read_table(path, options)
+    return table.layout, table.remarks
+
+
+def column_names(path: Path, options: TableOptions = DETECT) -> tuple[str, ...]:
+    """Return the names of all columns of a file."""
+    return read_table(path, options, is_requested=lambda name: False).names
+
+
+def table_pieces(path: Path, options: TableOptions, is_requested: IsRequested, rows: int) -> Iterator[Table]:
+    """Yield a table in pieces of about so many rows where it is a text file, else as one.
+
+    Raises:
+        InputError: as `read_table`, for a row that cannot be read once its piece is reached.
+    """
+    if path.suffix.lower() not in TEXT:
+        yield read_table(path, options, is_requested=is_requested)
+        return
+    with _refusing(path, None), path.open("rb") as file:
+        for table in text_pieces(file, path, options, is_requested, rows):
+            yield _typed(table, options)
+
+
+@contextmanager
+def _refusing(path: Path, content: bytes | None) -> Iterator[None]:
+    """Refuse what is no table, and turn what a reader raises for a damaged file into one line."""
+    suffix = path.suffix.lower()
+    if suffix not in READERS:
+        raise InputError(f"{path}: {suffix or 'no'} suffix; one of {', '.join(sorted(READERS))} was expected")
+    if content is None and not path.is_file():
+        raise InputError(f"{path}: there is no such file")
+    if (path.stat().st_size if content is None else len(content)) == 0:
+        raise InputError(f"{path}: the file is empty")
+    try:
+        yield
+    except SoftcalError:
+        raise
+    except ModuleNotFoundError as error:
+        raise InputError(f"{path}: {missing_extra(error) or error}") from error
+    except UnicodeError as error:
+        raise InputError(f"{path}: not a text file in this encoding; name another with --encoding") from error
+    # The readers raise many kinds for a damaged file; whatever it was, this file is no such table.
+    except Exception as error:
+        what = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
+        raise InputError(f"{path}: cannot be read as a {suffix[1:]} table: {what}") from error
+
+
+def _typed(table: Table, options: TableOptions) -> Table:
+    """Return the table with a column of numbers wherever every cell is one."""
+    columns = []
+    for column in table.columns:
+        cells = to_numbers(column.cells, table.decimal, options.missing)
+        if cells is None and options.missing and column.cells.dtype == object:
+            absent = [isinstance(cell, str) and cell.strip() in options.missing for cell in column.cells]
+            cells = column.cells.copy()
+            cells[absent] = None
+        columns.append(column if cells is None else replace(column, cells=cells))
+    return replace(table, columns=tuple(columns))

@@ -1,0 +1,425 @@
+"""A column of time into seconds: numbers in a unit, dates with or without a zone, times of day, counters that wrap."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import date, datetime, time, timedelta
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softcal.app.tables.numbers import Kind, cell_kind, shown
+from softcal.app.tables.table import Column, Table
+from softcal.core.errors import InputError
+from softcal.core.recording import RATE_TOLERANCE, Array
+
+PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "min": 1 / 60, "h": 1 / 3600}
+"""Units of time, and how many of them a second has."""
+
+UNIT_WORDS = {
+    "s": ("s", "sec", "secs", "second", "seconds", "sekunden"),
+    "ms": ("ms", "msec", "msecs", "millis", "millisecond", "milliseconds"),
+    "us": ("us", "µs", "μs", "usec", "usecs", "micros", "microsecond", "microseconds"),
+    "ns": ("ns", "nsec", "nanos", "nanosecond", "nanoseconds"),
+    "min": ("min", "mins", "minute", "minutes"),
+    "h": ("h", "hr", "hrs", "hour", "hours"),
+}
+UNIT_OF = {word: unit for unit, words in UNIT_WORDS.items() for word in words}
+BARE_UNITS = {word for unit in ("s", "ms", "us") for word in UNIT_WORDS[unit]} - {"s", "us"}
+"""Units that name a column of time alone; `min` is as often the minimum."""
+
+TIME_WORDS = {
+    ("t",), ("time",), ("timestamp",), ("timestamps",), ("time", "stamp"), ("stamp",), ("datetime",), ("date", "time"),
+    ("elapsed",),
+    ("elapsed", "time"), ("time", "elapsed"), ("test", "time"), ("run", "time"), ("relative", "time"), ("x", "value"),
+    ("zeit",), ("zeitstempel",), ("temps",), ("tiempo",), ("시간",), ("시각",), ("時間",), ("时间",), ("utc",),
+}  # fmt: skip
+"""Headings of a column of time, without its unit."""
+
+MIN_RATE_HZ, MAX_RATE_HZ = 0.5, 2e5
+"""A soft sensor that is read less or more often is none: the column is not in seconds."""
+
+EPOCHS = {"s": (1e9, 4e9), "ms": (1e12, 4e12), "us": (1e15, 4e15), "ns": (1e18, 4e18)}
+"""Numbers of these sizes count from 1970 in that unit: the years 2001 to 2096."""
+
+COUNTERS = (2**16, 2**32)
+"""Where counters of ms and us begin again."""
+
+INDEX = "index"
+"""Name of the rows of a data frame, which may be dates."""
+
+MIN_NEW_STAMPS = 0.5
+"""Share of samples whose stamp is later than the one before; below it the clock is too coarse for them."""
+
+DAY_S = 86400.0
+WITHIN_ONE_SAMPLE = 1.5
+"""Largest step over the end of a counter, in median steps."""
+
+CURE = "state its unit or pattern with --time-format (s, ms, us, ns, min, iso, excel or a strptime pattern)"
+
+
+def words_of(name: str) -> tuple[str, ...]:
+    """Return the words of a heading in small letters, without numbers and marks."""
+    return tuple(word for word in re.split(r"[^a-zµμ\u00c0-\u024f\uac00-\ud7a3\u4e00-\u9fff]+", name.lower()) if word)
+
+
+def stated_unit(column: Column) -> str | None:
+    """Return the unit of time that a heading or a row of units states; None where they state none."""
+    for text in (column.unit, column.name):
+        units = [UNIT_OF[word] for word in words_of(text) if word in UNIT_OF]
+        if units:
+            return units[-1]
+    return None
+
+
+def is_time_heading(name: str) -> bool:
+    """Whether a heading is that of a column of time."""
+    words = words_of(name)
+    bare = tuple(word for word in words if word not in UNIT_OF)
+    return bare in TIME_WORDS or (len(words) == 1 and words[0] in BARE_UNITS)
+
+
+def find_time_column(names: Sequence[str], columns: Sequence[Column] = ()) -> str | None:
+    """Return the heading of the column of time; None where there is none.
+
+    Args:
+        columns: cells of the table: an index of dates is a time, and a clock that stands still in most rows is none.
+
+    Raises:
+        InputError: several columns may be it.
+    """
+    if "t_s" in names:
+        return "t_s"
+    dates = {column.name for column in columns if column.name == INDEX and column.cells.dtype.kind in "mM"}
+    times = [name for name in names if is_time_heading(name) or name in dates]
+    if len(times) > 1:
+        still = {column.name for column in columns if np.mean(column.cells[1:] != column.cells[:-1]) < MIN_NEW_STAMPS}
+        times = [name for name in times if name not in still] or times
+    if len(times) > 1:
+        raise InputError(f"{' and '.join(map(repr, times[:4]))} may be the column of time; name it with --time-column")
+    return times[0] if times else None
+
+
+@dataclass
+class Clock:
+    """Converts a column of time piece by piece; what it found in the first piece holds for the others.
+
+    Args:
+        name: heading of the column.
+        time_format: declared unit or pattern; None detects it.
+        rate_Hz: declared rate: of units that nobody states it tells the right one.
+        is_absolute: keeps dates as seconds since 1970 instead of since the first sample.
+    """
+
+    name: str
+    time_format: str | None = None
+    rate_Hz: float | None = None
+    is_absolute: bool = False
+    remarks: list[str] = field(default_factory=list)
+    _unit: str | None = None
+    _origin_ns: int | None = None
+    _last: float = float("nan")
+    _added: float = 0.0
+
+    def seconds(self, table: Table, cure: str = "") -> Array:
+        """Return (n,) seconds, NaN where the stamp is missing.
+
+        Raises:
+            InputError: no such column, a stamp that is none, time that goes back, or a unit that nobody states.
+        """
+        column = table.column(self.name, cure)
+        cells, time_format = column.cells, self.time_format
+        wraps: tuple[float, ...] = ()
+        is_pattern = time_format is not None and time_format not in (*PER_SECOND, "iso", "excel")
+        if cells.dtype.kind in "mM":
+            values = self._from_dates(cells)
+        elif cells.dtype.kind == "O" and not is_pattern and _are_numbers(cells, table.decimal):
+            # One text among numbers is named by its line.
+            values, wraps = self._from_numbers(table, column)
+        elif cells.dtype.kind == "O":
+            values, wraps = self._from_objects(table, column, time_format if is_pattern else None), (DAY_S,)
+        elif is_pattern:
+            texts = np.array([None if np.isnan(v) else f"{v:.15g}" for v in cells.astype(float)], dtype=object)
+            values, wraps = self._patterned(table, texts, str(time_format)), (DAY_S,)
+        else:
+            values, wraps = self._from_numbers(table, column)
+        return self._forward(table, values, wraps)
+
+    def _from_dates(self, cells: NDArray[Any]) -> Array:
+        is_stamp = cells.dtype.kind == "M"
+        counts = cells.astype("datetime64[ns]" if is_stamp else "timedelta64[ns]").astype(np.int64)
+        return self._elapsed(counts, np.isnat(cells), is_stamp)
+
+    def _elapsed(self, counts_ns: NDArray[np.int64], is_missing: NDArray[np.bool_], is_stamp: bool = True) -> Array:
+        present = counts_ns[~is_missing]
+        if self._origin_ns is None and len(present):
+            self._origin_ns = 0 if self.is_absolute or not is_stamp else int(present[0])
+        values = (counts_ns - (self._origin_ns or 0)) / 1e9
+        return np.where(is_missing, np.nan, values)
+
+    def _from_numbers(self, table: Table, column: Column) -> tuple[Array, tuple[float, ...]]:
+        values = table.numbers(self.name)
+        if self._unit is None:
+            self._unit = self._number_unit(table, column, values)
+        if self._unit == "excel":
+            return self._elapsed(
+                np.round(np.nan_to_num(values) * DAY_S * 1e6).astype(np.int64) * 1000, np.isnan(values)
+            ), ()
+        per_second = PER_SECOND[self._unit]
+        wraps = tuple(counter / per_second for counter in COUNTERS) if self._unit in ("ms", "us") else ()
+        return values / per_second, wraps
+
+    def _number_unit(self, table: Table, column: Column, values: Array) -> str:
+        if self.time_format is not None:
+            if self.time_format == "iso":
+                raise InputError(
+                    f"{table.path}: column {self.name!r} holds numbers, no ISO dates; correct --time-format"
+                )
+            return self.time_format
+        present = values[np.isfinite(values)]
+        steps = np.diff(present)
+        step = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
+        stated = stated_unit(column)
+        if stated is not None and not (column.name == "t_s" and not column.unit):
+            return stated
+        if step == 0:
+            return "s"
+        if stated is None:
+            for unit, (low, high) in EPOCHS.items():
+                if low <= present[0] < high:
+                    return unit
+            if by_rate := self._unit_by_rate(step):
+                return by_rate
+        rate_Hz = 1 / step
+        is_whole = bool(np.all(present == np.round(present)))
+        agrees = self.rate_Hz is not None and abs(rate_Hz / self.rate_Hz - 1) <= RATE_TOLERANCE
+        if not agrees and (rate_Hz < MIN_RATE_HZ or rate_Hz > MAX_RATE_HZ or (is_whole and rate_Hz <= 1)):
+            guess = "excel" if rate_Hz > MAX_RATE_HZ else "ms"
+            raise InputError(
+                f"{table.path}: column {self.name!r} ({present[0]:.12g}, {present[1]:.12g}, ...) shows "
+                f"{rate_Hz:g} Hz if "
+                f"it is in s; is it in {guess}? {CURE}"
+            )
+        return "s"
+
+    def _unit_by_rate(self, step: float) -> str | None:
+        """Return the one unit in which the step is that of the declared rate, and say so."""
+        if self.rate_Hz is None:
+            return None
+        fitting = [u for u, per in PER_SECOND.items() if abs(per / step / self.rate_Hz - 1) <= RATE_TOLERANCE]
+        if len(fitting) != 1:
+            return None
+        if fitting[0] != "s":
+            self.remarks.append(f"column {self.name!r} is in {fitting[0]} by the sample rate of {self.rate_Hz:g} Hz")
+        return fitting[0]
+
+    def _from_objects(self, table: Table, column: Column, pattern: str | None) -> Array:
+        cells = column.cells
+        if any(isinstance(cell, (date, time, timedelta)) for cell in cells):
+            return self._from_sheet(table, cells)
+        texts = np.array([None if cell is None or cell != cell else str(cell).strip() for cell in cells], dtype=object)
+        if pattern is not None:
+            return self._patterned(table, texts, pattern)
+        present = [text for text in texts if text]
+        if sum(bool(ELAPSED_DAYS.fullmatch(text)) for text in present) > len(present) / 2:
+            return self._elapsed_days(table, texts)
+        if sum(bool(CLOCK_TIME.fullmatch(text)) for text in present) > len(present) / 2:
+            return self._times_of_day(table, texts)
+        return self._stamps(table, texts)
+
+    def _from_sheet(self, table: Table, cells: NDArray[Any]) -> Array:
+        """Return dates, times of day and durations of a spreadsheet as seconds."""
+        import pandas as pd
+
+        counts, is_missing = np.zeros(len(cells), dtype=np.int64), np.zeros(len(cells), dtype=bool)
+        kinds = set()
+        for row, cell in enumerate(cells):
+            if cell is None or cell != cell:
+                is_missing[row] = True
+                continue
+            if isinstance(cell, datetime):
+                counts[row] = pd.Timestamp(cell).value
+            elif isinstance(cell, date):
+                counts[row] = pd.Timestamp(cell).value
+            elif isinstance(cell, time):
+                counts[row] = ((cell.hour * 60 + cell.minute) * 60 + cell.second) * 10**9 + cell.microsecond * 1000
+            elif isinstance(cell, timedelta):
+                counts[row] = pd.Timedelta(cell).value
+            else:
+                raise self._no_stamp(table, row, cell)
+            kinds.add(datetime if isinstance(cell, date) else type(cell))
+        if len(kinds) > 1:
+            raise InputError(f"{table.path}: column {self.name!r} mixes dates with times of day; write one of them")
+        return self._elapsed(counts, is_missing, is_stamp=datetime in kinds)
+
+    def _elapsed_days(self, table: Table, texts: NDArray[Any]) -> Array:
+        """Return `0 days 00:00:01.5`, as pandas writes a Timedelta, as seconds."""
+        import pandas as pd
+
+        spans = pd.to_timedelta(pd.Series(texts), errors="coerce").to_numpy()
+        bad = [row for row, text in enumerate(texts) if text and np.isnat(spans[row])]
+        if bad:
+            raise self._no_stamp(table, bad[0], texts[bad[0]])
+        return self._from_dates(spans)
+
+    def _times_of_day(self, table: Table, texts: NDArray[Any]) -> Array:
+        """Return `HH:MM:SS.f` (with a comma, AM, PM or `:mmm`) and `MM:SS.f` as seconds."""
+        values = np.full(len(texts), np.nan)
+        for row, text in enumerate(texts):
+            if not text:
+                continue
+            match = CLOCK_TIME.fullmatch(text)
+            if match is None:
+                raise self._no_stamp(table, row, text)
+            first, second, third, fraction, half = match.groups()
+            if third is None and fraction is None:
+                raise InputError(
+                    f"{table.path}: line {table.lines[row]}, column {self.name!r}: {shown(text)} may be hours "
+                    f"and minutes or "
+                    f"minutes and seconds; {CURE}"
+                )
+            parts = [int(first), int(second), int(third)] if third is not None else [0, int(first), int(second)]
+            hours = parts[0] % 12 + (12 if half[0] in "pP" else 0) if half else parts[0]
+            values[row] = round((hours * 60 + parts[1]) * 60 + parts[2] + float(f"0.{fraction or 0}"), 9)
+        return values
+
+    def _stamps(self, table: Table, texts: NDArray[Any]) -> Array:
+        """Return dates with times of day as seconds: ISO 8601, or day and month in an order that is certain."""
+        present = np.flatnonzero([bool(text) for text in texts])
+        plain = np.array([_iso_like(texts[row]) for row in present], dtype=object)
+        if not len(present):
+            return np.full(len(texts), np.nan)
+        if not YEAR_FIRST.match(plain[0]):
+            return self._day_and_month(table, texts)
+        zoned = [bool(ZONE.search(text)) for text in plain]
+        if any(zoned) != all(zoned):
+            row = int(present[zoned.index(not zoned[0])])
+            raise InputError(
+                f"{table.path}: line {table.lines[row]}, column {self.name!r}: {shown(texts[row])}: some stamps "
+                f"have a zone and "
+                "others have none; write all of them with one"
+            )
+        return self._parsed(table, texts, present, plain, "ISO8601")
+
+    def _day_and_month(self, table: Table, texts: NDArray[Any]) -> Array:
+        rows = [row for row, text in enumerate(texts) if text]
+        matches = [DAY_MONTH.fullmatch(texts[row]) for row in rows]
+        for row, match in zip(rows, matches, strict=True):
+            if match is None:
+                raise self._no_stamp(table, row, texts[row])
+        dates = {match.group(1, 2, 3, 4) for match in matches if match is not None}
+        day_first = {
+            mark == "." or int(first) > 12 for first, mark, second, _ in dates if mark == "." or int(first) > 12
+        }
+        month_first = any(int(second) > 12 for _, mark, second, _ in dates if mark != ".")
+        if len(dates) > 1 and not day_first and not month_first:
+            raise InputError(
+                f"{table.path}: column {self.name!r}: {shown(texts[rows[0]])} may begin with the day or the month; "
+                "state the pattern, such as --time-format '%d/%m/%Y %H:%M:%S.%f'"
+            )
+        plain = []
+        for match in matches:
+            if match is None:
+                continue
+            first, mark, second, year, clock = match.group(1, 2, 3, 4, 5)
+            day, month = (second, first) if month_first and mark != "." else (first, second)
+            if int(month) > 12:
+                day, month = month, day
+            seconds = f"{clock.strip()}" if clock else "00:00:00"
+            plain.append(
+                f"{'20' if len(year) == 2 else ''}{year}-{int(month):02}-{int(day):02} {seconds.replace(',', '.')}"
+            )
+        return self._parsed(table, texts, np.array(rows), np.array(plain, dtype=object), "mixed")
+
+    def _patterned(self, table: Table, texts: NDArray[Any], pattern: str) -> Array:
+        present = np.flatnonzero([bool(text) for text in texts])
+        return self._parsed(table, texts, present, texts[present], pattern)
+
+    def _parsed(
+        self, table: Table, texts: NDArray[Any], rows: NDArray[Any], plain: NDArray[Any], pattern: str
+    ) -> Array:
+        import pandas as pd
+
+        try:
+            stamps = pd.to_datetime(plain.tolist(), format=pattern, utc=True, errors="coerce")
+        except (ValueError, TypeError) as error:
+            raise InputError(f"{table.path}: column {self.name!r}: --time-format {pattern!r}: {error}") from error
+        bad = np.flatnonzero(stamps.isna())
+        if len(bad):
+            raise self._no_stamp(table, int(rows[bad[0]]), texts[rows[bad[0]]])
+        counts, is_missing = np.zeros(len(texts), dtype=np.int64), np.ones(len(texts), dtype=bool)
+        counts[rows] = stamps.tz_localize(None).to_numpy().astype("datetime64[ns]").astype(np.int64)
+        is_missing[rows] = False
+        has_date = not pattern.startswith("%") or any(f"%{mark}" in pattern for mark in "dDjFxcsyYmbB")
+        return (
+            self._elapsed(counts, is_missing, is_stamp=has_date)
+            if has_date
+            else np.where(is_missing, np.nan, (counts - counts[rows[0]] // (86400 * 10**9) * (86400 * 10**9)) / 1e9)
+        )
+
+    def _no_stamp(self, table: Table, row: int, cell: object) -> InputError:
+        return InputError(
+            f"{table.path}: line {table.lines[row]}, column {self.name!r}: {shown(cell)} is no time; {CURE}"
+        )
+
+    def _forward(self, table: Table, values: Array, wraps: Sequence[float]) -> Array:
+        """Return times that go forward: counters and days that begin again go on, anything else is refused."""
+        raw, values = values, values + self._added
+        rows = np.flatnonzero(np.isfinite(values))
+        if not len(rows):
+            return values
+        before = np.concatenate([[self._last if np.isfinite(self._last) else values[rows[0]] - 1.0], values[rows[:-1]]])
+        steps = values[rows] - before
+        positive = steps[steps > 0]
+        if len(positive) < MIN_NEW_STAMPS * len(steps):
+            raise InputError(
+                f"{table.path}: column {self.name!r}: most stamps repeat the one before: its clock is coarser than "
+                "the samples; name another column of time, or remove this one and give --sample-rate"
+            )
+        typical = float(np.median(positive)) if len(positive) else 0.0
+        for k in np.flatnonzero(steps < 0):
+            row, step = int(rows[k]), float(steps[k])
+            largest = WITHIN_ONE_SAMPLE * typical
+            # Just before the end of the counter, then just behind its beginning
+            is_new = [0 <= raw[row] <= largest and 0 < step + wrap <= largest for wrap in wraps]
+            whole = [wrap for wrap, is_whole in zip(wraps, is_new, strict=True) if is_whole]
+            if not whole:
+                raise InputError(
+                    f"{table.path}: line {table.lines[row]}, column {self.name!r}: time goes back by "
+                    f"{-step:.6g} s; was the "
+                    "logger started again? split the file there, or sort its lines"
+                )
+            values[row:] += whole[0]
+            self._added += whole[0]
+            what = "midnight passes" if whole[0] == DAY_S else "the counter of time begins again"
+            self.remarks.append(f"line {table.lines[row]}: {what}; time goes on")
+        self._last = float(values[rows[-1]])
+        return values
+
+
+ELAPSED_DAYS = re.compile(r"\d+ days? .*")
+CLOCK_TIME = re.compile(r"(\d{1,3}):(\d{2})(?::(\d{2}))?(?:[.,:](\d+))? ?([AaPp][Mm])?")
+YEAR_FIRST = re.compile(r"\d{4}-?\d{2}")
+ZONE = re.compile(r"(?:Z|[+-]\d{2}:?\d{2})$")
+DAY_MONTH = re.compile(
+    r"(\d{1,2})([-/.])(\d{1,2})[-/.](\d{4}|\d{2})(?:[ T]+(\d{1,2}:\d{2}(?::\d{2}(?:[.,]\d+)?)?(?: ?[AaPp][Mm])?))?"
+)
+
+
+def _are_numbers(cells: NDArray[Any], decimal: str) -> bool:
+    """Whether most cells are numbers."""
+    kinds = [kind for cell in cells if (kind := cell_kind(cell, decimal)) is not Kind.EMPTY]
+    return kinds.count(Kind.NUMBER) > len(kinds) / 2
+
+
+def _iso_like(text: str) -> str:
+    """Return a stamp with dashes in its date and a point before the parts of a second."""
+    text = re.sub(r"^(\d{4})[/.](\d{1,2})[/.](\d{1,2})", lambda m: f"{m[1]}-{int(m[2]):02}-{int(m[3]):02}", text)
+    return re.sub(r",(\d+)", r".\1", text, count=1).replace(" +", "+").replace(" Z", "Z").replace(" UTC", "Z")
+
+
+def median_rate_Hz(t_s: Array) -> float:
+    """Return the sample rate that time stamps show, rounded to five digits; NaN where they never advance."""
+    steps = np.diff(t_s[np.isfinite(t_s)])
+    return float(f"{1 / np.median(steps[steps > 0]):.5g}") if np.any(steps > 0) else float("nan")

@@ -1,0 +1,210 @@
+"""Files as loggers and test machines write them: read alike at every entry point, or refused with the cure."""
+
+import re
+import shutil
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import tomlkit
+
+import softcal
+from softcal.app.batch.audit_files import look_at_audits
+from softcal.app.cli.main import main
+from softcal.app.files.importing import Columns, ImportPlan, look_through
+from softcal.app.files.lot_folder import open_lot_folder
+from softcal.app.files.recording_file import ColumnNames, inspect_recording
+from softcal.app.files.stream_file import Stream
+from softcal.app.tables.options import TableOptions
+from softcal.core.errors import InputError
+from softcal.core.lot import Lot
+from tests.app import laboratory_files as written
+
+CORPUS = Path(__file__).parent / "corpus"
+FILES = tomllib.loads((CORPUS / "manifest.toml").read_text(encoding="utf-8"))["file"] + written.BINARY_FILES
+READ, REFUSED = [each for each in FILES if "refused" not in each], [each for each in FILES if "refused" in each]
+LAYOUT = ("delimiter", "decimal", "encoding", "header_row", "sheet", "time_format", "missing")
+SERIAL = "S1"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Every file of the corpus, those of binary formats written now."""
+    folder = tmp_path_factory.mktemp("corpus")
+    for path in CORPUS.iterdir():
+        shutil.copy(path, folder / path.name)
+    written.write_corpus(folder)
+    return folder
+
+
+def declared(stated):
+    """Return what a person states of the layout, with one name for each option."""
+    return {key: value for key, value in stated.get("options", {}).items() if key in LAYOUT}
+
+
+def options_of(stated):
+    layout = declared(stated)
+    return TableOptions(**layout | ({"missing": tuple(layout["missing"])} if "missing" in layout else {}))
+
+
+def lot_of(stated):
+    return Lot("L", SERIAL, stated.get("rate_Hz", 50.0))
+
+
+def names_of(stated):
+    columns = stated["columns"]
+    rate_Hz = stated.get("options", {}).get("sample_rate_Hz")
+    reference = columns.get("reference", "reference")
+    return ColumnNames(columns["output"], columns.get("time"), reference, None, rate_Hz, options_of(stated))
+
+
+def by_reader(path, stated, _):
+    file = inspect_recording(path, SERIAL, None, names=names_of(stated))
+    return file.recording.t_s, file.recording.output
+
+
+def by_import(path, stated, folder):
+    columns, command = stated["columns"], ["import", str(path), "--source", SERIAL, "--serial", SERIAL]
+    command += ["--output-column", columns["output"], "--reference-column", columns["reference"]]
+    command += ["--time-column", columns["time"]] if "time" in columns else []
+    for key, value in stated.get("options", {}).items():
+        key = "sample-rate" if key == "sample_rate_Hz" else key.replace("_", "-")
+        for each in value if isinstance(value, list) else [value]:
+            command += [f"--{key}={each}"]
+    if main([*command, "--out", str(folder / "lot")]):
+        raise InputError(by_import.capture.readouterr().err.strip())
+    by_import.capture.readouterr()
+    table = pd.read_csv(folder / "lot" / "source" / f"{SERIAL}.csv")
+    assert "reference" in table
+    return table["t_s"].to_numpy(), table["output"].to_numpy()
+
+
+def by_lot_folder(path, stated, folder):
+    for name in ("source", "units"):
+        (folder / name).mkdir(parents=True)
+    (folder / "source" / f"{SERIAL}.csv").write_text("t_s,output,reference\n", encoding="utf-8")
+    shutil.copy(path, folder / "units" / f"U1{path.suffix}")
+    keys = {name: value for name, value in stated["columns"].items() if name in ("output", "time", "reference")}
+    lot = {"lot": {"id": "L", "sample_rate_Hz": stated.get("rate_Hz", 50.0), "source": SERIAL}}
+    (folder / "lot.toml").write_text(tomlkit.dumps({**lot, "table": {**keys, **declared(stated)}}), encoding="utf-8")
+    recording = open_lot_folder(folder).read_unit("U1")
+    return recording.t_s, recording.output
+
+
+def by_audit(path, stated, folder):
+    columns = stated["columns"]
+    named = folder / f"{SERIAL}{path.suffix}"
+    folder.mkdir()
+    shutil.copy(path, named)
+    chosen = Columns(columns["output"], columns["reference"], columns.get("time"))
+    audit = look_at_audits(lot_of(stated), [SERIAL], [named], chosen, options_of(stated))[0]
+    if audit.recording is None:
+        raise InputError(audit.refusal)
+    return audit.recording.unlabelled.t_s, audit.recording.unlabelled.output
+
+
+def by_upload(path, stated, _):
+    columns = stated["columns"]
+    chosen = Columns(columns["output"], columns.get("reference"), columns.get("time"))
+    plan = ImportPlan([path], chosen, lot_of(stated), table=options_of(stated), serials=[SERIAL])
+    look = look_through(plan)[0]
+    if look.unit is None:
+        raise InputError(look.problem)
+    return look.unit.recording.t_s, look.unit.recording.output
+
+
+def by_stream(path, stated, _):
+    pieces = list(Stream(path, names_of(stated)).pieces())
+    return np.concatenate([t_s for t_s, _ in pieces]), np.concatenate([output for _, output in pieces])
+
+
+def by_python(path, stated, _):
+    columns, options = stated["columns"], dict(stated.get("options", {}))
+    if "missing" in options:
+        options["missing"] = tuple(options["missing"])
+    recording = softcal.Recording.read(
+        path, columns["output"], columns.get("reference"), columns.get("time"), **options, serial=SERIAL
+    )
+    return recording.unlabelled.t_s, recording.unlabelled.output
+
+
+ENTRY_POINTS = {
+    "reader, estimate": by_reader,
+    "import": by_import,
+    "lot folder": by_lot_folder,
+    "lot audit": by_audit,
+    "browser": by_upload,
+    "adapt": by_stream,
+    "Python": by_python,
+}
+"""Functions that commands and pages read a recording by; `softcal import` is run as a command."""
+
+
+def test_the_corpus_is_complete(folder):
+    names = [stated["file"] for stated in FILES]
+    assert sorted(names) == sorted(path.name for path in folder.iterdir() if path.name != "manifest.toml")
+    assert len(set(names)) == len(names) >= 80
+
+
+@pytest.mark.parametrize("stated", READ, ids=lambda each: each["file"])
+def test_a_file_is_read_as_stated(stated, folder):
+    path, has_reference = folder / stated["file"], "reference" in stated
+    file = inspect_recording(path, SERIAL, None, names=names_of(stated), with_reference=has_reference)
+    columns = file.columns
+    t_s, output = columns["t_s"], columns["output"]
+    assert len(t_s) == stated["rows"], (file.table.layout, file.remarks)
+    timed = np.isfinite(t_s)
+    present = timed & np.isfinite(output)
+    assert np.sum(~present) == stated["missing"]
+    assert t_s[timed][-1] - t_s[timed][0] == pytest.approx(stated["duration_s"], abs=2e-5)
+    steps = np.diff(t_s[timed])
+    assert np.all(steps > 0) and 1 / np.median(steps) == pytest.approx(stated["rate_Hz"], rel=1e-3)
+    assert [output[present][0], output[present][-1]] == pytest.approx(stated["output"], rel=1e-6)
+    if has_reference:
+        reference = columns["reference"][np.isfinite(columns["reference"])]
+        assert [reference[0], reference[-1]] == pytest.approx(stated["reference"], rel=1e-6)
+    units = {column.name: column.unit for column in file.table.columns}
+    assert {name: units[name] for name in stated.get("units", {})} == stated.get("units", {})
+
+
+@pytest.mark.parametrize("entry", ENTRY_POINTS)
+@pytest.mark.parametrize("stated", FILES, ids=lambda each: each["file"])
+def test_every_entry_point_reads_a_file_alike(entry, stated, folder, tmp_path, capsys):
+    if "reference" not in stated["columns"] and entry in ("import", "lot audit"):
+        return  # Both ask for a reference.
+    if stated["file"] == "coarse_stamps.csv" and entry == "adapt":
+        return  # A stream goes on: its rows are flagged.
+    by_import.capture = capsys
+    read = ENTRY_POINTS[entry]
+    # Of a lot the rate is known, which tells the unit of a time that nothing else tells.
+    is_told = stated.get("told_by_rate") and entry in ("lot folder", "lot audit", "browser")
+    if "refused" in stated and not is_told:
+        with pytest.raises(InputError) as refusal:
+            read(folder / stated["file"], stated, tmp_path / "lot")
+        said = str(refusal.value)
+        assert re.search(stated["refused"], said) and "\n" not in said and "measure again" not in said, said
+        return
+    t_s, output = read(folder / stated["file"], stated, tmp_path / "lot")
+    if is_told:
+        assert t_s[-1] - t_s[0] == pytest.approx(stated["told_by_rate"])
+        return
+    present, count = np.isfinite(t_s) & np.isfinite(output), stated["rows"] - stated["missing"]
+    # An overflow code is masked where a recording is built; files and tables hold it as it was written.
+    is_built = entry in ("reader, estimate", "lot folder", "lot audit", "browser", "Python")
+    assert np.sum(present) == count - (stated.get("overflow", 0) if is_built else 0)
+    assert [output[present][0], output[present][-1]] == pytest.approx(stated["output"], rel=1e-6)
+    assert t_s[present][-1] - t_s[present][0] == pytest.approx(stated.get("sampled_s", stated["duration_s"]), abs=2e-5)
+
+
+@pytest.mark.parametrize("stated", READ, ids=lambda each: each["file"])
+def test_the_column_of_time_need_not_be_named(stated, folder):
+    columns = stated["columns"]
+    if not re.search("(?i)time|^zeit|temps|시간|時間|^t_|millis|micros", columns.get("time", "")):
+        return  # No heading tells.
+    if stated["file"] in ("graphtec.csv", "campbell_toa5.dat"):
+        return  # Date and ms side by side; three rows of names: here the person names the column.
+    names = ColumnNames(columns["output"], None, columns.get("reference", "reference"), None, None, options_of(stated))
+    t_s = inspect_recording(folder / stated["file"], SERIAL, None, names=names).recording.t_s
+    assert 1 / np.median(np.diff(t_s)) == pytest.approx(stated["rate_Hz"], rel=1e-3)
