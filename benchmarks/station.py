@@ -26,8 +26,9 @@ from softcal.core.recording import OutputRecording
 from softcal.core.simulated_lot import draw_twins
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import Twin, simulate
-from softcal.core.unit.audit_reading import score_map
 from softcal.core.unit.calibrate import calibrate
+from softcal.core.unit.measured_error import MeasuredError
+from softcal.core.unit.scoring import score_map
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.unit.unit_problem import UnitProblem
 from softcal.station.clock import residual_offset_s
@@ -229,15 +230,15 @@ def seconds(options: argparse.Namespace) -> None:
     network = fit_network(lot.source, config).network
     source = make_source_model(lot.source, network)
     # Errors of calibrations of the units' own, on the rows that score their maps.
-    own = {
-        serial: score_map(network, calibrate(UnitProblem(source, unit)).unit_map, lot.audits[serial], config).own
-        for serial, unit in lot.units.items()
-    }
+    own = {}
+    for serial, unit in lot.units.items():
+        scores = score_map(network, calibrate(UnitProblem(source, unit)).unit_map, lot.audits[serial], config).own
+        own[serial] = None if scores is None else scores.own
     head = "pressed, s | compressions | after/own of each unit | median | worst | passed | s per unit | units per h"
     print_table(head, (_pressed(lot, source, own, pressed_s) for pressed_s in SECONDS))
 
 
-def _pressed(lot: RecordedLot, source: SourceModel, own: dict[str, float | None], pressed_s: float) -> Row:
+def _pressed(lot: RecordedLot, source: SourceModel, own: dict[str, MeasuredError | None], pressed_s: float) -> Row:
     ratios, passed, presses = [], 0, []
     for serial, unit in lot.units.items():
         cut = unit.part(0, int(pressed_s * unit.sample_rate_Hz))
@@ -247,8 +248,8 @@ def _pressed(lot: RecordedLot, source: SourceModel, own: dict[str, float | None]
         except UnitRefused:
             ratios.append(float("nan"))
             continue
-        after = score_map(source.network, calibration.unit_map, lot.audits[serial], None).after
-        ratios.append(after / (own[serial] or np.nan))
+        beside = score_map(source.network, calibration.unit_map, lot.audits[serial], own[serial]).own
+        ratios.append(float("nan") if beside is None else beside.after_ratio)
         passed += calibration.decision.verdict == "pass"
     each, all_s = " ".join(f"{ratio:.2f}" for ratio in ratios), pressed_s + BESIDE_S
     middle, worst = f"{np.nanmedian(ratios):.2f}", f"{np.nanmax(ratios):.2f}"

@@ -12,6 +12,7 @@ from softcal.core.words.reason import Reason
 if TYPE_CHECKING:
     from softcal.core.unit.audit_reading import AuditReading, OutputLevel
     from softcal.core.unit.calibration import CalibrationRecord
+    from softcal.core.unit.measured_error import Scores
     from softcal.core.unit.verdict import Decision
 
 Heads = dict[str, tuple[int, str]]
@@ -107,6 +108,7 @@ class MadeCalibration:
         is_open: whether nothing that was found stands against it, whatever its forecast.
         common_line: gain and zero taken off its map, as audited units misread alike.
         missing: samples of its recording that were left out, by kind, and the shares that are missing and left.
+        scores: what its audit showed, each error with its rows; None without one.
     """
 
     serial: str
@@ -131,6 +133,7 @@ class MadeCalibration:
     common_line: tuple[float, float] | None = None
     is_open: bool = True
     missing: Mapping[str, float] = field(default_factory=dict)
+    scores: "Scores | None" = None
 
     @classmethod
     def of(cls, record: "CalibrationRecord", revision: int) -> "MadeCalibration":

@@ -219,7 +219,7 @@ def trained_lot(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / name).mkdir(parents=True)
     (folder / "lot.toml").write_text(
         'sample_rate_Hz = 50.0\nsource = "A0"\n[lot]\nid = "small"\nsimulated = true\n'
-        '[reference]\nunit = "N"\n[output]\nunit = "V"\n'
+        '[reference]\nunit = "N"\n[output]\nunit = "V"\n[limit]\nrmse = 0.16\n'
     )
     press_recording(1500, 1.0, 0.5, 1).to_csv(folder / "source/A0.csv", index=False)
     for k in (1, 2, 3):

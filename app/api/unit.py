@@ -338,8 +338,8 @@ def unit_row(unit: Unit) -> dict[str, Any]:
         "verdict": unit.verdict,
         "family": unit.family,
         "predicted_rmse": unit.predicted_rmse,
-        "before_rmse": None if scores is None else scores.before,
-        "after_rmse": None if scores is None else scores.after,
+        "before_rmse": None if scores is None else scores.before.rmse,
+        "after_rmse": None if scores is None else scores.after.rmse,
         "reasons": "; ".join(unit.reasons),
     }
 

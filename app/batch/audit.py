@@ -3,8 +3,10 @@
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
+from datetime import datetime
 
 from softcal.app.registry.limit import lot_limit
+from softcal.app.registry.lot_recordings import newest_audits
 from softcal.app.registry.stated import state, stated, statements
 from softcal.core.errors import InputError
 from softcal.core.quality.audit_plan import AuditConfig, AuditPlan, LotStatement, judge_lot, plan_audit
@@ -15,6 +17,41 @@ from softcal.db.registry import Registry
 
 PLAN, STATEMENT, CONFIRMED = "audit_plan", "audit_result", "audit_doubt"
 ACCEPTED = (Verdict.PASS, Verdict.CONDITIONAL)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What of a lot's audits was drawn at random before it was measured.
+
+    Args:
+        drawn, population: units drawn at random, and of how many; 0 without a draw.
+        drawn_at: when, UTC; None without a draw.
+        since, before: drawn units measured after the draw, and before it.
+        without_draw: other units that were audited.
+    """
+
+    drawn: int
+    population: int
+    drawn_at: datetime | None
+    since: int
+    before: int
+    without_draw: int
+
+
+def audited_sample(registry: Registry, lot_id: str) -> Sample:
+    """Return how the audits of a lot stand to its newest draw.
+
+    A recording counts as measured when the registry first saw it: one that was there before the draw is no sample.
+    """
+    measured = {serial: entry.added_at for serial, entry in newest_audits(registry, lot_id).items()}
+    draws = registry.trail.of(PLAN, (lot_id,))
+    if not draws:
+        return Sample(0, 0, None, 0, 0, len(measured))
+    plan = AuditPlan.from_settings(json.loads(draws[-1].after or "{}")["plan"])
+    at = draws[-1].at
+    times = [measured[serial] for serial in plan.random if serial in measured]
+    since, others = sum(time > at for time in times), len(measured) - len(times)
+    return Sample(len(plan.random), plan.population, at, since, len(times) - since, others)
 
 
 @dataclass(frozen=True, eq=False)

@@ -84,7 +84,8 @@ def lot_facts(
     limit = stated_limit(lot.reference_unit, lot.limit_rmse)
     if limit is None and len(sources) > 1:
         # One limit for all units, whichever source they take: a noisier source must not widen it.
-        limit = default_limit(lot.reference_unit, sources[0].held_out_rmse, sources[0].method.decision)
+        first = sources[0]
+        limit = default_limit(lot.reference_unit, first.held_out_rmse, first.full_range, first.method.decision)
     line, reference = stated_line(registry, lot.id), lot_reference(registry, lot.id)
     cross = cross or partial(bridge_over, registry)
     bridges = {sha256: cross(sources[0], sha256) for sha256 in dict.fromkeys(golden)}

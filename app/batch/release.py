@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from softcal.app.batch.audit_evidence import PROMISE, RELEASABLE, AuditEvidence, AuditReader
-from softcal.app.registry.limit import limit_or_none, lot_limit
+from softcal.app.registry.limit import judged_limit, limit_or_none, lot_limit
 from softcal.app.registry.lot_recordings import audit_of, newest_audits, source_recording, target_serials, unlabelled
 from softcal.app.registry.stated import is_stated, state
 from softcal.core.identity import content_sha256
@@ -252,7 +252,7 @@ def _corrected(
     record = base
     if common is not None and is_open:
         record = corrected(base, source_recording(registry, base.network_id), common)
-    elif base.limit_rmse == limit.maximum_rmse:
+    elif _is_judged_by(base, limit):
         return base
     audit = None
     if record is not base and base.decision.measured is not None:
@@ -261,10 +261,16 @@ def _corrected(
         return judged(record, limit) or base
     recording = unlabelled(registry.recordings.get(base.recording_sha256))
     network = registry.networks.get(base.network_id)
-    scored = measured(network, record, audit, recording, limit, is_newer=False)
+    own = None if base.scores is None or base.scores.own is None else base.scores.own.own
+    scored = measured(network, record, audit, recording, limit, is_newer=False, own=own)
     # What its audit says of the map as it was fitted is what the others are corrected by.
     lines = {name: base.evidence[name] for name in (AUDIT_GAIN, AUDIT_ZERO) if name in base.evidence}
-    return replace(scored, own_rmse=base.own_rmse, evidence={**scored.evidence, **lines})
+    return replace(scored, evidence={**scored.evidence, **lines})
+
+
+def _is_judged_by(record: CalibrationRecord, limit: Limit) -> bool:
+    by = judged_limit(record, limit.unit)
+    return by is not None and (by.maximum_rmse, by.is_stated) == (limit.maximum_rmse, limit.is_stated)
 
 
 def _put(registry: Registry, lot_id: str, record: CalibrationRecord, why: str, actor: str | None) -> None:

@@ -13,7 +13,10 @@ from softcal.core.unit.verdict import VERDICTS, Release, Verdict, worst_of
 from softcal.core.words.reason import DOUBT, ENGLISH, PLAIN, Reason, Value, filled
 from softcal.db.entries import UNIT_ERRORS, MadeCalibration
 
-TABLE_HEADER = ("serial", "verdict", "predicted", "before", "after", "own", "after/own", "fit_s", "map")
+OWN_RATIO = "after/own, test rows"
+"""Heading of the one ratio whose errors are of other rows than `after`: those the own calibration was tested on."""
+
+TABLE_HEADER = ("serial", "verdict", "predicted", "before", "after", "own", OWN_RATIO, "fit_s", "map")
 ERRORS_AND_TIME = (*UNIT_ERRORS, "fit_s")
 MAX_NAMES = 8
 """So many units are named where a reason is of many; the table and the JSON have all."""
@@ -94,6 +97,7 @@ def report_json(report: BatchReport) -> dict[str, object]:
                 **{name: getattr(made, name, None) for name in ERRORS_AND_TIME},
                 "map": made and {"family": made.family, "revision": made.revision, "sha256": made.map_sha256},
                 "audited": unit.is_audited,
+                "audit_scores": made and made.scores and made.scores.to_json(),
                 "predicted_verdict": made and str(made.decision.predicted.verdict),
                 "knowledge": made and made.knowledge,
                 "missing": made and dict(made.missing),
@@ -124,7 +128,8 @@ def table_row(unit: UnitResult) -> list[object]:
     made = unit.made
     if made is None:
         return [unit.serial, unit.verdict, *[None] * 7]
-    ratio = made.after_rmse / made.own_rmse if made.after_rmse and made.own_rmse else None
+    own = None if made.scores is None else made.scores.own
+    ratio = None if own is None else own.after_ratio
     *errors, fit_s = (getattr(made, name) for name in ERRORS_AND_TIME)
     return [unit.serial, unit.verdict, *errors, ratio, fit_s, made.family]
 

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from softcal.app.cli.limit import LIMIT, limit_rmse
 from softcal.app.cli.options import (
     COUNT,
     FILE,
@@ -24,14 +25,15 @@ from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
     from softcal.app.files.importing import ImportedLot, ImportPlan
+    from softcal.core.limit_text import LimitText
 
 EXAMPLES = """examples:
   one file per unit; S1 has a load cell; the others' forces are their audits:
     softcal import S1.csv S2.csv --source S1 --output-column output_V --reference-column force_N \\
-        --sample-rate 50 --audit --out lot-1
+        --sample-rate 50 --audit --limit 0.4 --out lot-1
   one wide file, a column per unit:
     softcal import insole.parquet --source taxel_001 --output-column 'taxel_*' --reference-column pressure_bar \\
-        --time-column t_s --reference-quantity pressure --reference-unit bar --output-unit count --out lot-2
+        --time-column t_s --reference-quantity pressure --reference-unit bar --output-unit count --limit 5% --out lot-2
 then: softcal batch lot-1
 """
 
@@ -80,7 +82,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--reference-quantity", default="force")
     parser.add_argument("--reference-unit", default="N")
     parser.add_argument("--output-unit", default="V")
-    parser.add_argument("--limit", type=float, metavar="RMSE", help="largest acceptable error, in the reference unit")
+    parser.add_argument("--limit", **LIMIT)
     add_layout(parser)
     add_shared(parser, "json")
 
@@ -110,13 +112,14 @@ def run(options: argparse.Namespace) -> None:
         reference_quantity=options.reference_quantity,
         reference_unit=options.reference_unit,
         output_unit=options.output_unit,
-        limit_rmse=options.limit,
     )
     serials, renames = _serials(options.serial or [])
     plan = ImportPlan(
         files, columns, lot, options.audit, options.rows, options.audit_rows, table, serials, renames, more_sources=more
     )
-    _report(options, plan, import_lot(plan, options.out))
+    imported = import_lot(plan, options.out)
+    _state_limit(options.out, options.limit)
+    _report(options, plan, imported)
 
 
 def _serials(given: list[str]) -> tuple[list[str] | None, dict[str, str]]:
@@ -148,3 +151,16 @@ def _report(options: argparse.Namespace, plan: "ImportPlan", imported: "Imported
     facts: dict[str, object] = {"lot": lot.id, "source": lot.source, "units": list(imported.units)}
     facts |= {"audits": list(imported.audits), "layouts": dict(imported.layouts)}
     answer(options, "import/1", facts | unused_json(not_used, imported.remarks))
+
+
+def _state_limit(folder: Path, given: "LimitText | None") -> None:
+    """Write the limit into the folder that was made: a share of the range needs the source's recording."""
+    import numpy as np
+
+    from softcal.app.files.lot_folder import open_lot_folder, restate_limit
+
+    opened = open_lot_folder(folder)
+    full_range = float(np.ptp(opened.read_source().reference))
+    stated = limit_rmse(given, opened.lot.reference_unit, full_range, folder / "lot.toml")
+    if stated is not None:
+        restate_limit(folder, stated)

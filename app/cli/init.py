@@ -3,10 +3,11 @@
 import argparse
 import sys
 from collections.abc import Callable
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
 
+from softcal.app.cli.limit import LIMIT, limit_rmse
 from softcal.app.cli.options import FILE, actions_of, positive
 from softcal.app.output import say
 from softcal.core.errors import InputError
@@ -38,7 +39,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add("--reference-quantity", help="default force")
     add("--reference-unit", help="default N")
     add("--output-unit", help="default V")
-    add("--limit", type=positive, metavar="RMSE", help="largest acceptable error, in the reference unit")
+    add("--limit", **LIMIT)
     add("--yes", action="store_true", help="ask nothing: take the defaults of what is not given")
     station = action(
         "station", "a station file; `softcal station check --write` finds USB devices itself", _make_station
@@ -64,8 +65,13 @@ def _make_lot(options: argparse.Namespace) -> int:
         reference_quantity=answer(options.reference_quantity, "what the reference measures", str, "force"),
         reference_unit=answer(options.reference_unit, "unit of the reference", str, "N"),
         output_unit=answer(options.output_unit, "unit of the output", str, "V"),
-        limit_rmse=answer(options.limit, "largest acceptable RMSE (empty: from the source's own)", _limit, ""),
     )
+    # The recordings are still to come: a share needs the largest load, and a number of it is proposed.
+    largest = None
+    if options.limit is None or options.limit.is_percent:
+        largest = answer(None, f"largest load, in {lot.reference_unit} (empty: not known)", _load, "")
+    limit = limit_rmse(options.limit, lot.reference_unit, largest, folder / "lot.toml", may_ask=not options.yes)
+    lot = replace(lot, limit_rmse=limit)
     for part in ("source", "units", "audit"):
         (folder / part).mkdir(parents=True, exist_ok=True)
     write_lot_toml(folder, lot)
@@ -159,7 +165,7 @@ def asked(question: str, kind: Callable[[str], T], default: str | None, is_silen
             say(f"{text!r} cannot be used here")
 
 
-def _limit(text: str) -> float | None:
+def _load(text: str) -> float | None:
     return positive(text) if text else None
 
 

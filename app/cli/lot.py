@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from softcal.app.cli.confirm import add_yes, is_confirmed, print_changes
 from softcal.app.cli.options import (
     COUNT,
     DIR,
@@ -37,9 +38,9 @@ MOST_TOLD = 20
 EXAMPLES = """examples:
   softcal lot watch lot-1                        calibrate units as their recordings land, until Ctrl-C
   softcal lot watch lot-1 --idle 60 --jobs 2     stop when nothing came for a minute
-  softcal lot limit lot-1 --rmse 0.15 --reason "customer drawing, revision C"
+  softcal lot limit lot-1 --rmse 0.15 --reason "customer drawing, revision C"    says what changes, and asks
   softcal lot limit lot-1                        every version of the limit, who set it and why
-  softcal lot limit lot-1 --automatic --reason "follows the source again"
+  softcal lot limit lot-1 --withdraw --reason "the drawing was withdrawn" --yes
   softcal lot network lot-1                      networks of the lot, and which of them the line uses
   softcal lot network lot-1 --release 3f2a9c0b --reason "trained on the new source"
   softcal lot rules lot-1 --serial-pattern 'EG-[0-9]{4}' --letters upper --target 500 --reason "order 4711"
@@ -85,7 +86,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_shared(limit, "registry", "json", "csv")
     new = limit.add_mutually_exclusive_group()
     new.add_argument("--rmse", type=float, help="new limit in the lot's reference unit")
-    new.add_argument("--automatic", action="store_true", help="let the limit follow from the source's own error again")
+    new.add_argument("--withdraw", action="store_true", help="take the limit back: then no unit passes")
+    add_yes(limit)
     limit.add_argument("--reason", help="why; needed with a new limit")
     limit.add_argument("--expect", type=int, metavar="VERSION", help="refuse when somebody changed it since")
     network = action("network", "show or decide which network of a lot the line uses", _network)
@@ -256,22 +258,31 @@ def _watch(options: argparse.Namespace) -> int:
     return DONE if passed else SOME_UNIT_NOT_PASSED
 
 
-def _limit(options: argparse.Namespace) -> None:
-    from softcal.app.batch.judging import judge_again
+def _limit(options: argparse.Namespace) -> int:
+    """Print what another limit would change, and ask; without a new one, every version of it."""
+    from softcal.app.batch.changes import change_limit, preview_limit
 
-    is_new = options.rmse is not None or options.automatic
+    is_new = options.rmse is not None or options.withdraw
     if is_new and not (options.reason or "").strip():
         raise InputError("a new limit needs --reason: without one it cannot be defended")
+    changes, is_done = None, False
     with registry_of(options) as registry:
-        if is_new:
-            registry.lots.set_limit(options.lot, options.rmse, reason=options.reason, expected_version=options.expect)
-            judge_again(registry, [options.lot])
         unit = registry.lots.get(options.lot).reference_unit
+        if is_new:
+            changes = preview_limit(registry, options.lot, options.rmse)
+            if options.json != "-":
+                print_changes(changes)
+            if is_done := is_confirmed(options.yes):
+                change_limit(
+                    registry, options.lot, options.rmse, reason=options.reason, expected_version=options.expect
+                )
         versions = registry.lots.limit_versions(options.lot)
     entries = [vars(entry) | {"made_at": entry.made_at.isoformat()} for entry in versions]
-    if answer(options, "lot.limit/1", {"unit": unit, "versions": entries}):
+    facts = {"unit": unit, "versions": entries, "changes": changes and changes.to_json(), "is_done": is_done}
+    if answer(options, "lot.limit/1", facts):
         rows = [[e.version, e.rmse, here(e.made_at), e.actor, e.reason] for e in versions]
         print_table(("version", f"limit {unit}", "set", "by", "reason"), rows)
+    return REFUSED if is_new and not is_done else DONE
 
 
 def _network(options: argparse.Namespace) -> None:

@@ -335,6 +335,13 @@ def read_lot(folder: Path) -> Lot:
     return _read_lot_toml(folder / "lot.toml")[0]
 
 
+def restate_limit(folder: Path, rmse: float) -> None:
+    """Write a limit into `lot.toml`, in the reference's unit; all else stays."""
+    document = tomlkit.parse((folder / "lot.toml").read_text(encoding="utf-8"))
+    document["limit"] = {"rmse": rmse}
+    write_text(folder / "lot.toml", tomlkit.dumps(document))
+
+
 def restate_reference(folder: Path, reference: Reference | None) -> None:
     """Write into `lot.toml` what the source was compared with this time; all else stays."""
     stated = _stated(reference)

@@ -12,6 +12,7 @@ from softcal.app.files.atomic import whole_folder
 from softcal.app.files.lot_folder import LotFolder, open_lot_folder, write_lot_toml
 from softcal.app.files.recording_file import write_recording
 from softcal.core.errors import InputError
+from softcal.core.limit_text import LimitText
 from softcal.core.lot import Lot
 from softcal.core.profiles import source_profile, unit_profile
 from softcal.core.recording import LabelledRecording, OutputRecording
@@ -21,7 +22,19 @@ from softcal.core.unit.budget import SIMULATED
 from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.tasks.acquisition import record
 
-TABLE_HEADER = ("unit", "verdict", "before [N]", "after [N]", "own [N]", "after/own", "before/own", "predicted [N]")
+TABLE_HEADER = (
+    "unit",
+    "verdict",
+    "before [N]",
+    "after [N]",
+    "own [N]",
+    "after/own, test rows",
+    "before/own, test rows",
+    "predicted [N]",
+)
+LIMIT_PERCENT = 4.0
+"""The limit that the demo states, of the range of its source's reference."""
+
 SEED = 20201900178
 """Of the units' differences, of mounting, noise and profiles."""
 
@@ -74,7 +87,14 @@ def press_demo_lot(config: DemoConfig, folder: Path, on_run: Callable[[str], Non
     rng = np.random.default_rng(SEED)
     twins = draw_twins(rng, len(serials), twin=config.twin)
     pressed = press_simulated_lot(twins, serials, SEED, config.times, on_run)
-    lot = Lot("demo", serials[0], pressed.source.unlabelled.sample_rate_Hz, "simulated eGaIn channel")
+    source = pressed.source
+    lot = Lot(
+        "demo",
+        serials[0],
+        source.unlabelled.sample_rate_Hz,
+        "simulated eGaIn channel",
+        limit_rmse=LimitText(LIMIT_PERCENT, is_percent=True).rmse(float(np.ptp(source.reference))),
+    )
     with whole_folder(folder) as part:
         write_lot_toml(part, lot, SIMULATED)
         write_recording(part / "source" / f"{lot.source}.csv", pressed.source)
@@ -120,6 +140,6 @@ def table_row(unit: UnitResult) -> list[object]:
     made = unit.made
     if made is None:
         return [unit.serial, unit.verdict, *[None] * 6]
-    before, after, own = made.before_rmse, made.after_rmse, made.own_rmse
-    ratios = [after / own if after and own else None, before / own if before and own else None]
-    return [unit.serial, unit.verdict, before, after, own, *ratios, made.predicted_rmse]
+    own = None if made.scores is None else made.scores.own
+    ratios = [None, None] if own is None else [own.after_ratio, own.before_ratio]
+    return [unit.serial, unit.verdict, made.before_rmse, made.after_rmse, made.own_rmse, *ratios, made.predicted_rmse]

@@ -127,7 +127,7 @@ def check_golden(
     else:
         value = rmse(source.network.evaluate(recording.windows), recording.window_reference)
         limits = (lot.limit_rmse for lot in registry.lots.all() if lot.source == serial and lot.limit_rmse is not None)
-        usual = default_limit(unit, source.held_out_rmse, source.method.decision).maximum_rmse
+        usual = default_limit(unit, source.held_out_rmse, source.full_range, source.method.decision).maximum_rmse
         widest = next(limits, None) or usual
     earlier = [run.value for run in registry.stations.golden_runs(station, serial) if run.passed]
     is_known = len(earlier) >= FIRST_RUNS

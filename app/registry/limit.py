@@ -5,6 +5,8 @@ from dataclasses import replace
 from softcal.app.registry.lot_recordings import source_model
 from softcal.app.registry.reference import reference_expanded
 from softcal.core.errors import InputError
+from softcal.core.unit.calibration import CalibrationRecord
+from softcal.core.unit.judging import LIMIT_EVIDENCE
 from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import Limit, default_limit
 from softcal.core.words.reason import plain
@@ -25,15 +27,23 @@ def lot_limit(registry: Registry, lot_id: str) -> Limit:
     if serial is None:
         raise InputError(f"lot {lot_id!r} states no limit and has no calibrated unit yet; calibrate its units first")
     record = registry.calibrations.get(serial, lot_id=lot_id).record
-    origin = record.evidence.get("limit_origin")
-    if record.limit_rmse is not None and origin is not None:
-        judged = Limit(lot.reference_unit, record.limit_rmse, plain(str(origin)), expanded)
-        if not judged.is_stated:
-            return judged
-    # Its limit was taken back since, or an older version kept none.
+    judged = judged_limit(record, lot.reference_unit)
+    if judged is not None and not judged.is_stated:
+        return replace(judged, reference_expanded=expanded)
+    # Its limit was taken back since.
     method = record.method or Method()
-    rmse = source_model(registry, record.network_id, method).held_out_rmse
-    return replace(default_limit(lot.reference_unit, rmse, method.decision), reference_expanded=expanded)
+    source = source_model(registry, record.network_id, method)
+    limit = default_limit(lot.reference_unit, source.held_out_rmse, source.full_range, method.decision)
+    return replace(limit, reference_expanded=expanded)
+
+
+def judged_limit(record: CalibrationRecord, unit: str) -> Limit | None:
+    """Return the limit that a calibration was judged by, as it keeps it; None where it keeps none."""
+    rmse, origin, expanded, full_range = (record.evidence.get(name) for name in LIMIT_EVIDENCE)
+    if rmse is None or origin is None:
+        return None
+    given = (None if value is None else float(value) for value in (expanded, full_range))
+    return Limit(unit, float(rmse), plain(str(origin)), *given)
 
 
 def limit_or_none(registry: Registry, lot_id: str) -> Limit | None:

@@ -37,11 +37,11 @@ def lot_reference(registry: Registry, lot_id: str) -> Reference | None:
     return None if facts is None else Reference.of(facts["reference"])
 
 
-def reference_expanded(registry: Registry, lot_id: str) -> float:
-    """Return U of a lot's reference, in the reference unit; 0 where nobody stated it."""
+def reference_expanded(registry: Registry, lot_id: str) -> float | None:
+    """Return U of a lot's reference, in the reference unit; None where nobody stated it."""
     facts = stated(registry, ENTITY, (lot_id,))
     if facts is None:
-        return 0.0
+        return None
     return Reference.of(facts["reference"]).expanded(facts["source_rms"])
 
 

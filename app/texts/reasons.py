@@ -52,7 +52,7 @@ def plainly(why: Reason, words: Words) -> str:
     parts = (why.values.get("source"), why.values.get("relation"))
     ends = [part.code.removeprefix("part") for part in parts if isinstance(part, Reason)]
     # Reasons of one family may be one to them.
-    for code in (f"{why.code}{''.join(ends)}", why.code.rpartition(".")[0]):
+    for code in (f"{why.code}{''.join(ends)}", why.code, why.code.rpartition(".")[0]):
         with suppress(KeyError):
             return words(f"{PLAINLY}{code}")
     return said(why, words)

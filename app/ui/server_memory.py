@@ -2,6 +2,7 @@
 
 import streamlit as st
 
+from softcal.app.batch.changes import Changes, preview_limit
 from softcal.app.bootstrap import open_chosen_registry
 from softcal.app.views.lot import EVERY_RUN, LotView, lot_view
 from softcal.app.views.lot_runs import LotFilter
@@ -20,6 +21,16 @@ LOTS = 16
 def remembered_lot_view(lot_id: str, wanted: LotFilter = EVERY_RUN) -> LotView:
     """Return a lot at a glance, read once per change; every page gets the same, to read only."""
     return _view(str(registry().database.name), lot_id, registry().pages.change_marker(lot_id), wanted)
+
+
+def remembered_limit_changes(lot_id: str, rmse: float | None) -> Changes:
+    """Return what another limit would change, decided once per change of the lot."""
+    return _limit_changes(str(registry().database.name), lot_id, registry().pages.change_marker(lot_id), rmse)
+
+
+@st.cache_resource(max_entries=LOTS, show_spinner=False)
+def _limit_changes(registry_name: str, lot_id: str, marker: str, rmse: float | None) -> Changes:
+    return preview_limit(registry(), lot_id, rmse)
 
 
 # Not cache_data: it would copy ten thousand rows at every look.

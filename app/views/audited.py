@@ -9,7 +9,7 @@ from softcal.core.lot import Lot
 from softcal.core.metrics import rmse
 from softcal.core.recording import Array
 from softcal.core.unit.calibration import Calibration
-from softcal.core.unit.method import DecisionConfig
+from softcal.core.unit.estimate import estimate
 from softcal.db.registry import Registry
 from softcal.db.truth.lot_pages import UnitErrors
 
@@ -25,7 +25,7 @@ LEAST_IN_BAND = 10
 
 @dataclass(frozen=True, eq=False)
 class AuditTrace:
-    """The stretch of one audit that no fit has seen: (n,) each, in the reference unit."""
+    """All rows of one audit that have an estimate: (n,) each, in the reference unit."""
 
     serial: str
     reference: Array
@@ -76,11 +76,10 @@ def audited_view(
             continue
         record = registry.calibrations.get(serial, lot_id=lot.id).record
         calibration = Calibration.from_record(record)
-        # The stretch that the error of the unit is stated on.
-        config = calibration.method.decision if calibration.method else DecisionConfig()
-        test = audit.part(round(len(audit) * (1 - config.test_share)), len(audit))
-        estimate = registry.networks.get(record.network_id).evaluate(calibration.unit_map.apply(test.windows))
-        units.append(AuditTrace(serial, test.window_reference, estimate))
+        # The rows that the error of the unit is stated on.
+        rows = audit.unlabelled.window_rows
+        found = estimate(registry.networks.get(record.network_id), calibration, audit.unlabelled)
+        units.append(AuditTrace(serial, audit.window_reference, found.estimate[rows]))
     if not units:
         return None
     loads = np.concatenate([unit.reference for unit in units])

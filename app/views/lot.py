@@ -88,6 +88,7 @@ class LotView:
         chosen: serials that a filter leaves; None without a filter.
         limit: stated or derived; None where none is stated and no unit is calibrated yet.
         withdrawn: units that were released once and are no more, whatever a filter leaves.
+        after_to_own: median of after / own over audited units, on the rows that own was tested on; None without any.
     """
 
     lot: Lot
@@ -106,6 +107,7 @@ class LotView:
     every_operator: tuple[str, ...] = ()
     limit: Limit | None = None
     withdrawn: tuple[str, ...] = ()
+    after_to_own: float | None = None
 
     @property
     def limit_rmse(self) -> float | None:
@@ -149,12 +151,6 @@ class LotView:
         """Units with a score against a reference."""
         return tuple(row for row in self.errors if row.after_rmse is not None)
 
-    @property
-    def after_to_own(self) -> float | None:
-        """Median of after / own over the audited units; None where none has both."""
-        ratios = [row.after_rmse / row.own_rmse for row in self.audited if row.after_rmse and row.own_rmse]
-        return median(ratios) if ratios else None
-
 
 def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> LotView:
     """Read a lot at a glance, or what a filter leaves of it."""
@@ -183,6 +179,7 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
         verdicts = {run.serial: run.verdict for run in runs} | {row.serial: row.verdict for row in errors}
         of_chosen = Counter(verdicts.values())
         counts = {word: of_chosen[word] for word in (*reversed(VERDICTS), "none")}
+    with_own = [row.serial for row in errors if row.own_rmse is not None]
     of_units = [one for one in placed_runs if one.run.serial not in golden]
     return LotView(
         lot,
@@ -201,7 +198,14 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
         tuple(sorted({run.operator for run in every})),
         limit,
         tuple(withdrawn),
+        _after_to_own(registry, lot_id, with_own),
     )
+
+
+def _after_to_own(registry: Registry, lot_id: str, serials: Sequence[str]) -> float | None:
+    made = [one.made for one in registry.pages.standings(lot_id, serials).values()] if serials else []
+    ratios = [one.scores.own.after_ratio for one in made if one is not None and one.scores and one.scores.own]
+    return median(ratios) if ratios else None
 
 
 def yield_drop(runs: Sequence[RunEntry]) -> YieldDrop | None:

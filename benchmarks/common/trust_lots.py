@@ -33,7 +33,7 @@ from softcal.core.unit.estimate import Estimate, estimate
 from softcal.core.unit.evidence import rms_load
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.unit.unit_problem import UnitProblem
-from softcal.core.unit.verdict import default_limit
+from softcal.core.unit.verdict import Limit, default_limit
 
 UNITS, MANY, MANY_EVERY, LARGE = 14, 26, 6, 30
 """Units of a lot; every sixth seed has lots large enough for twenty audits; units of a lot of `power_lots`."""
@@ -321,13 +321,15 @@ def _fit_lot(lot: RawLot, models: dict[str, SourceModel]) -> Iterator[FittedUnit
     model = models[lot.source.sha256]
     bridge = None if lot.golden is None else make_bridge(model, lot.golden)
     for unit in lot.units:
-        problem = UnitProblem(model, unit.recording, anchors=unit.anchors, bridge=bridge)
+        limit = default_limit(lot.source.reference_unit, model.held_out_rmse, model.full_range)
+        agreed = Limit(limit.unit, limit.maximum_rmse)
+        problem = UnitProblem(model, unit.recording, agreed, anchors=unit.anchors, bridge=bridge)
         yield _fit_unit(lot, problem, unit.audit)
 
 
 def _fit_unit(lot: RawLot, problem: UnitProblem, audit: LabelledRecording) -> FittedUnit:
     model, recording = problem.source, problem.recording
-    limit = default_limit(lot.source.reference_unit, model.held_out_rmse).maximum_rmse
+    limit = default_limit(lot.source.reference_unit, model.held_out_rmse, model.full_range).maximum_rmse
     serial = recording.serial
     try:
         calibration = calibrate(problem)

@@ -1,5 +1,6 @@
 """What a map γ is: windows of a target unit in, windows in the source's space out."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -10,6 +11,7 @@ from softcal.core.maps.ends import EndMatch, match_ends
 from softcal.core.maps.synchrony import Synchrony, find_synchrony
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, Arrays, LabelledRecording, OutputRecording
+from softcal.core.windows import TAPS
 
 
 class UnitMap(Protocol):
@@ -80,6 +82,13 @@ class MapFamily(Protocol):
 
     def from_arrays(self, arrays: Arrays, settings: Settings) -> UnitMap:
         """Rebuild a map from `UnitMap.arrays()` and `UnitMap.settings()`."""
+
+
+def mapped_segments(unit_map: UnitMap, recording: OutputRecording) -> Iterator[tuple[slice, Array]]:
+    """Map a recording sample by sample: the rows at which full windows end, and (n, TAPS) these windows mapped."""
+    for segment in recording.segments:
+        if segment.stop - segment.start >= TAPS:
+            yield slice(segment.start + TAPS - 1, segment.stop), unit_map.apply_signal(recording.output[segment])
 
 
 def map_sha256(unit_map: UnitMap) -> str:

@@ -62,15 +62,16 @@ class LotRelease:
             said.append(reason("release.gains", centre=self.seen.centre, spread=self.seen.spread))
         if self.days:
             said.append(reason("release.days", day=max(self.days.values()), unit=unit))
-        if (common := self.common) is not None:
-            gain, zero = common.line.gain, common.line.zero
-            said.append(reason("release.common", gain=gain, zero=zero, unit=unit, audits=common.audits))
+        if self.common is not None:
+            said.append(reason("release.common", audits=self.common.audits))
         if self.doubts:
             said.append(reason("release.doubts", serials=", ".join(self.doubts)))
         return several(said)
 
     def _promised(self) -> Reason:
         promised, here, which = self.found, self.qualification.here, self.qualification.reason
+        if not self.limit.is_stated:
+            return reason("release.no_limit")
         bound: Mapping[str, Value] = {"limit": self.limit.maximum_rmse, "unit": self.limit.unit}
         if not self.forecasts and here:
             return reason("release.none_left", seen=_audited(here, reason("part.here", audits=len(here)), bound))
@@ -99,7 +100,8 @@ class LotRelease:
         rmse, limit, unit = self.forecasts[serial], self.limit.maximum_rmse, self.limit.unit
         if self.found is None:
             word = Verdict.FAIL if rmse > limit else Verdict.CONDITIONAL
-            return Judgement(word, (reason("not_qualified", why=self.qualification.reason),))
+            why = self.qualification.reason if self.limit.is_stated else reason("part.no_limit")
+            return Judgement(word, (reason("not_qualified", why=why),))
         facts: Mapping[str, Value] = {"rmse": rmse, "limit": limit, "unit": unit, "audits": self._audits(self.found)}
         factor, centre = self.found.factor, self.forecast_scale
         if serial in self.released:
@@ -171,7 +173,8 @@ def release_lot(
         least: number of units that must pass, or none is released.
         days: by serial, the error that another day adds as golden runs show it, in the forecasts' unit.
     """
-    decided = release(forecasts, qualification.audits, limit, promise, least, days) if qualification.is_given else None
+    may_release = qualification.is_given and limit.is_stated
+    decided = release(forecasts, qualification.audits, limit, promise, least, days) if may_release else None
     days, doubts = days or {}, doubts or {}
     return LotRelease(qualification, limit, promise, forecasts, decided, widening, seen, days, doubts, common)
 

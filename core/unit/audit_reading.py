@@ -6,15 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from softcal.core.errors import InputError, UnitRefused
 from softcal.core.identity import content_sha256
-from softcal.core.maps.interface import UnitMap
-from softcal.core.metrics import rmse
-from softcal.core.network.config import NetworkConfig
-from softcal.core.network.network import Network
-from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.unit.method import DecisionConfig
 from softcal.core.windows import evenly
 
 INSTANTS = 201
@@ -110,44 +103,3 @@ def line_of(value: Array, reference: Array) -> tuple[float, float]:
     rows = np.isfinite(value)
     gain, zero = np.polyfit(reference[rows], value[rows], 1)
     return float(gain), float(zero)
-
-
-@dataclass(frozen=True)
-class Scores:
-    """RMSE on one audit, in the reference unit: of f on raw and on mapped windows, and of the unit's own network."""
-
-    before: float
-    after: float
-    own: float | None
-
-
-def score_map(
-    network: Network,
-    unit_map: UnitMap,
-    audit: LabelledRecording,
-    own: NetworkConfig | None,
-    config: DecisionConfig = DecisionConfig(),  # noqa: B008 - frozen
-) -> Scores:
-    """Score a unit on the last quarter of its audit recording, by time (Kim et al. 2020, Table 1).
-
-    `own` is how its own calibration is trained on the first three quarters; None leaves it out.
-    """
-    # By time and never at random: a later stretch is what the unit will be used on.
-    split = round(len(audit) * (1 - config.test_share))
-    test = audit.part(split, len(audit))
-    truth = test.window_reference
-    return Scores(
-        before=rmse(network.evaluate(test.windows), truth),
-        after=rmse(network.evaluate(unit_map.apply(test.windows)), truth),
-        own=None if own is None else _own_rmse(audit.part(0, split), test, own, config.least_own_windows),
-    )
-
-
-def _own_rmse(train: LabelledRecording, test: LabelledRecording, config: NetworkConfig, least: int) -> float | None:
-    try:
-        if len(train.windows) < least:
-            return None
-        trained = fit_network(train, config)
-    except (UnitRefused, InputError):
-        return None
-    return rmse(trained.network.evaluate(test.windows), test.window_reference)

@@ -5,11 +5,13 @@ from dataclasses import replace
 from softcal.core.identity import content_sha256
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.unit.audit_reading import line_of, read_audit, score_map
+from softcal.core.unit.audit_reading import line_of, read_audit
 from softcal.core.unit.calibration import AUDIT_GAIN, AUDIT_ZERO, Calibration, CalibrationRecord
 from softcal.core.unit.estimate import estimate
-from softcal.core.unit.judging import TRIM_BARS, UNREADABLE, MeasuredError, limit_evidence
+from softcal.core.unit.judging import TRIM_BARS, UNREADABLE, limit_evidence
+from softcal.core.unit.measured_error import MeasuredError
 from softcal.core.unit.method import Method
+from softcal.core.unit.scoring import score_map
 from softcal.core.unit.verdict import Limit
 
 
@@ -35,6 +37,7 @@ def measured(
     limit: Limit,
     *,
     is_newer: bool = True,
+    own: MeasuredError | None = None,
 ) -> CalibrationRecord:
     """Return a calibration scored on an audit, and judged by it; its map stays.
 
@@ -42,21 +45,20 @@ def measured(
         record: as it was fitted or trimmed, with its grounds.
         recording: the one it was calibrated from.
         is_newer: whether the audit is another than it was made with: what barred the older one is over.
+        own: error of its own network, where one was trained on this audit.
     """
     calibration, grounds = Calibration.from_record(record), record.grounds
     if grounds is None:
         raise ValueError("a calibration that kept no grounds cannot be judged again")
     config = (calibration.method or Method()).decision
-    scores = score_map(network, calibration.unit_map, audit, None, config)
+    scores = score_map(network, calibration.unit_map, audit, own, config)
     grounds = replace(
         grounds,
-        measured=MeasuredError.of(scores, audit),
+        measured=scores,
         bars=tuple(why for why in grounds.bars if not is_newer or why.code not in (*TRIM_BARS, UNREADABLE)),
     )
     decision = grounds.decide(limit)
-    scored = with_audit(
-        network, replace(calibration, scores=scores, grounds=grounds, decision=decision), audit, recording
-    )
+    scored = with_audit(network, replace(calibration, grounds=grounds, decision=decision), audit, recording)
     identity = content_sha256({}, {"base": record.input_sha256, "audit": audit.sha256, "limit": limit.to_json()})
     audit_record = scored.to_record(identity, record.recording_sha256, record.fit_s)
     return replace(

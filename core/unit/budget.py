@@ -86,9 +86,12 @@ class Reference:
         return Standing.EXPIRED if is_early or self.used_on >= self.due_on else Standing.VALID
 
     def bars(self, highest: float) -> tuple[Reason, ...]:
-        """Return what keeps every unit of a lot from passing; `highest` is the largest value that was read for it."""
-        if self.standing is Standing.MISSING:
-            return (reason("reference_missing", cell=self.cell or "?"),)
+        """Return what keeps every unit of a lot from passing; `highest` is the largest value that was read for it.
+
+        What nobody stated bars nothing: a named instrument without a certificate does.
+        """
+        if self.cell and not self.certificate:
+            return (reason("reference_missing", cell=self.cell),)
         if self.standing is Standing.EXPIRED:
             days = {name: str(getattr(self, name)) for name in ("issued_on", "due_on", "used_on")}
             return (reason("reference_expired", number=self.certificate, cell=self.cell or "?", **days),)
@@ -119,8 +122,13 @@ class Reference:
         squares = [sum(each.standard**2 for each in self.contributions(float(load))) for load in np.ravel(loads)]
         return np.reshape(np.array(squares, dtype=np.float64), np.shape(loads))
 
-    def expanded(self, load: float, factor: float = COVERAGE) -> float:
-        """Return U of the reference at a load, in the reference unit, with this coverage factor."""
+    def expanded(self, load: float, factor: float = COVERAGE) -> float | None:
+        """Return U of the reference at a load, in the reference unit, with this coverage factor.
+
+        None where nobody stated any of it; 0 in a simulation, which gives the true load.
+        """
+        if not self.is_simulated and not self.contributions(load):
+            return None
         return factor * float(np.sqrt(self.variance(np.array(load))))
 
     def to_json(self) -> dict[str, object]:

@@ -11,16 +11,17 @@ from softcal.core.errors import UnitRefused
 from softcal.core.maps.choose import ChosenMap, choose_map
 from softcal.core.maps.monotone import shape_distance
 from softcal.core.maps.readout_lag import ReadoutLag, find_readout_lag
-from softcal.core.unit.audit_reading import output_level, score_map
+from softcal.core.unit.audit_reading import output_level
 from softcal.core.unit.audited import with_audit
 from softcal.core.unit.calibration import OUTPUT_REST, OUTPUT_SPAN, Calibration
 from softcal.core.unit.evidence import MapEvidence, gather_evidence, other_maps
 from softcal.core.unit.findings import contradictions, map_findings, opening_findings
 from softcal.core.unit.forecast import forecast_error, forecast_own, own_terms, variance_table
 from softcal.core.unit.health import check_alive, health_findings, output_limits
-from softcal.core.unit.judging import Grounds, MeasuredError, limit_evidence
+from softcal.core.unit.judging import Grounds, limit_evidence
 from softcal.core.unit.missing import check_windows, jump_findings, missing_findings, missing_samples
 from softcal.core.unit.rules import RuleFacts, rule_findings
+from softcal.core.unit.scoring import score_map
 from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import Finding
 
@@ -66,7 +67,7 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
     if on_map is not None:
         on_map()
     scores = None if audit is None else score_map(model.network, chosen.unit_map, audit, problem.own, method.decision)
-    measured_rmse = None if scores is None else scores.after
+    measured_rmse = None if scores is None else scores.after.rmse
     grounds = Grounds(
         forecast,
         findings,
@@ -75,7 +76,7 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
             problem.rules, RuleFacts(target, model.source, evidence.estimate, forecast, limit, measured_rmse)
         ),
         told=(*problem.bridge_reasons(), problem.line_reason(evidence.load_rms)),
-        measured=None if scores is None or audit is None else MeasuredError.of(scores, audit),
+        measured=scores,
         bars=problem.bars(),
         rules=problem.rules,
     )
@@ -91,7 +92,6 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
         knowledge=evidence.knowledge,
         evidence=_numbers(problem, chosen, evidence, findings, lag),
         method=method,
-        scores=scores,
         reference=problem.reference,
     )
     return calibration if audit is None else with_audit(model.network, calibration, audit, target)

@@ -10,11 +10,12 @@ from softcal.core.identity import Settings
 from softcal.core.maps.interface import UnitMap, map_sha256
 from softcal.core.metrics import finite_or_none
 from softcal.core.recording import Arrays
-from softcal.core.unit.audit_reading import AuditReading, OutputLevel, Scores
+from softcal.core.unit.audit_reading import AuditReading, OutputLevel
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.health import OutputLimits
 from softcal.core.unit.judging import Grounds
 from softcal.core.unit.knowledge import LoadKnowledge, known_by
+from softcal.core.unit.measured_error import Scores
 from softcal.core.unit.method import Method
 from softcal.core.unit.missing import missing_evidence
 from softcal.core.unit.uncertainty import ErrorForecast, Interval
@@ -109,6 +110,12 @@ class CalibrationRecord:
         return self._kept("grounds", Grounds.of)
 
     @property
+    def scores(self) -> Scores | None:
+        """What its audit showed, each error with its rows; None where none decides."""
+        grounds = self.grounds
+        return None if grounds is None or self.after_rmse is None else grounds.measured
+
+    @property
     def is_open(self) -> bool:
         """Whether nothing that was found stands against it: its forecast alone may, and audits can correct that."""
         grounds = self.grounds
@@ -191,10 +198,14 @@ class Calibration:
     knowledge: LoadKnowledge
     evidence: Mapping[str, float | str | None]
     method: Method | None = None
-    scores: Scores | None = None
     reference: Reference | None = None
     audit: AuditReading | None = None
     grounds: Grounds | None = None
+
+    @property
+    def scores(self) -> Scores | None:
+        """What its audit showed; None where none decides."""
+        return None if self.grounds is None else self.grounds.measured
 
     @property
     def predicted_rmse(self) -> float | None:
@@ -203,6 +214,7 @@ class Calibration:
 
     def to_record(self, input_sha256: str, recording_sha256: str, fit_s: float | None = None) -> CalibrationRecord:
         """Return the calibration as plain values, with the identities that the caller knows and the time it took."""
+        scores = self.scores
         arrays = {f"map.{name}": array for name, array in self.unit_map.arrays().items()}
         arrays |= {f"interval.{name}": array for name, array in self.interval.arrays().items()}
         limits = {name: finite_or_none(value) for name, value in vars(self.output_limits).items()}
@@ -229,9 +241,9 @@ class Calibration:
             reasons=self.decision.reasons,
             input_sha256=input_sha256,
             recording_sha256=recording_sha256,
-            before_rmse=None if self.scores is None else self.scores.before,
-            after_rmse=None if self.scores is None else self.scores.after,
-            own_rmse=None if self.scores is None else self.scores.own,
+            before_rmse=None if scores is None else scores.before.rmse,
+            after_rmse=None if scores is None else scores.after.rmse,
+            own_rmse=None if scores is None or scores.own is None else scores.own.own.rmse,
             fit_s=fit_s,
             evidence=self.evidence,
         )
@@ -248,7 +260,6 @@ class Calibration:
 
         settings: Mapping[str, Any] = record.settings
         limits = settings["interval"]["output_limits"]
-        before, after = record.before_rmse, record.after_rmse
         return cls(
             serial=record.serial,
             network_id=record.network_id,
@@ -264,7 +275,6 @@ class Calibration:
             knowledge=record.knowledge,
             evidence=record.evidence,
             method=record.method,
-            scores=None if before is None or after is None else Scores(before, after, record.own_rmse),
             reference=record.reference,
             audit=record.audit,
             grounds=record.grounds,

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
+from softcal.core.maps.interface import mapped_segments
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, Indices, OutputRecording
 from softcal.core.unit.calibration import Calibration
@@ -77,12 +78,8 @@ def estimate(network: Network, calibration: Calibration, recording: OutputRecord
     value, lower, upper = (np.full(n, np.nan) for _ in range(3))
     flag = np.full(n, GAP, dtype=FLAG_TYPE)
     flag[recording.segments[0]] = WARM_UP
-    for segment in recording.segments:
-        output = recording.output[segment]
-        if len(output) < TAPS:
-            continue
-        rows = slice(segment.start + TAPS - 1, segment.stop)
-        mapped = calibration.unit_map.apply_signal(output)
+    for rows, mapped in mapped_segments(calibration.unit_map, recording):
+        output = recording.output[rows.start - TAPS + 1 : rows.stop]
         newest = slice(TAPS - 1, None)
         value[rows], lower[rows], upper[rows], flag[rows] = judge(
             network, calibration, mapped, output[newest], run_lengths(output)[newest]

@@ -14,7 +14,7 @@ from softcal.core.errors import UnitRefused
 from softcal.core.maps.affine_map import IDENTITY, LABEL_SHIFT
 from softcal.core.maps.choose import ChosenMap, fit_family
 from softcal.core.maps.crossing import CACHED
-from softcal.core.maps.interface import FitProblem, UnitMap
+from softcal.core.maps.interface import FitProblem, UnitMap, mapped_segments
 from softcal.core.maps.monotone import BETWEEN
 from softcal.core.maps.paired import PHASE, SYNCHRONOUS, fit_pairs
 from softcal.core.maps.synchrony import paired_rows
@@ -244,7 +244,7 @@ def _mapped(unit_map: UnitMap, target: OutputRecording, rows: Indices) -> Array:
     if len(rows) < len(target.windows):
         return unit_map.apply(target.windows[rows])
     # Sample by sample: a window shares all its samples but one with the next.
-    parts = [unit_map.apply_signal(target.output[s]) for s in target.segments if s.stop - s.start >= TAPS]
+    parts = [mapped for _, mapped in mapped_segments(unit_map, target)]
     return np.ascontiguousarray(parts[0]) if len(parts) == 1 else np.concatenate(parts)
 
 

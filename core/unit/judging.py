@@ -1,27 +1,13 @@
 """What a unit is judged by, kept with its calibration: another limit or a doubt about its audit needs no new fit."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
-from softcal.core.recording import LabelledRecording
-from softcal.core.unit.audit_reading import Scores
+from softcal.core.unit.measured_error import Scores
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Decision, Finding, Limit, Verdict, decide, decide_audited, worst_of
 from softcal.core.words.reason import Reason
-
-
-@dataclass(frozen=True)
-class MeasuredError:
-    """What an audit of the unit showed."""
-
-    scores: Scores
-    windows: int
-
-    @classmethod
-    def of(cls, scores: Scores, audit: LabelledRecording) -> "MeasuredError":
-        """Return it beside how many windows the audit holds."""
-        return cls(scores, len(audit.windows))
 
 
 @dataclass(frozen=True)
@@ -33,6 +19,7 @@ class Grounds:
         findings: what recording and map show against it.
         held: what rules of other packages have against it; they looked at the limit of then.
         told: what is said last beside a forecast.
+        measured: what its audit showed.
         bars: what keeps it from passing whatever was found.
     """
 
@@ -40,7 +27,7 @@ class Grounds:
     findings: tuple[Finding, ...] = ()
     held: tuple[Finding, ...] = ()
     told: tuple[Reason, ...] = ()
-    measured: MeasuredError | None = None
+    measured: Scores | None = None
     bars: tuple[Reason, ...] = ()
     rules: tuple[str, ...] = ()
 
@@ -55,17 +42,15 @@ class Grounds:
         predicted = replace(predicted, reasons=(*predicted.reasons, *self.told))
         if self.measured is None:
             return Decision(predicted, bars=self.bars)
-        before, after, windows = self.measured.scores.before, self.measured.scores.after, self.measured.windows
-        return Decision(predicted, decide_audited(before, after, windows, limit, self.held), bars=self.bars)
+        return Decision(predicted, decide_audited(self.measured, limit, self.held), bars=self.bars)
 
     def to_json(self) -> dict[str, object]:
-        measured = self.measured
         return {
             "forecast": vars(self.forecast),
             "findings": [_finding_json(one) for one in self.findings],
             "held": [_finding_json(one) for one in self.held],
             "told": [one.to_json() for one in self.told],
-            "measured": measured and {"scores": asdict(measured.scores), "windows": measured.windows},
+            "measured": self.measured and self.measured.to_json(),
             "bars": [one.to_json() for one in self.bars],
             "rules": list(self.rules),
         }
@@ -79,7 +64,7 @@ class Grounds:
             findings=tuple(map(_finding_of, kept["findings"])),
             held=tuple(map(_finding_of, kept["held"])),
             told=tuple(map(Reason.of, kept["told"])),
-            measured=measured and MeasuredError(Scores(**measured["scores"]), int(measured["windows"])),
+            measured=measured and Scores.from_json(measured),
             bars=tuple(map(Reason.of, kept["bars"])),
             rules=tuple(map(str, kept["rules"])),
         )
@@ -106,11 +91,11 @@ TRIM_BARS = (TRIMMED, TRIM_OLDER, TRIM_LEFT_OUT, AUDITED_BEFORE_TRIM)
 UNREADABLE = "audit.unreadable"
 """Code of the reason that a file that was brought as an audit cannot be read."""
 
-LIMIT_EVIDENCE = ("limit_rmse", "limit_origin", "reference_expanded")
+LIMIT_EVIDENCE = ("limit_rmse", "limit_origin", "reference_expanded", "limit_range")
 """Names under which a calibration keeps, among its numbers, the limit it was judged against."""
 
 
-def limit_evidence(limit: Limit) -> dict[str, float | str]:
+def limit_evidence(limit: Limit) -> dict[str, float | str | None]:
     """Return a limit as a calibration keeps it among its numbers."""
-    values: tuple[float | str, ...] = (limit.maximum_rmse, str(limit.origin), limit.reference_expanded)
+    values = (limit.maximum_rmse, str(limit.origin), limit.reference_expanded, limit.full_range)
     return dict(zip(LIMIT_EVIDENCE, values, strict=True))

@@ -55,6 +55,11 @@ class SourceModel:
     stage_floor: StageDifference | None
     method: Method = field(default_factory=Method)
 
+    @property
+    def full_range(self) -> float:
+        """Range of the source's reference, in its unit."""
+        return self.interval.high - self.interval.low
+
 
 def make_source_model(
     source: LabelledRecording,

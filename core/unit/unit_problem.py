@@ -103,7 +103,7 @@ class UnitProblem:
             InputError: the limit is stated in another unit than the reference.
         """
         unit, config = self.source.source.reference_unit, self.source.method.decision
-        limit = self.limit or default_limit(unit, self.source.held_out_rmse, config)
+        limit = self.limit or default_limit(unit, self.source.held_out_rmse, self.source.full_range, config)
         if limit.unit != unit:
             raise InputError(f"limit is in {limit.unit}, the reference in {unit}; state it in that")
         if self.reference is None:

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.unit.budget import COVERAGE
+from softcal.core.unit.measured_error import Scores
 from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.uncertainty import ErrorForecast
-from softcal.core.windows import TAPS
 from softcal.core.words.reason import Reason, reason
 
 
@@ -76,7 +75,8 @@ class Limit:
     Args:
         maximum_rmse: tolerance limit for the RMSE against the reference, in `unit`.
         origin: where the number comes from, said with every verdict.
-        reference_expanded: U (k = 2) of the reference itself, in `unit`; 0 where nobody stated it.
+        reference_expanded: U (k = 2) of the reference itself, in `unit`; None where nobody stated it.
+        full_range: of the source's reference, in `unit`; of a limit that nobody stated.
 
     Raises:
         InputError: the limit is not a positive number.
@@ -85,7 +85,8 @@ class Limit:
     unit: str
     maximum_rmse: float
     origin: Reason = Reason("part.stated")
-    reference_expanded: float = 0.0
+    reference_expanded: float | None = None
+    full_range: float | None = None
 
     def __post_init__(self) -> None:
         if not 0 < self.maximum_rmse < float("inf"):
@@ -93,7 +94,7 @@ class Limit:
 
     @property
     def is_stated(self) -> bool:
-        """Whether somebody agreed on it; else it follows from the source's own error."""
+        """Whether somebody agreed on it; else it follows from the source's own error, and no unit passes by it."""
         return str(self.origin) == str(Limit.origin)
 
     @property
@@ -103,17 +104,15 @@ class Limit:
         An error r against a reference that is itself wrong by b is an error sqrt(r^2 + b^2) against the truth, so
         AL^2 = TL^2 - U^2. With |b| < U in 95 % of cases, fewer than 5 % of units at AL are beyond TL; 0: none passes.
         """
-        return float(np.sqrt(max(self.maximum_rmse**2 - self.reference_expanded**2, 0.0)))
+        return float(np.sqrt(max(self.maximum_rmse**2 - (self.reference_expanded or 0.0) ** 2, 0.0)))
 
     def to_json(self) -> dict[str, object]:
-        content = {"unit": self.unit, "maximum_rmse": self.maximum_rmse, "origin": self.origin.to_json()}
-        return content | ({"reference_expanded": self.reference_expanded} if self.reference_expanded else {})
+        return {**vars(self), "origin": self.origin.to_json()}
 
     @classmethod
     def of(cls, kept: Mapping[str, Any]) -> "Limit":
-        """Read what `to_json` wrote; older versions kept the origin as a sentence."""
-        expanded = float(kept.get("reference_expanded", 0.0))
-        return cls(str(kept["unit"]), float(kept["maximum_rmse"]), Reason.of(kept["origin"]), expanded)
+        """Read what `to_json` wrote."""
+        return cls(**{**kept, "origin": Reason.of(kept["origin"])})
 
 
 def stated_limit(unit: str, rmse: float | None) -> Limit | None:
@@ -121,10 +120,19 @@ def stated_limit(unit: str, rmse: float | None) -> Limit | None:
     return None if rmse is None else Limit(unit, rmse)
 
 
-def default_limit(unit: str, source_rmse: float, config: DecisionConfig = DecisionConfig()) -> Limit:  # noqa: B008 - frozen
-    """Return the limit of a lot that states none: a multiple of the source's held-out RMSE."""
+def default_limit(
+    unit: str,
+    source_rmse: float,
+    full_range: float,
+    config: DecisionConfig = DecisionConfig(),  # noqa: B008 - frozen
+) -> Limit:
+    """Return what units of a lot that states no limit fail by: a multiple of the source's held-out RMSE.
+
+    Args:
+        full_range: of the source's reference, in `unit`.
+    """
     origin = reason("part.automatic", factor=config.default_factor, rmse=source_rmse, unit=unit)
-    return Limit(unit, config.default_factor * source_rmse, origin)
+    return Limit(unit, config.default_factor * source_rmse, origin, full_range=full_range)
 
 
 @dataclass(frozen=True)
@@ -252,8 +260,13 @@ def statement(error: ErrorForecast, limit: Limit) -> str:
 def decide(
     error: ErrorForecast, limit: Limit, findings: tuple[Finding, ...] = (), source: str = "predicted"
 ) -> Judgement:
-    """Combine an error, `predicted` or `measured`, with what was found; the worse of the words stands."""
+    """Combine an error, `predicted` or `measured`, with what was found; the worse of the words stands.
+
+    Nothing passes by a limit that nobody stated.
+    """
     relation, stated = _STATED[statement(error, limit)]
+    if not limit.is_stated and stated is not Verdict.FAIL:
+        return _decide_without_limit(error, limit, findings, source)
     ordered = sorted(findings, key=lambda finding: -finding.best.severity)
     said = reason(
         "statement",
@@ -270,24 +283,28 @@ def decide(
     # An error beyond the limit is the first thing to say; else what was found is.
     seen = [finding.reason for finding in ordered]
     if limit.acceptance_rmse < error.upper <= limit.maximum_rmse:
-        seen.append(reason("reference_uncertain", expanded=limit.reference_expanded, unit=limit.unit))
+        seen.append(reason("reference_uncertain", expanded=limit.reference_expanded or 0.0, unit=limit.unit))
     return Judgement(word, (said, *seen) if stated is Verdict.FAIL and word is Verdict.FAIL else (*seen, said))
 
 
-def decide_audited(
-    before: float,
-    after: float,
-    windows: int,
-    limit: Limit,
-    held: tuple[Finding, ...] = (),
-) -> Judgement:
-    """Decide on a unit by the RMSE of f `before` and `after` its map against the reference, in the limit's unit.
+def _decide_without_limit(error: ErrorForecast, limit: Limit, findings: tuple[Finding, ...], source: str) -> Judgement:
+    ordered = sorted(findings, key=lambda finding: -finding.best.severity)
+    said = reason(
+        "no_limit",
+        source=Reason(f"part.{source}"),
+        share=error.rmse / (limit.full_range or np.nan),
+        rmse=error.rmse,
+        lower=error.lower,
+        upper=error.upper,
+        unit=limit.unit,
+    )
+    word = worst_of([Verdict.CONDITIONAL, *(finding.best for finding in findings)])
+    return Judgement(word, (*(finding.reason for finding in ordered), said))
 
-    The standard deviation of an RMSE from n independent errors is RMSE / sqrt(2 n); errors of neighbouring windows are
-    alike, so n is the number of windows that do not overlap.
-    """
-    guard = COVERAGE * after / float(np.sqrt(2 * max(windows / TAPS, 1.0)))
-    measured = ErrorForecast(after, after - guard, after + guard)
+
+def decide_audited(scores: Scores, limit: Limit, held: tuple[Finding, ...] = ()) -> Judgement:
+    """Decide on a unit by what its audit showed of f before and after its map, in the limit's unit."""
+    before, after = scores.before.rmse, scores.after.rmse
     harm = reason("harmful", after=after, before=before, unit=limit.unit)
     findings = (Finding(harm, Verdict.FAIL),) if after > before else ()
-    return decide(measured, limit, (*findings, *held), source="measured")
+    return decide(scores.after.interval, limit, (*findings, *held), source="measured")

@@ -11,6 +11,8 @@ UNIT_SENTENCES = sentences("""
 # The statement on an error, forecast or measured.
 statement: its {source} error is {relation} (RMSE {rmse:.3g} {unit}, 95 %: {lower:.3g} to
   {upper:.3g}, limit {limit:.3g} {unit}, {origin})
+no_limit: no limit was stated, so nothing passes; its {source} error is {rmse:.3g} {unit}, {share:.0%}
+  of the range (95 %: {lower:.3g} to {upper:.3g})
 part.predicted: predicted
 part.measured: measured
 part.within: within the limit
@@ -19,8 +21,8 @@ part.above: above the limit
 part.above_close: above the limit, but too near to it to be sure
 part.stated: stated for the lot
 part.automatic: {factor:g} x the source's own error of {rmse:.3g} {unit}, since no limit was stated
-reference_missing: reference {cell} has no certificate that states its uncertainty, so no unit
-  passes; add its certificate on the page Load cells, then calibrate the lot again
+reference_missing: reference {cell} is named and has no certificate, so no unit passes; add its
+  certificate on the page Load cells, then calibrate the lot again
 reference_expired: the certificate of reference {cell} was not valid when the source was pressed, so
   no unit passes; press the source again with a valid certificate (certificate {number}, valid from
   {issued_on} to {due_on}, source pressed on {used_on})
@@ -87,6 +89,8 @@ part.few_lots: earlier lots have too few audits (audited units: {audits}, lots: 
   {least})
 
 # The statement on the units of a lot that nobody measured.
+release.no_limit: no unit is released by sample, since no limit was stated for the lot
+part.no_limit: no limit was stated for the lot
 release.unqualified: no unit is released by sample; {why}
 release.none_left: no unit is left to release by sample ({seen})
 release.poor: no unit is released by sample; too few units of this lot would pass; measure units one
@@ -99,8 +103,8 @@ release.gains: on average the audited units read {centre:.1%} of the true load; 
   this differs by {spread:.1%} (standard deviation)
 release.days: a part of the limit is kept for changes from day to day, as the golden unit shows them
   (up to {day:.3g} {unit})
-release.common: the audited units misread their loads alike, and that was taken off every map of the
-  lot (mean gain {gain:.3f}, mean zero {zero:.3g} {unit}, audits: {audits})
+release.common: what the audited units misread alike was taken off every map of the lot, and all
+  numbers here are those after it (audits: {audits})
 common: its map takes off what the audited units of its lot misread alike (gain {gain:.3f}, zero
   {zero:.3g} {unit}, audits: {audits})
 release.doubts: some audits may be wrong and do not count; look at them on the page Audit (units:

@@ -238,7 +238,8 @@ class LimitInForce:
 
         if self.rmse is None:
             return says(ORIGIN, LIMIT_WAS_STATED)
-        return and_(text.contains(f'"{RMSE}":', autoescape=True), ~says(RMSE, self.rmse))
+        is_this = and_(says(RMSE, self.rmse), says(ORIGIN, LIMIT_WAS_STATED))
+        return and_(text.contains(f'"{RMSE}":', autoescape=True), ~is_this)
 
     def why(self, evidence: Mapping[str, object]) -> Reason:
         """Return why a verdict does not stand any more."""

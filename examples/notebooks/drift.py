@@ -45,7 +45,7 @@ t_s, force_N, output_V = pressed(source_twin, presses(40))
 network = softcal.fit_network(softcal.Recording(output_V, force_N, t_s=t_s), hidden=(32, 16))
 t_s, _, output_V = pressed(unit_twin, presses(40))
 target = softcal.Recording(output_V, t_s=t_s, serial="A1")
-unit = softcal.fit_map(network, target)
+unit = softcal.fit_map(network, target, limit_rmse=0.3)
 print(unit.verdict, f"error expected: {unit.predicted_rmse:.3f} N")
 
 # %% [markdown]

@@ -51,8 +51,8 @@ def test_an_empty_registry_gives_every_page_a_way_to_begin_in_korean_too(tmp_pat
 def test_a_limit_is_set_with_its_reason_and_lands_in_the_audit_trail(calibrated: str, show) -> None:
     screen = show(calibrated, "limits", lot="small")
     screen.toggle[0].set_value(False).run()
-    screen.number_input[0].set_value(0.25)
-    screen.text_input(key="reason-text-limit-small-0").set_value("drawing D 117 rev. B")
+    screen.number_input[0].set_value(0.25).run()
+    screen.text_input(key="reason-text-limit-small-1").set_value("drawing D 117 rev. B")
     screen.button[0].click().run()
     assert "0.25" in screen.success[0].value
     with open_registry(calibrated) as registry:
@@ -70,8 +70,8 @@ def test_a_limit_somebody_else_changed_meanwhile_is_not_overwritten(calibrated: 
     screen = show(calibrated, "limits", lot="small")
     with open_registry(calibrated) as registry:
         registry.lots.set_limit("small", 0.2, reason="second", actor="Quinn")
-    screen.number_input[0].set_value(0.25)
-    screen.text_input(key="reason-text-limit-small-1").set_value("drawing D 117 rev. B")
+    screen.number_input[0].set_value(0.25).run()
+    screen.text_input(key="reason-text-limit-small-2").set_value("drawing D 117 rev. B")
     screen.button[0].click().run()
     assert "0.2" in screen.error[0].value and "Quinn" in screen.error[0].value
     with open_registry(calibrated) as registry:

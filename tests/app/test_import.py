@@ -1,5 +1,6 @@
 """`softcal import`: tables become a lot folder, or nothing is written and one line says why."""
 
+import io
 import json
 from pathlib import Path
 
@@ -245,3 +246,30 @@ def test_an_option_reads_what_is_asked_about(tmp_path: Path, capsys: pytest.Capt
     assert "--time-format" in capsys.readouterr().err
     assert _import(path, out=tmp_path / "lot", extra=("--time-format", "ms")) == 0
     assert open_lot_folder(tmp_path / "lot").lot.sample_rate_Hz == 50
+
+
+@pytest.mark.parametrize(("stated", "limit"), [("0.4", 0.4), ("5%", 0.1), ("", None)])
+def test_a_limit_is_stated_in_the_unit_or_as_a_share_of_the_range_or_its_absence_is_said(
+    stated: str, limit: float | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = 400  # sin(t) over 8 s: the reference runs from 0 to 2
+    files = [_table(tmp_path, name, rows) for name in ("S1", "S2")]
+    assert _import(*files, out=tmp_path / "lot", extra=("--limit", stated) if stated else ()) == 0
+    found = open_lot_folder(tmp_path / "lot").lot.limit_rmse
+    assert found == (None if limit is None else pytest.approx(limit, rel=1e-3))
+    assert ("no unit can pass" in capsys.readouterr().err) == (limit is None)
+
+
+def test_on_a_terminal_a_tenth_of_the_range_is_proposed_and_has_to_be_confirmed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = [_table(tmp_path, name, 400) for name in ("S1", "S2")]
+    for answer, limit in (("y", 0.2), ("", None), ("3 %", 0.06)):
+        terminal = io.StringIO(f"{answer}\n")
+        monkeypatch.setattr(terminal, "isatty", lambda: True)
+        monkeypatch.setattr("sys.stdin", terminal)
+        out = tmp_path / f"lot-{answer[:1]}"
+        assert _import(*files, out=out) == 0
+        assert "proposed: 0.2 N, 10% of the range" in capsys.readouterr().err
+        found = open_lot_folder(out).lot.limit_rmse
+        assert found == (None if limit is None else pytest.approx(limit, rel=1e-3))

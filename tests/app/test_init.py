@@ -25,11 +25,11 @@ def _answers(monkeypatch: pytest.MonkeyPatch, *lines: str) -> None:
 def test_a_lot_by_questions_can_be_opened(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    _answers(monkeypatch, "", "S1", "fast", "48.9", "pad", "pressure", "bar", "count", "0.3")
+    _answers(monkeypatch, "", "S1", "fast", "48.9", "pad", "pressure", "bar", "count", "8", "5%")
     assert main(["init", "lot", str(tmp_path / "lot-7")]) == 0
     (tmp_path / "lot-7/source/S1.csv").write_text("t_s,output,reference\n0,0,0\n")
     lot = open_lot_folder(tmp_path / "lot-7").lot
-    assert (lot.id, lot.source, lot.sample_rate_Hz, lot.limit_rmse) == ("lot-7", "S1", 48.9, 0.3)
+    assert (lot.id, lot.source, lot.sample_rate_Hz, lot.limit_rmse) == ("lot-7", "S1", 48.9, 0.4)
     assert (lot.sensor_model, lot.reference_quantity, lot.reference_unit, lot.output_unit) == (
         "pad", "pressure", "bar", "count",
     )  # fmt: skip
@@ -41,6 +41,41 @@ def test_what_is_given_is_not_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     _answers(monkeypatch)
     assert main(["init", "lot", str(tmp_path / "lot"), "--source", "S1", "--yes"]) == 0
     assert tomllib.loads((tmp_path / "lot/lot.toml").read_text())["sample_rate_Hz"] == 50.0
+
+
+@pytest.mark.parametrize(
+    ("answers", "limit"),
+    [
+        (("3", "y"), 0.3),
+        (("3", "12 %"), 0.36),
+        (("", "0.25"), 0.25),
+        (("3", ""), None),
+        (("", "5%", "soon", "0.2"), 0.2),
+    ],
+)
+def test_a_limit_is_asked_for_and_a_proposal_has_to_be_confirmed(
+    answers: tuple[str, ...],
+    limit: float | None,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    _answers(monkeypatch, "", "S1", "", "", "", "", "", *answers)
+    assert main(["init", "lot", str(tmp_path / "lot")]) == 0
+    stated = tomllib.loads((tmp_path / "lot/lot.toml").read_text()).get("limit", {}).get("rmse")
+    assert stated == (None if limit is None else pytest.approx(limit))
+    assert ("no unit can pass" in capsys.readouterr().err) == (limit is None)
+
+
+def test_without_anybody_to_ask_no_limit_is_stated_and_that_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _answers(monkeypatch)
+    assert main(["init", "lot", str(tmp_path / "lot"), "--source", "S1", "--yes"]) == 0
+    assert "limit" not in tomllib.loads((tmp_path / "lot/lot.toml").read_text())
+    assert "no unit can pass" in capsys.readouterr().err
+    assert main(["init", "lot", str(tmp_path / "other"), "--source", "S1", "--yes", "--limit", "5%"]) == 2
+    assert not (tmp_path / "other").exists()
 
 
 @pytest.mark.parametrize("arguments", [["lot", "new"], ["lot", "new", "--yes"], ["station", "new"]])

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from softcal.app.batch.judging import judge_again
 from softcal.app.registry.limit import lot_limit
 from softcal.core.unit.judging import LIMIT_EVIDENCE
 from softcal.db.connection import open_registry
@@ -15,6 +16,8 @@ def test_a_record_that_kept_no_limit_gives_that_of_its_source(calibrated, lost):
     """Older versions kept no limit with a calibration, or not where it came from."""
     with open_registry(calibrated) as registry:
         (lot_id,) = registry.lots.ids()
+        registry.lots.set_limit(lot_id, None, reason="taken back")
+        judge_again(registry, [lot_id])
         kept = lot_limit(registry, lot_id)
         for unit in registry.lots.units(lot_id):
             if unit.role == "target" and unit.revision is not None:

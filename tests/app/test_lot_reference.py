@@ -28,7 +28,8 @@ NAMED = '[reference]\nunit = "N"\ncell = "LC-7"\nused_on = {used_on}\n'
 def restated(folder: Path, reference: str) -> None:
     """Write the small lot's facts with another reference."""
     top = 'sample_rate_Hz = 50.0\nsource = "A0"\n[lot]\nid = "small"\n'
-    (folder / "lot.toml").write_text(f'{top}{reference}[output]\nunit = "V"\n')
+    limit = "" if "[limit]" in reference else "[limit]\nrmse = 0.16\n"
+    (folder / "lot.toml").write_text(f'{top}{reference}[output]\nunit = "V"\n{limit}')
 
 
 def judged(folder: Path, url: str) -> tuple[set[str], str]:

@@ -1,11 +1,12 @@
 """The one page on a lot, read back with a tool that is not ours."""
 
 from dataclasses import replace
-from datetime import date
+from datetime import UTC, date, datetime
 from functools import partial
 
 import pytest
 
+from softcal.app.batch.audit import Sample
 from softcal.app.export.certificates.lot_statement import LotStatementFacts, lot_statement_pdf
 from softcal.app.texts.catalogue import text as text_of
 from softcal.app.texts.reasons import said
@@ -22,6 +23,9 @@ from tests.app.pdf_text import read_pages
 LOT, LIMIT = Lot("lot-1", "S0", 50.0, sensor_model="EG <3 mm>", limit_rmse=0.5), Limit("N", 0.5)
 
 
+SAMPLE = Sample(10, 40, datetime(2026, 4, 2, tzinfo=UTC), 3, 7, 4)
+
+
 def facts_of(audits: list[AuditedUnit], units: int, waiting: int = 0, withdrawn: int = 0) -> LotStatementFacts:
     """Return the facts of a lot with `units` released on its audits, without audits none."""
     source, why = ("this lot", plain("ten of this lot")) if audits else ("none", reason("part.no_lot"))
@@ -36,7 +40,7 @@ def facts_of(audits: list[AuditedUnit], units: int, waiting: int = 0, withdrawn:
     ]
     standing = LotStanding("lot-1", in_lot, LIMIT, decided)
     days = {"made_on": date(2026, 5, 1), "software": "softcal 1.0", "identifier": "lot-1-20260501"}
-    return LotStatementFacts(LOT, standing, decided, "ab" * 32, "cd" * 32, drawn=(10, 40), **days)
+    return LotStatementFacts(LOT, standing, decided, "ab" * 32, "cd" * 32, sample=SAMPLE, **days)
 
 
 FACTS = facts_of([AuditedUnit(f"A{k}", 0.2, 0.2 + 0.005 * k, "lot-1") for k in range(10)], 30)
@@ -52,7 +56,8 @@ def _read(pdf: bytes) -> tuple[str, int]:
 def test_one_page_says_what_is_promised_on_what_evidence_at_what_risk() -> None:
     text, pages = _read(lot_statement_pdf(FACTS))
     assert pages == 1
-    drawn, promise = say("paper.drawn.is", drawn=10, population=40), say("paper.promise.is", risk=0.1, confidence=0.9)
+    drawn = say("paper.drawn.is", drawn=10, population=40, day="2026-04-02", since=3, before=7, others=4)
+    promise = say("paper.promise.is", risk=0.1, confidence=0.9)
     for one in (str(FACTS.decided.statement), say("paper.given"), "EG <3 mm>", "0.5 N", drawn, promise, "SERIAL-00019"):
         assert one in text, one
     # Nothing waits and nothing was withdrawn: no title says otherwise.

@@ -75,7 +75,7 @@ def test_a_limit_that_comes_back_gives_the_same_verdict_everywhere(lot_folder, r
     toml = lot_folder / "lot.toml"
     facts = toml.read_text()
     for limit, verdict in ((0.002, "fail"), (5.0, "pass"), (0.002, "fail")):
-        toml.write_text(f"{facts}[limit]\nrmse = {limit}\n")
+        toml.write_text(facts.replace("rmse = 0.16", f"rmse = {limit}"))
         assert batch(lot_folder, registry_url)["A1"]["verdict"] == verdict
         assert listed(registry_url, capsys)["A1"]["verdict"] == verdict
         out = tmp_path / f"files-{limit}-{verdict}"

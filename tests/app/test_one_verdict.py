@@ -33,6 +33,7 @@ from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState,
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.judging import limit_evidence
+from softcal.core.unit.measured_error import MeasuredError, Scores
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import (
     Decision,
@@ -65,8 +66,8 @@ def lot(trained_lot: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator
     shutil.copytree(trained_lot / "lot", folder / "lot")
     shutil.copy(trained_lot / "registry.db", folder / "registry.db")
     url = f"sqlite:///{folder / 'registry.db'}"
-    with (folder / "lot/lot.toml").open("a") as facts:
-        facts.write(f"[limit]\nrmse = {LIMIT.maximum_rmse}\n")
+    toml = folder / "lot/lot.toml"
+    toml.write_text(toml.read_text().replace("rmse = 0.16", f"rmse = {LIMIT.maximum_rmse}"))
     assert main(["batch", str(folder / "lot"), "--registry", url, "--hidden", "16,8", "--no-own"]) in (0, 1)
     with open_registry(url) as registry:
         yield registry, registry.lots.all()[0].id
@@ -77,10 +78,12 @@ def drawn(rng: np.random.Generator, record: CalibrationRecord, number: int) -> C
     rmse = float(rng.uniform(0.02, 0.8))
     forecast = ErrorForecast(rmse, rmse * float(rng.uniform(0.3, 1)), rmse * float(rng.uniform(1, 3)))
     findings = tuple(Finding(FOUND, Verdict(word)) for word in rng.choice(list(Verdict), rng.integers(0, 3)))
-    measured, scores = None, {"before_rmse": None, "after_rmse": None}
+    measured, audit, scores = None, None, {"before_rmse": None, "after_rmse": None}
     if rng.random() < 0.5:
         before, after = (float(error) for error in rng.uniform(0.02, 0.8, 2))
-        measured = decide_audited(before, after, int(rng.integers(50, 3000)), LIMIT)
+        rows = int(rng.integers(50, 3000))
+        audit = Scores(MeasuredError(before, rows), MeasuredError(after, rows))
+        measured = decide_audited(audit, LIMIT)
         scores = {"before_rmse": before, "after_rmse": after}
     decision = Decision(decide(forecast, LIMIT, findings), measured)
     return replace(
@@ -92,6 +95,7 @@ def drawn(rng: np.random.Generator, record: CalibrationRecord, number: int) -> C
         settings={
             **record.settings,
             "decision": decision.to_json(),
+            "grounds": replace(record.grounds, measured=audit).to_json(),  # type: ignore[type-var]
             "forecast": vars(forecast),
             "reference": CELL.to_json(),
         },

@@ -19,7 +19,7 @@ CLI = Path(cli.__file__).parent
     [
         ("lot rules small --target 5 --reason order", True),
         ("lot rules small", False),
-        ("lot limit small --rmse 0.2 --reason customer", True),
+        ("lot limit small --rmse 0.2 --reason customer --yes", True),
         ("registry list --json -", False),
         ("registry history --serial A1", False),
         ("registry verify --quick", False),

@@ -20,6 +20,7 @@ from softcal.core.unit.budget import (
 )
 from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.knowledge import KnowledgeTable, LoadKnowledge
+from softcal.core.unit.measured_error import MeasuredError, Scores
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.uncertainty import ErrorForecast
@@ -122,15 +123,19 @@ def test_f_map_and_quantisation_share_the_forecast_among_them() -> None:
         ({"used_on": date(2027, 12, 31)}, Standing.VALID),
         ({"used_on": date(2025, 12, 31)}, Standing.EXPIRED),
         ({"certificate": ""}, Standing.MISSING),
+        ({"certificate": "", "cell": ""}, Standing.MISSING),
         ({"uncertainty": None}, Standing.MISSING),
         ({"due_on": None}, Standing.MISSING),
         ({"is_simulated": True}, Standing.SIMULATED),
     ],
 )
-def test_only_a_certificate_that_held_bars_nothing(changes: dict[str, object], standing: Standing) -> None:
+def test_a_named_cell_without_a_certificate_that_held_bars_and_what_nobody_stated_does_not(
+    changes: dict[str, object], standing: Standing
+) -> None:
     reference = replace(CELL, **changes)  # type: ignore[arg-type]
     assert reference.standing is standing
-    assert bool(reference.bars(5.0)) == (standing in (Standing.EXPIRED, Standing.MISSING))
+    is_named = bool(reference.cell) and not reference.certificate
+    assert bool(reference.bars(5.0)) == (standing is Standing.EXPIRED or is_named)
     assert Reference.of(reference.to_json()) == reference
     assert [why.code for why in CELL.bars(10.1)] == ["reference_range"]
 
@@ -164,7 +169,7 @@ def test_a_unit_beyond_the_limit_is_let_through_in_fewer_than_one_case_in_twenty
 
 def test_five_newton_on_a_scale_of_seven_and_a_half_cannot_pass() -> None:
     limit = Limit("N", 0.4, reference_expanded=replace(CELL, uncertainty=5.0).expanded(4.0))
-    best = decide_audited(1.0, 0.01, 5000, limit)
+    best = decide_audited(Scores(MeasuredError(1.0, 5000), MeasuredError(0.01, 5000)), limit)
     assert best.verdict is Verdict.CONDITIONAL
     assert [why.code for why in best.reasons] == ["reference_uncertain", "statement"]
     assert Limit.of(limit.to_json()) == limit

@@ -75,9 +75,14 @@ def test_the_record_is_lossless_and_json(calibrate, linear_network, good):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
 
 
-def test_without_a_limit_the_verdict_says_where_its_limit_comes_from(calibrate, good):
-    for limit, code in ((None, "part.automatic"), (Limit("N", 0.5), "part.stated")):
-        assert calibrate(good, limit).decision.predicted.reasons[-2].values["origin"].code == code
+def test_without_a_limit_nothing_passes_and_the_error_stands_beside_the_range(calibrate, good, source_model):
+    (stated,) = [one for one in calibrate(good, Limit("N", 0.5)).decision.reasons if one.code == "statement"]
+    assert stated.values["origin"].code == "part.stated"
+    made = calibrate(good, None)
+    assert made.decision.verdict == "conditional"
+    (said,) = [one for one in made.decision.reasons if one.code == "no_limit"]
+    loads = source_model.source.reference
+    assert said.values["share"] == pytest.approx(made.predicted_rmse / np.ptp(loads), rel=0.05)
 
 
 def test_a_generous_limit_is_held_by_the_forecast_alone_and_a_strict_one_fails(calibrate, good):

@@ -76,8 +76,8 @@ def test_a_rule_sees_the_unit_and_no_reference_of_it(source_model, unit, rule_in
     (facts,) = seen
     assert made.decision.verdict == "pass"
     assert facts.recording is unit.unlabelled and facts.source is source_model.source
-    assert facts.limit.maximum_rmse == 2.0 and facts.measured_rmse == pytest.approx(made.scores.after, rel=0.1)
-    assert rmse(facts.estimate, unit.window_reference) == pytest.approx(made.scores.after, rel=0.1)
+    assert facts.limit.maximum_rmse == 2.0 and facts.measured_rmse == pytest.approx(made.scores.after.rmse, rel=0.1)
+    assert rmse(facts.estimate, unit.window_reference) == pytest.approx(made.scores.after.rmse, rel=0.1)
     assert not any(isinstance(value, type(unit)) and value is unit for value in vars(facts).values())
 
 

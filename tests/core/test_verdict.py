@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 
 from softcal.core.errors import InputError
+from softcal.core.unit.measured_error import MeasuredError, Scores
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import (
     VERDICTS,
@@ -57,9 +58,25 @@ def test_an_error_near_the_limit_is_conditional_within_it_and_fails_beyond_it(rm
 
 
 def test_the_reason_states_error_limit_and_where_the_limit_comes_from():
-    verdict = decide(ErrorForecast(0.2, 0.15, 0.25), default_limit("N", 0.15))
-    assert "0.2 N" in str(verdict.reasons[-1])
-    assert verdict.reasons[-1].values["origin"].code == "part.automatic"
+    verdict = decide(ErrorForecast(0.5, 0.46, 0.54), default_limit("N", 0.15, 3.0))
+    assert "0.5 N" in str(verdict.reasons[0])
+    assert verdict.reasons[0].values["origin"].code == "part.automatic"
+
+
+@given(rmse=st.floats(0.001, 0.44), guard=st.floats(0, 0.3), word=st.sampled_from(VERDICTS))
+def test_nothing_passes_by_a_limit_that_nobody_stated(rmse, guard, word):
+    error, derived = ErrorForecast(rmse, rmse - guard, rmse + guard), default_limit("N", 0.15, 3.0)
+    for source in ("predicted", "measured"):
+        judgement = decide(error, derived, (Finding(plain("something"), word),), source)
+        assert judgement.verdict is worst_of([Verdict.CONDITIONAL, word])
+        (said,) = [why for why in judgement.reasons if why.code == "no_limit"]
+        assert said.values["share"] == pytest.approx(rmse / 3.0) and said.values["rmse"] == rmse
+
+
+def test_a_limit_survives_what_is_kept_of_it():
+    for limit in (LIMIT, default_limit("N", 0.1, 3.0), Limit("N", 0.3, reference_expanded=0.0)):
+        again = Limit.of(json.loads(json.dumps(limit.to_json())))
+        assert again == limit and again.is_stated == limit.is_stated
 
 
 def test_a_retest_states_no_conformity():
@@ -89,10 +106,10 @@ def test_a_limit_must_be_a_positive_number(maximum):
 
 
 def test_an_audit_that_shows_harm_fails_the_unit_even_within_the_limit():
-    verdict = decide_audited(before=0.10, after=0.12, windows=2000, limit=LIMIT)
+    verdict = decide_audited(Scores(MeasuredError(0.10, 2000), MeasuredError(0.12, 2000)), LIMIT)
     assert verdict.verdict is Verdict.FAIL and verdict.reasons[0].code == "harmful"
 
 
-@pytest.mark.parametrize(("after", "windows", "word"), [(0.1, 2000, Verdict.PASS), (0.27, 300, Verdict.CONDITIONAL)])
-def test_a_measured_error_passes_well_within_the_limit_alone(after, windows, word):
-    assert decide_audited(before=0.6, after=after, windows=windows, limit=LIMIT).verdict is word
+@pytest.mark.parametrize(("after", "rows", "word"), [(0.1, 2000, Verdict.PASS), (0.27, 300, Verdict.CONDITIONAL)])
+def test_a_measured_error_passes_well_within_the_limit_alone(after, rows, word):
+    assert decide_audited(Scores(MeasuredError(0.6, rows), MeasuredError(after, rows)), LIMIT).verdict is word

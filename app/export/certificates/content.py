@@ -9,6 +9,7 @@ import numpy as np
 
 from softcal.app.export.calibrated_unit import CalibratedUnit
 from softcal.app.export.certificates.laboratory import NOT_STATED, Laboratory, read_laboratory
+from softcal.app.registry.limit import judged_limit
 from softcal.core.errors import InputError
 from softcal.core.lot import escape_serial
 from softcal.core.recording import Array
@@ -17,7 +18,7 @@ from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.estimate import Estimate, estimate
 from softcal.core.unit.uncertainty import NORMAL_90, ErrorForecast
 from softcal.core.unit.verdict import Limit, Verdict
-from softcal.core.words.reason import plain
+from softcal.core.words.figures import decimals_of, telling_decimals, written_value
 
 BANDS = 4
 """The calibrated range is told in this many equal bands."""
@@ -122,6 +123,7 @@ class Certificate:
         budget: at the source's RMS load; None after a trim and in older versions.
         by_loads: what known loads did to the map; empty where there were none.
         by_audits: what was taken off the map as audited units misread alike, if any.
+        rows: how many rows of its audit have an estimate, and how many have none.
         made_because: why this revision was made, in the registry's words.
         bands: U_est by range; none where no estimate lies in the source's range.
         output, mapped: (k,) output levels of this unit and the source output each stands for.
@@ -168,6 +170,7 @@ class Certificate:
     software: str
     by_audits: str = ""
     left_out: int = 0
+    rows: str = ""
 
     @property
     def recorded(self) -> str:
@@ -181,7 +184,7 @@ class Certificate:
         if self.is_trimmed:
             return TRIMMED
         if self.measured is not None:
-            return COMPARED
+            return f"{COMPARED} {self.rows}".strip()
         return f"{NOT_COMPARED} {SAMPLED}" if self.is_sampled else NOT_COMPARED
 
     @property
@@ -195,9 +198,9 @@ class Certificate:
         return (error.lower, error.upper) if is_known else None
 
     @property
-    def deciding(self) -> list[tuple[str, float, str]]:
-        """The numbers of the decision rule: name with its symbol, value, and a note."""
-        numbers = []
+    def deciding(self) -> list[tuple[str, float | None, str]]:
+        """The numbers of the decision rule: name with its symbol, value (None: not stated), and a note."""
+        numbers: list[tuple[str, float | None, str]] = []
         if (error := self.error) is not None and np.isfinite(error.upper):
             numbers += [
                 ("E: error", error.rmse, "the one that decides"),
@@ -211,6 +214,18 @@ class Certificate:
                 ("AL: acceptance limit", limit.acceptance_rmse, ""),
             ]
         return numbers
+
+    @property
+    def decimals(self) -> int:
+        """Decimals of the errors on paper: those of U with two digits, more where the decision would read otherwise."""
+        error, limit = self.error, self.limit
+        if error is None or not np.isfinite(error.upper):
+            return decimals_of(float("nan"))
+        least = decimals_of(error.upper - error.rmse)
+        if limit is None:
+            return least
+        compared = {"E": error.rmse, "E_upper": error.upper, "TL": limit.maximum_rmse, "AL": limit.acceptance_rmse}
+        return telling_decimals(compared, least, [("E_upper", "AL"), ("E", "TL")])
 
     @property
     def withheld(self) -> tuple[str, ...]:
@@ -354,11 +369,6 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
             "what the audited units of the lot misread alike was taken off the map: estimates less "
             f"{zero:+.4g} {lot.reference_unit}, divided by {gain:.4g}"
         )
-    limit, evidence = None, record.evidence
-    if record.limit_rmse is not None:
-        expanded = float(str(evidence.get("reference_expanded") or 0.0))
-        origin = plain(str(evidence.get("limit_origin") or NOT_STATED))
-        limit = Limit(lot.reference_unit, record.limit_rmse, origin, expanded)
     return Certificate(
         identifier=f"softcal-{escape_serial(record.serial)}-r{unit.stored.revision}-{record.map_sha256[:8]}",
         made_on=unit.stored.made_at.date(),
@@ -380,11 +390,12 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
         low=low,
         high=high,
         forecast=unit.calibration.forecast,
-        limit=limit,
+        limit=judged_limit(record, lot.reference_unit),
         verdict=unit.verdict,
         reasons=tuple(map(str, unit.reasons)),
         before=record.before_rmse,
-        measured=_measured(record),
+        measured=None if record.scores is None else record.scores.after.interval,
+        rows=_rows(record),
         is_sampled=record.decision.measured is None and record.decision.sampled is not None,
         is_trimmed=_is_trimmed(record),
         reference=reference,
@@ -423,16 +434,12 @@ def _check_cell(laboratory: Laboratory, reference: Reference | None) -> None:
             )
 
 
-def _measured(record: CalibrationRecord) -> ErrorForecast | None:
-    """Return the measured error with its interval; that of an older version may be anything."""
-    if record.after_rmse is None:
-        return None
-    judged = record.decision.measured
-    for why in judged.reasons if judged else ():
-        if why.code == "statement":
-            lower, upper = (float(str(why.values[end])) for end in ("lower", "upper"))
-            return ErrorForecast(record.after_rmse, lower, upper)
-    return ErrorForecast(record.after_rmse, 0.0, np.inf)
+def _rows(record: CalibrationRecord) -> str:
+    """Say how many rows the measured error was made from; empty without an audit."""
+    if record.scores is None:
+        return ""
+    left_out = ", ".join(f"{flag} {count}" for flag, count in record.scores.unscored.items() if count)
+    return f"Rows of the audit that have an estimate: {record.scores.after.rows}; without one: {left_out or 'none'}."
 
 
 def _is_trimmed(record: CalibrationRecord) -> bool:
@@ -466,6 +473,11 @@ def _budget(unit: CalibratedUnit, load: float) -> Budget | None:
     if record.predicted_rmse is None or "model" not in terms:
         return None
     return forecast_budget(terms, record.knowledge, record.predicted_rmse, record.reference, load)
+
+
+def band_range(band: Uncertainty) -> str:
+    """Write the range of a band with as many decimals as its uncertainty."""
+    return f"{written_value(band.low, band.expanded)} to {written_value(band.high, band.expanded)}"
 
 
 def _bands(estimates: Estimate, low: float, high: float) -> tuple[Uncertainty, ...]:

@@ -2,9 +2,10 @@
 
 import xml.etree.ElementTree as ET
 
-from softcal.app.export.certificates.content import DECISION_RULE, ONLY_THIS, SIMULATED, Certificate
+from softcal.app.export.certificates.content import DECISION_RULE, ONLY_THIS, SIMULATED, Certificate, band_range
 from softcal.app.export.certificates.laboratory import NOT_STATED, Party
 from softcal.core.errors import printable
+from softcal.core.words.figures import written_uncertainty
 
 SCHEMA_VERSION = "3.1.2"
 """Each schema accepts its own version alone: another one is another writer."""
@@ -247,12 +248,14 @@ def _load_cell(facts: Certificate) -> ET.Element | None:
 def _quantity(
     facts: Certificate,
     name: str,
-    value: float,
+    value: float | None,
     interval: tuple[float, float] | None = None,
     kind: str = "",
     element: str = "quantity",
 ) -> ET.Element:
-    if facts.reference_unit not in SI_UNITS:
+    if value is None:
+        said = _text("noQuantity", NOT_STATED)
+    elif facts.reference_unit not in SI_UNITS:
         said = _text("noQuantity", f"{value:.6g} {facts.reference_unit}")
     else:
         factor, unit = SI_UNITS[facts.reference_unit]
@@ -272,7 +275,7 @@ def _quantity(
 
 def _expanded(facts: Certificate) -> ET.Element:
     if facts.reference_unit not in SI_UNITS or not facts.bands:
-        bands = "; ".join(f"{b.low:.4g} to {b.high:.4g}: U_est = {b.expanded:.3g}" for b in facts.bands)
+        bands = "; ".join(f"{band_range(b)}: U_est = {written_uncertainty(b.expanded)}" for b in facts.bands)
         return _text("text", f"{bands} {facts.reference_unit}" if bands else "no estimate lies in the calibrated range")
     factor, unit = SI_UNITS[facts.reference_unit]
     quantities = []
@@ -292,5 +295,5 @@ def _real(value: float, unit: str, coverage: ET.Element | None = None) -> ET.Ele
 
 
 def _number(value: float) -> str:
-    """Return seven significant digits as D-SI decimals want them."""
+    """Return seven significant digits: programs decide again by them; only what people read is rounded."""
     return f"{value:.7g}"

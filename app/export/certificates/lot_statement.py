@@ -10,7 +10,7 @@ import numpy as np
 from reportlab.lib.units import mm
 from reportlab.platypus import Flowable, Paragraph, Spacer
 
-from softcal.app.batch.audit import lot_audit
+from softcal.app.batch.audit import Sample, audited_sample
 from softcal.app.export.certificates import parts
 from softcal.app.export.certificates.fonts import BOLD, marked_up, printable_serial
 from softcal.app.texts.catalogue import text
@@ -33,7 +33,7 @@ class LotStatementFacts:
     Args:
         decided: on those that nobody measured.
         network_id, method_id: content hashes of the shared network and of the method.
-        drawn: how many units were drawn at random of how many; None where no draw was written down.
+        sample: what of the audits was drawn before it was measured.
         is_simulated: whether the lot's recordings come from a simulation.
     """
 
@@ -44,14 +44,14 @@ class LotStatementFacts:
     method_id: str
     made_on: date
     software: str
-    drawn: tuple[int, int] | None
+    sample: Sample
     identifier: str
     is_simulated: bool = False
 
 
 def lot_statement_facts(registry: Registry, standing: LotStanding, decided: LotRelease) -> LotStatementFacts:
     """Gather what the page on a lot says (`decided`: on its units that nobody measured)."""
-    lot_id, now, plan = standing.lot_id, datetime.now(UTC), lot_audit(registry, standing.lot_id)
+    lot_id, now = standing.lot_id, datetime.now(UTC)
     calibrated = next(u.serial for u in registry.lots.units(lot_id) if u.role == "target" and u.revision is not None)
     record = registry.calibrations.get(calibrated, lot_id=lot_id).record
     return LotStatementFacts(
@@ -62,7 +62,7 @@ def lot_statement_facts(registry: Registry, standing: LotStanding, decided: LotR
         method_id=record.method_id,
         made_on=now.date(),
         software=f"softcal {version('softcal')}",
-        drawn=None if plan is None else (len(plan.plan.random), plan.plan.population),
+        sample=audited_sample(registry, lot_id),
         identifier=f"{lot_id} {now:%Y-%m-%d %H:%M} UTC",
         is_simulated=record.reference is not None and record.reference.is_simulated,
     )
@@ -118,9 +118,12 @@ def _evidence_rows(facts: LotStatementFacts, words: Words) -> list[tuple[str, st
     audited = words("paper.audits.here", **counts)
     if lots not in ([], [facts.lot.id]):
         audited = words("paper.audits.lots", lots=", ".join(lots), **counts)
-    drawn = words("paper.drawn.not")
-    if facts.drawn is not None:
-        drawn = words("paper.drawn.is", drawn=facts.drawn[0], population=facts.drawn[1])
+    sample = facts.sample
+    drawn = words("paper.drawn.not", others=sample.without_draw)
+    if sample.drawn_at is not None:
+        numbers = {"since": sample.since, "before": sample.before, "others": sample.without_draw}
+        day = sample.drawn_at.date().isoformat()
+        drawn = words("paper.drawn.is", drawn=sample.drawn, population=sample.population, day=day, **numbers)
     rows = [
         (words("paper.audits"), audited),
         (words("paper.drawn"), drawn),

@@ -8,13 +8,14 @@ from reportlab.lib.units import mm
 from reportlab.platypus import Flowable, Paragraph, Spacer, Table
 
 from softcal.app.export.certificates import parts
-from softcal.app.export.certificates.content import DECISION_RULE, ONLY_THIS, Certificate
+from softcal.app.export.certificates.content import DECISION_RULE, ONLY_THIS, Certificate, band_range
 from softcal.app.export.certificates.dcc import certificate_xml
 from softcal.app.export.certificates.fonts import BOLD, printable_serial, writable
 from softcal.app.export.certificates.laboratory import NO_COUNTRY, NOT_STATED, Party
 from softcal.app.export.certificates.plots import SHOWN_S, estimate_plot, map_plot
 from softcal.core.lot import escape_serial
 from softcal.core.unit.uncertainty import ErrorForecast
+from softcal.core.words.figures import with_decimals, written_uncertainty, written_value
 
 
 def certificate_pdf(facts: Certificate) -> bytes:
@@ -50,8 +51,8 @@ def certificate_pdf(facts: Certificate) -> bytes:
     if facts.bands:
         unit, first = facts.reference_unit, 38 * mm
         rows = [
-            [f"Estimate, {unit}", *(f"{band.low:.3g} to {band.high:.3g}" for band in facts.bands)],
-            [f"U_est (k = 2), {unit}", *(f"{band.expanded:.3g}" for band in facts.bands)],
+            [f"Estimate, {unit}", *(band_range(band) for band in facts.bands)],
+            [f"U_est (k = 2), {unit}", *(written_uncertainty(band.expanded) for band in facts.bands)],
         ]
         widths = [first, *[(parts.WIDTH - first) / len(facts.bands)] * len(facts.bands)]
         bands = parts.text_table(rows, widths, 8)
@@ -109,24 +110,43 @@ def _stated(*parts: str) -> str:
 def _result_rows(facts: Certificate) -> list[tuple[str, str]]:
     unit, covered = facts.reference_unit, "the unit's recording reaches none of it"
     if facts.bands:
-        covered = f"{facts.low:.4g} to {facts.high:.4g} {unit}"
+        finest = min(band.expanded for band in facts.bands)
+        covered = f"{written_value(facts.low, finest)} to {written_value(facts.high, finest)} {unit}"
+    before = "unknown" if facts.before is None else f"{with_decimals(facts.before, facts.decimals)} {unit}"
     return [
         ("Calibrated range", covered),
         ("Predicted error (RMSE)", _error(facts, facts.forecast, "none could be made")),
         ("Measured error (RMSE)", _error(facts, facts.measured, "none with this map")),
-        ("Without calibration", "unknown" if facts.before is None else f"{facts.before:.3g} {unit}"),
-        # As many digits as tell apart what the decision rule compares.
-        *((name, f"{value:.7g} {unit}{f' ({note})' if note else ''}") for name, value, note in facts.deciding),
+        ("Without calibration", before),
+        *(
+            (name, f"{_deciding(facts, name, value)}{f' ({note})' if note else ''}")
+            for name, value, note in facts.deciding
+        ),
         ("Statement of conformity", facts.conformity or "none"),
         ("Verdict of the line", f"{facts.verdict}; {'; '.join(facts.reasons)}"),
     ]
+
+
+def _deciding(facts: Certificate, name: str, value: float | None) -> str:
+    if value is None:
+        return NOT_STATED
+    symbol, unit = name.partition(":")[0], facts.reference_unit
+    # A limit is agreed, not measured: it stands as it was stated.
+    is_stated = symbol == "TL" and facts.limit is not None and facts.limit.is_stated
+    if is_stated:
+        return f"{value:.10g} {unit}"
+    shown = written_uncertainty(value) if symbol == "U_ref" else with_decimals(value, facts.decimals)
+    return f"{shown} {unit}"
 
 
 def _error(facts: Certificate, found: ErrorForecast | None, otherwise: str) -> str:
     if found is None:
         return otherwise
     ends, unit = facts.interval_of(found), facts.reference_unit
-    return f"{found.rmse:.3g} {unit}" + (f" (95 %: {ends[0]:.3g} to {ends[1]:.3g} {unit})" if ends else "")
+    if ends is None:
+        return f"{with_decimals(found.rmse, facts.decimals)} {unit}"
+    low, rmse, high = (written_value(value, found.upper - found.rmse) for value in (ends[0], found.rmse, ends[1]))
+    return f"{rmse} {unit} (95 %: {low} to {high} {unit})"
 
 
 def _trace_rows(facts: Certificate) -> list[tuple[str, str]]:
@@ -156,11 +176,14 @@ def _budget(facts: Certificate) -> list[Flowable]:
         return []
     head = ["contribution", f"value, {unit} or K", "distribution", "divisor", "sensitivity", f"u, {unit}"]
     rows = [
-        [c.name, f"{c.value:.3g}", c.distribution, f"{c.divisor:.4g}", f"{c.sensitivity:.3g}", f"{c.standard:.3g}"]
+        [
+            *(c.name, written_uncertainty(c.value), c.distribution, f"{c.divisor:.4g}", f"{c.sensitivity:.3g}"),
+            written_uncertainty(c.standard),
+        ]
         for c in budget.contributions
     ]
-    rows.append(["combined", "", "", "", "", f"{budget.standard:.3g}"])
-    rows.append(["expanded, k = 2", "", "normal", "", "", f"U_est = {budget.expanded:.3g}"])
+    rows.append(["combined", "", "", "", "", written_uncertainty(budget.standard)])
+    rows.append(["expanded, k = 2", "", "normal", "", "", f"U_est = {written_uncertainty(budget.expanded)}"])
     first = 48 * mm
     table = parts.text_table([head, *rows], [first, *[(parts.WIDTH - first) / 5] * 5], 7)
     unsaid = "" if facts.reference is not None else " The reference's own uncertainty was not stated and is not in it."

@@ -4,16 +4,17 @@ from collections.abc import Mapping, Sequence
 
 import streamlit as st
 
-from softcal.app.batch.judging import judge_again
+from softcal.app.batch.changes import change_limit
 from softcal.app.charts import lot as charts_lot
 from softcal.app.line.load_readings import check_stated
 from softcal.app.registry.lot_recordings import source_recording
-from softcal.app.ui.account import actor
+from softcal.app.texts.reasons import all_said
+from softcal.app.ui.account import actor, allows
 from softcal.app.ui.actions import ask_reason, finish, refusals_in_words, say_finished
 from softcal.app.ui.desk import colours, instant, say
 from softcal.app.ui.panels import figure_under, for_lot, headline, rest_may_follow, table
-from softcal.app.ui.server_memory import registry, remembered_lot_view
-from softcal.app.views.common import limit_said, number, percent
+from softcal.app.ui.server_memory import registry, remembered_limit_changes, remembered_lot_view
+from softcal.app.views.common import limit_said, number
 from softcal.core.lot import Lot
 from softcal.core.quality.known_loads import MOST_LOADS, KnownLoad
 from softcal.core.quality.line_rules import LETTERS, LineRules
@@ -22,6 +23,8 @@ from softcal.core.unit.verdict import VERDICTS
 from softcal.db.entries import LimitEntry, LineRulesEntry
 
 MOST_UNITS, MOST_RETESTS = 10_000_000, 99
+MOST_SHOWN = 20
+"""So many changes of a verdict are shown one by one."""
 
 
 @for_lot("limits")
@@ -38,19 +41,13 @@ def render(lot_id: str) -> None:
         usual = float(view.limit_rmse or view.median_predicted or 1.0)
         label, step, key = f"{say('limits.new')} [{unit}]", float(f"{usual / 10:.1g}"), f"limit-{lot_id}-{version}"
         wanted = st.number_input(label, 0.0, None, usual, step, "%.4g", key, disabled=is_automatic)
-        if not is_automatic:
-            errors = view.predicted()
-            if count := len(errors):
-                within = int((errors <= wanted).sum())
-                st.markdown(say("limits.within", within=within, count=count, share=percent(within / count)))
-            st.caption(say("limits.note"))
-        reason = ask_reason(f"limit-{lot_id}-{version}", say("limits.set"), "set_limit")
+        rmse = None if is_automatic else wanted
+        button = _say_changes(lot_id, rmse, unit)
+        reason = ask_reason(f"limit-{lot_id}-{version}", button, "set_limit")
         if reason is not None:
-            rmse = None if is_automatic else wanted
             st.session_state.pop(looked_at)
             with refusals_in_words():
-                registry().lots.set_limit(lot_id, rmse, reason=reason, actor=actor(), expected_version=version)
-                judge_again(registry(), [lot_id], actor())
+                change_limit(registry(), lot_id, rmse, reason=reason, actor=actor(), expected_version=version)
                 finish("limit", say("limits.done", limit=automatic if rmse is None else f"{rmse:g}"))
     if not rest_may_follow():
         return
@@ -79,6 +76,33 @@ def render(lot_id: str) -> None:
         }
         rows.append(_row(entry, facts))
     table(rows, say("rules.none"))
+
+
+def _say_changes(lot_id: str, rmse: float | None, unit: str) -> str:
+    """Say what another limit would change, by the very decision that would be made; return the button's label."""
+    limit = say("limits.withdraw") if rmse is None else say("limits.set", limit=f"{rmse:g} {unit}")
+    if not allows("set_limit") or rmse == 0:
+        return limit
+    changes = remembered_limit_changes(lot_id, rmse)
+    words = ", ".join(f"{say(f'verdict.{word}')} {count}" for word, count in changes.counts.items() if count)
+    st.markdown(say("limits.then", counts=words or say("limits.then.none")))
+    if changed := changes.changed:
+        rows = [
+            {
+                say("column.serial"): one.serial,
+                say("choose.lot"): one.lot_id,
+                say("limits.now.verdict"): say(f"verdict.{one.verdict}"),
+                say("limits.then.verdict"): say(f"verdict.{one.next_verdict}"),
+                say("column.reasons"): all_said([one.reason], say),
+            }
+            for one in changed[:MOST_SHOWN]
+        ]
+        table(rows)
+        if len(changed) > MOST_SHOWN:
+            st.caption(say("limits.more", count=len(changed) - MOST_SHOWN))
+    if withdrawn := len(changes.withdrawn):
+        return say("limits.set.withdrawing", what=limit, count=withdrawn)
+    return limit
 
 
 def _seen(looked_at: str, versions: Sequence[LimitEntry | LineRulesEntry]) -> int:

@@ -20,6 +20,7 @@ from softcal.app.ui.desk import colours, in_words, say
 from softcal.app.ui.panels import go_to, heading, show_figure, step, table
 from softcal.app.ui.server_memory import registry
 from softcal.core.errors import InputError
+from softcal.core.limit_text import LimitText, proposed_limit
 from softcal.core.lot import Lot
 
 ROWS = 5
@@ -100,7 +101,7 @@ def _facts(files: Sequence[Path], content: pd.DataFrame, columns: Columns) -> tu
         "sensor_model": third.text_input(say("source.model"), placeholder="eGaIn pad, 3 mm", key="new-lot-model"),
     }
     source = str(second.selectbox(say("new_lot.source"), serials, key="new-lot-source") or "")
-    limit = fourth.number_input(say("lot.limit"), 0.0, value=None, format="%.4g", help=say("lot.limit.help"))
+    limit = _limit(fourth, content, columns)
     first, second, third, fourth = st.columns(4, vertical_alignment="bottom")
     facts |= {
         "reference_quantity": first.text_input(say("source.quantity"), "force", key="new-lot-quantity"),
@@ -109,7 +110,23 @@ def _facts(files: Sequence[Path], content: pd.DataFrame, columns: Columns) -> tu
     }
     audit = fourth.toggle(say("new_lot.audit"), True, help=say("new_lot.audit.help"), key="new-lot-audit")
     facts = {name: str(fact).strip() for name, fact in facts.items()}
-    return facts | {"source": source, "limit_rmse": limit or None}, audit
+    return facts | {"source": source, "limit_rmse": limit}, audit
+
+
+def _limit(place: Any, content: pd.DataFrame, columns: Columns) -> float | None:
+    """Ask for the limit, in the unit of the reference or in per cent of its range; None until it is confirmed."""
+    loads = pd.to_numeric(content.get(columns.reference, pd.Series(dtype=float)), errors="coerce")
+    full_range = float(loads.max() - loads.min()) if loads.notna().any() else None
+    proposed, is_percent, key = proposed_limit(full_range) if full_range else None, False, "new-lot-limit"
+    number = place.number_input(
+        say("lot.limit"), 0.0, value=proposed, format="%.4g", help=say("lot.limit.help"), key=key
+    )
+    if full_range:
+        is_percent = place.toggle(say("new_lot.limit.percent"), key=f"{key}-percent")
+    if not place.checkbox(say("new_lot.limit.agreed"), key=f"{key}-agreed") or not number:
+        place.caption(say("new_lot.limit.none"))
+        return None
+    return LimitText(float(number), is_percent).rmse(full_range)
 
 
 def _expected(plan: ImportPlan) -> ImportPlan | None:

@@ -1,0 +1,125 @@
+"""What an act would change of the verdicts of a lot: the act itself, done in a transaction that is not kept."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from softcal.app.batch.judging import judge_again
+from softcal.core.unit.verdict import VERDICTS, Verdict
+from softcal.core.words.reason import Reason
+from softcal.db.registry import Registry
+
+
+@dataclass(frozen=True)
+class VerdictChange:
+    """A unit whose verdict another one replaces, and why."""
+
+    lot_id: str
+    serial: str
+    verdict: str
+    next_verdict: str
+    reason: Reason
+
+
+@dataclass(frozen=True)
+class Changes:
+    """What an act changes.
+
+    Args:
+        changed: every unit whose verdict another one replaces, the withdrawn first.
+        counts: units of the lot by verdict after the act.
+    """
+
+    changed: tuple[VerdictChange, ...]
+    counts: dict[str, int]
+
+    @property
+    def withdrawn(self) -> tuple[VerdictChange, ...]:
+        """Units that pass and would not any more."""
+        return tuple(one for one in self.changed if one.verdict == Verdict.PASS)
+
+    @property
+    def released(self) -> tuple[VerdictChange, ...]:
+        """Units that would pass and do not yet."""
+        return tuple(one for one in self.changed if one.next_verdict == Verdict.PASS)
+
+    def to_json(self) -> dict[str, object]:
+        rows = [{**vars(one), "reason": str(one.reason)} for one in self.changed]
+        return {
+            "changed": rows,
+            "counts": self.counts,
+            "withdrawn": len(self.withdrawn),
+            "released": len(self.released),
+        }
+
+
+class _NotKept(Exception):  # noqa: N818 - no error: it ends a transaction
+    pass
+
+
+def preview(registry: Registry, lot_id: str, act: Callable[[], object]) -> Changes:
+    """Return what an act on a lot would change; nothing is kept.
+
+    Raises:
+        InputError: the act is refused, for the reason that it would be.
+    """
+    changes = Changes((), {})
+    try:
+        with registry.transaction():
+            before = _verdicts(registry, lot_id)
+            act()
+            after = _verdicts(registry, lot_id)
+            changes = _compared(lot_id, before, after)
+            raise _NotKept
+    except _NotKept:
+        return changes
+
+
+def change_limit(
+    registry: Registry,
+    lot_id: str,
+    rmse: float | None,
+    *,
+    reason: str,
+    actor: str | None = None,
+    expected_version: int | None = None,
+) -> None:
+    """Set the limit of a lot and judge every unit by it, or nothing of both.
+
+    Raises:
+        InputError: as `Registry.lots.set_limit`.
+    """
+    with registry.transaction():
+        registry.lots.set_limit(lot_id, rmse, reason=reason, actor=actor, expected_version=expected_version)
+        judge_again(registry, [lot_id], actor)
+
+
+def preview_limit(registry: Registry, lot_id: str, rmse: float | None) -> Changes:
+    """Return what another limit would change; nothing is kept."""
+    return preview(registry, lot_id, partial(change_limit, registry, lot_id, rmse, reason="preview"))
+
+
+Verdicts = dict[tuple[str, str], tuple[str, Reason]]
+
+
+def _verdicts(registry: Registry, lot_id: str) -> Verdicts:
+    """Return the verdict and its first reason of every unit that an act on the lot may reach, by lot and serial."""
+    model = registry.lots.get(lot_id).sensor_model
+    lots = {lot_id, *(lot.id for lot in registry.lots.all() if model and lot.sensor_model == model)}
+    units = [unit for lot in sorted(lots) for unit in registry.lots.units(lot)]
+    return {
+        (unit.lot_id, unit.serial): (unit.verdict, unit.reasons[0])
+        for unit in units
+        if unit.role == "target" and unit.verdict is not None and unit.reasons
+    }
+
+
+def _compared(lot_id: str, before: Verdicts, after: Verdicts) -> Changes:
+    changed = [
+        VerdictChange(*key, before[key][0], verdict, why)
+        for key, (verdict, why) in after.items()
+        if key in before and before[key][0] != verdict
+    ]
+    here: Sequence[str] = [verdict for (lot, _), (verdict, _) in after.items() if lot == lot_id]
+    ordered = sorted(changed, key=lambda one: (one.verdict != Verdict.PASS, one.lot_id, one.serial))
+    return Changes(tuple(ordered), {str(word): here.count(word) for word in VERDICTS})

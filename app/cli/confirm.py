@@ -1,0 +1,44 @@
+"""Acts that change verdicts: the command prints what would change, and asks."""
+
+import argparse
+import sys
+from typing import TYPE_CHECKING
+
+from softcal.app.output import print_table, say
+
+if TYPE_CHECKING:
+    from softcal.app.batch.changes import Changes
+
+MOST_TOLD = 20
+"""So many changes are printed one by one."""
+
+
+def add_yes(parser: argparse.ArgumentParser) -> None:
+    """Add `--yes`."""
+    parser.add_argument("--yes", action="store_true", help="do it without asking; needed where there is no terminal")
+
+
+def print_changes(changes: "Changes") -> None:
+    """Print what an act would change, a row a unit."""
+    if changes.changed:
+        rows = [[one.lot_id, one.serial, one.verdict, one.next_verdict, one.reason] for one in changes.changed]
+        print_table(("lot", "serial", "now", "then", "why"), rows[:MOST_TOLD])
+        if len(rows) > MOST_TOLD:
+            print(f"and {len(rows) - MOST_TOLD} more; --json has all")
+    counts = ", ".join(f"{count} {word}" for word, count in changes.counts.items() if count)
+    withdrawn, released = len(changes.withdrawn), len(changes.released)
+    print(f"withdraws {withdrawn} released units, releases {released}; then: {counts or 'no unit has a verdict'}")
+
+
+def is_confirmed(is_given: bool) -> bool:
+    """Return whether to go on: `--yes` was given, or a person at a terminal says so."""
+    if is_given:
+        return True
+    if not sys.stdin.isatty():
+        say("nothing was changed: there is no terminal to ask on; --yes does it")
+        return False
+    print("go on? [y/N] ", end="", file=sys.stderr, flush=True)
+    if sys.stdin.readline().strip().lower() in ("y", "yes"):
+        return True
+    say("nothing was changed")
+    return False

@@ -1,0 +1,60 @@
+"""The limit of a new lot on a terminal: as it was given, or asked for, with a number that has to be confirmed."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from softcal.app.cli.options import converted
+from softcal.app.output import say
+from softcal.core.errors import InputError
+from softcal.core.limit_text import LimitText, proposed_limit
+
+LIMIT: dict[str, Any] = {
+    "type": converted(LimitText.of, "{!r}: a number above 0 was expected, or a share of the range as in 5%"),
+    "metavar": "RMSE",
+    "help": "largest acceptable error, in the reference unit or as a share of its range: 0.3 or 5%%; "
+    "without one no unit passes",
+}
+UNSTATED = "no limit is stated, so no unit can pass; state it as rmse under [limit] in {toml}"
+
+
+def limit_rmse(
+    given: LimitText | None, unit: str, full_range: float | None, toml: Path, *, may_ask: bool | None = None
+) -> float | None:
+    """Return the limit in the reference's unit; None where nobody stated one, which is said.
+
+    Args:
+        given: as an option.
+        full_range: of the source's reference, in its unit; None where it is not known yet.
+        may_ask: whether somebody is there to ask; by default on a terminal.
+
+    Raises:
+        InputError: a share of a range that is not known yet.
+    """
+    if given is not None:
+        return given.rmse(full_range)
+    may_ask = sys.stdin.isatty() if may_ask is None else may_ask
+    stated = _asked(unit, full_range) if may_ask else None
+    if stated is None:
+        say(f"note: {UNSTATED.format(toml=toml)}")
+    return stated
+
+
+def _asked(unit: str, full_range: float | None) -> float | None:
+    question, proposed = f"largest acceptable RMSE, in {unit} or in % of the range", None
+    if full_range is not None:
+        proposed = proposed_limit(full_range)
+        question += f" (proposed: {proposed:g} {unit}, {proposed / full_range:.0%} of the range; y takes it)"
+    while True:
+        print(f"{question}; Enter states none: ", end="", file=sys.stderr, flush=True)
+        text = sys.stdin.readline().strip()
+        if not text:
+            return None
+        if text.lower() in ("y", "yes") and proposed is not None:
+            return proposed
+        try:
+            return LimitText.of(text).rmse(full_range)
+        except InputError as error:
+            say(str(error))
+        except ValueError:
+            say(f"{text!r}: a number above 0 was expected, or a share of the range as in 5%")

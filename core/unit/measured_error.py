@@ -1,0 +1,86 @@
+"""A measured error with the rows it was made from: the one place that gives an error its interval."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from softcal.core.metrics import rmse
+from softcal.core.recording import Array
+from softcal.core.unit.budget import COVERAGE
+from softcal.core.unit.uncertainty import ErrorForecast
+from softcal.core.windows import TAPS
+
+
+@dataclass(frozen=True)
+class MeasuredError:
+    """RMSE of estimates against a reference, in the reference unit, and the number of rows with an estimate."""
+
+    rmse: float
+    rows: int
+
+    @classmethod
+    def of(cls, estimate: Array, reference: Array) -> "MeasuredError":
+        """Compare (n,) estimates, NaN where there is none, with the reference beside them."""
+        return cls(rmse(estimate, reference), int(np.count_nonzero(np.isfinite(estimate))))
+
+    @property
+    def independent_rows(self) -> float:
+        """Rows whose windows do not overlap: errors of neighbouring rows are alike."""
+        return max(self.rows / TAPS, 1.0)
+
+    @property
+    def interval(self) -> ErrorForecast:
+        """The error with its 95 % interval: the standard deviation of an RMSE of n errors is RMSE / sqrt(2 n)."""
+        guard = COVERAGE * self.rmse / float(np.sqrt(2 * self.independent_rows))
+        return ErrorForecast(self.rmse, self.rmse - guard, self.rmse + guard)
+
+
+@dataclass(frozen=True)
+class OwnScores:
+    """The unit's own network beside f and the map on the rows that it was tested on (Kim et al. 2020, Table 1)."""
+
+    before: MeasuredError
+    after: MeasuredError
+    own: MeasuredError
+
+    @property
+    def after_ratio(self) -> float:
+        """Error with the map over that of the own calibration, on the same rows."""
+        return self.after.rmse / self.own.rmse
+
+    @property
+    def before_ratio(self) -> float:
+        """Error of f on raw windows over that of the own calibration, on the same rows."""
+        return self.before.rmse / self.own.rmse
+
+
+@dataclass(frozen=True)
+class Scores:
+    """What one audit shows of a unit.
+
+    Args:
+        before, after: of f on raw and on mapped windows, over all rows of the audit that have an estimate.
+        own: of the unit's own network, where one was trained.
+        unscored: rows without an estimate by the flag that `estimate` gives them.
+    """
+
+    before: MeasuredError
+    after: MeasuredError
+    own: OwnScores | None = None
+    unscored: Mapping[str, int] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, object]:
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, stored: Mapping[str, Any]) -> "Scores":
+        """Read what `to_json` wrote."""
+        own = stored["own"]
+        return cls(
+            before=MeasuredError(**stored["before"]),
+            after=MeasuredError(**stored["after"]),
+            own=own and OwnScores(**{name: MeasuredError(**one) for name, one in own.items()}),
+            unscored=stored["unscored"],
+        )

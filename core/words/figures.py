@@ -1,0 +1,41 @@
+"""How papers write numbers: an uncertainty with two significant digits, a value with as many decimals (GUM 7.2.6)."""
+
+from collections.abc import Mapping, Sequence
+from math import floor, isfinite, log10
+
+MOST_DECIMALS = 9
+"""No paper needs more; where this many do not tell two numbers apart, they are equal."""
+
+
+def decimals_of(uncertainty: float) -> int:
+    """Return the decimal place of the second significant digit of an uncertainty; below 0 left of the point."""
+    if not (isfinite(uncertainty) and uncertainty > 0):
+        return 3
+    place = 1 - floor(log10(uncertainty))
+    # 0.0996 is 0.10: rounding may take it into the next decade.
+    return 1 - floor(log10(round(uncertainty, place)))
+
+
+def with_decimals(value: float, decimals: int) -> str:
+    """Return a number rounded to a decimal place; below 0 to tens, hundreds ..."""
+    return f"{round(value, decimals):.{max(decimals, 0)}f}"
+
+
+def written_uncertainty(uncertainty: float) -> str:
+    """Return an uncertainty with two significant digits."""
+    return with_decimals(uncertainty, decimals_of(uncertainty) if uncertainty else 0)
+
+
+def written_value(value: float, uncertainty: float) -> str:
+    """Return a value with as many decimals as its uncertainty, given with two significant digits."""
+    return with_decimals(value, decimals_of(uncertainty))
+
+
+def telling_decimals(values: Mapping[str, float], decimals: int, pairs: Sequence[tuple[str, str]]) -> int:
+    """Return the least decimals from these on with which every pair of numbers compares as the exact ones do."""
+
+    def is_told(place: int) -> bool:
+        shown = {name: float(with_decimals(value, place)) for name, value in values.items()}
+        return all((shown[a] <= shown[b]) == (values[a] <= values[b]) for a, b in pairs)
+
+    return next((place for place in range(decimals, MOST_DECIMALS) if is_told(place)), MOST_DECIMALS)

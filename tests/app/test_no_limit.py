@@ -1,0 +1,77 @@
+"""Without a stated limit nothing passes: no word, no file, no paper and no release by sample says so."""
+
+import json
+import xml.etree.ElementTree as ET
+
+import pytest
+
+import softcal
+from softcal.app.cli.main import main
+from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
+from softcal.app.export.certificates.content import certificate_of
+from softcal.app.export.certificates.dcc import certificate_xml
+from softcal.db.connection import open_registry
+
+SMALL = ("--hidden", "16,8", "--no-own")
+LIMIT = "[limit]\nrmse = 0.16\n"
+
+
+def batch(folder, url, file, *more):
+    code = main(["batch", str(folder), "--registry", url, "--json", str(file), *SMALL, *more])
+    return code, json.loads(file.read_text())
+
+
+@pytest.fixture
+def unlimited(lot_folder, trained_lot, tmp_path):
+    """The small lot without its limit, and a registry that never heard of one."""
+    toml = lot_folder / "lot.toml"
+    assert LIMIT in toml.read_text()
+    toml.write_text(toml.read_text().replace(LIMIT, ""))
+    return lot_folder, f"sqlite:///{tmp_path / 'unlimited.db'}"
+
+
+def test_no_unit_passes_and_no_file_is_written_whatever_was_measured(unlimited, tmp_path):
+    folder, url = unlimited
+    out = tmp_path / "out"
+    code, report = batch(folder, url, tmp_path / "batch.json", "--out", str(out))
+    assert code == 1 and report["counts"]["pass"] == 0 and report["release"]["released"] == []
+    assert {unit["verdict"] for unit in report["units"]} == {"conditional"}
+    assert not any(unit["released"] for unit in report["units"])
+    for unit in report["units"]:
+        (said,) = [why for why, code in zip(unit["reasons"], unit["reason_codes"], strict=True) if code == "no_limit"]
+        assert "no limit was stated" in said and "% of the range" in said
+    assert not [file for file in out.rglob("*") if any(unit["serial"] in file.name for unit in report["units"])]
+    with open_registry(url) as registry:
+        facts = certificate_of(UnitLoader(registry, ExportOptions()).load("A1"))
+        assert facts.withheld[0] in ("simulated", "no_limit") and "no_limit" in facts.withheld
+        assert facts.verdict == "conditional" and not facts.conformity
+        assert ET.fromstring(certificate_xml(facts)).find(".//{https://ptb.de/dcc}conformity") is None
+        assert softcal.Unit.from_registry(registry, "A1").verdict == "conditional"
+    _, report = batch(folder, url, tmp_path / "batch.json", "--out", str(out), "--release", "conditional")
+    assert [file for file in out.rglob("*") if "A1" in file.name]
+    # The number that was derived, confirmed as it is, is another limit: a person agreed on it.
+    with open_registry(url) as registry:
+        derived = registry.calibrations.get("A1").record.limit_rmse
+    (folder / "lot.toml").write_text((folder / "lot.toml").read_text() + f"[limit]\nrmse = {derived!r}\n")
+    _, report = batch(folder, url, tmp_path / "batch.json")
+    assert {unit["verdict"] for unit in report["units"]} == {"pass"}
+
+
+@pytest.mark.long
+def test_audits_release_no_unmeasured_unit_where_no_limit_is_stated(make_lot, registry_url, tmp_path):
+    folder = make_lot()
+    toml = (folder / "lot.toml").read_text()
+    (folder / "lot.toml").write_text(toml.split("[limit]")[0])
+    _, report = batch(folder, registry_url, tmp_path / "batch.json")
+    assert report["release"]["released"] == [] and report["counts"]["pass"] == 0
+    assert "no limit was stated" in report["release"]["statement"]
+    (folder / "lot.toml").write_text(toml)
+    _, report = batch(folder, registry_url, tmp_path / "batch.json")
+    assert len(report["release"]["released"]) == 4 and report["counts"]["pass"] > 4
+
+
+def test_python_passes_nothing_without_a_limit(press_unit):
+    network = softcal.fit_network(press_unit(1500, 1.0, 0.5, 1), hidden=(16, 8))
+    target, audit = press_unit(1500, 1.2, 0.55, 11), press_unit(600, 1.2, 0.55, 51)
+    verdicts = [softcal.fit_map(network, target, audit=audit, limit_rmse=limit).verdict for limit in (None, 0.5)]
+    assert verdicts == ["conditional", "pass"]
