@@ -6,8 +6,9 @@ from pathlib import Path
 from unicodedata import normalize
 
 from softcal.app.files.importing import Columns, ImportPlan, look_through
-from softcal.app.files.not_used import NotUsed, no_reference_column
+from softcal.app.files.not_used import NotUsed
 from softcal.app.files.recording_file import FileRecording, write_rows
+from softcal.app.files.unused_parts import no_reference_column
 from softcal.app.registry.same_recordings import same_recordings_with
 from softcal.app.tables.options import DETECT, TableOptions
 from softcal.core.errors import InputError

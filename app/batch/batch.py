@@ -11,8 +11,8 @@ from softcal.app.batch.release import judge_lot
 from softcal.app.batch.report import BatchReport, unused_audits
 from softcal.app.batch.train import train_or_find
 from softcal.app.files.lot_folder import LotFolder
-from softcal.app.files.not_used import unused_columns
 from softcal.app.files.recording_file import naming
+from softcal.app.files.unused_parts import unused_columns
 from softcal.app.registry.golden import keep_golden_of
 from softcal.app.registry.known_loads import keep_loads
 from softcal.app.registry.reference import state_reference

@@ -11,8 +11,9 @@ from softcal.app.batch.known import config_of, stated_sources
 from softcal.app.bootstrap import data_folder
 from softcal.app.files.importing import ImportPlan, LookedAt, import_lot, look_through
 from softcal.app.files.lot_folder import FOLDER_OF, LotFolder, open_lot_folder, write_lot_toml
-from softcal.app.files.not_used import NotUsed, unused_of_import
+from softcal.app.files.not_used import NotUsed
 from softcal.app.files.recording_file import replace_recording
+from softcal.app.files.unused_parts import unused_of_import
 from softcal.app.registry.lot_recordings import newest_audits, source_recording
 from softcal.app.registry.same_recordings import same_recordings_with
 from softcal.core.errors import InputError, UnitRefused

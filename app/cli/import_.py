@@ -132,7 +132,7 @@ def _serials(given: list[str]) -> tuple[list[str] | None, dict[str, str]]:
 
 def _report(options: argparse.Namespace, plan: "ImportPlan", imported: "ImportedLot") -> None:
     """Report what was made, how the files were read, and what was not used."""
-    from softcal.app.files.not_used import unread_files
+    from softcal.app.files.unused_parts import unread_files
 
     lot, by_layout = plan.lot, dict[str, list[str]]()
     for name, layout in imported.layouts.items():

@@ -358,7 +358,7 @@ def _bring(options: argparse.Namespace) -> int:
     from softcal.app.batch.judging import judge_again
     from softcal.app.files.importing import Columns, tables_of
     from softcal.app.files.lot_folder import open_lot_folder
-    from softcal.app.files.not_used import unread_files
+    from softcal.app.files.unused_parts import unread_files
     from softcal.app.registry.lot_recordings import target_serials
 
     columns, table = (

@@ -10,7 +10,7 @@ import numpy as np
 
 from softcal.app.files.atomic import whole_folder
 from softcal.app.files.lot_folder import write_lot_toml
-from softcal.app.files.not_used import NotUsed, unused_of_import
+from softcal.app.files.not_used import NotUsed
 from softcal.app.files.recording_file import (
     ColumnNames,
     FileRecording,
@@ -18,6 +18,7 @@ from softcal.app.files.recording_file import (
     read_times,
     write_rows,
 )
+from softcal.app.files.unused_parts import unused_of_import
 from softcal.app.tables.options import DETECT, TableOptions
 from softcal.app.tables.read import READERS, read_table
 from softcal.app.tables.table import Table

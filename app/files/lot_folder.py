@@ -10,7 +10,7 @@ import tomlkit
 
 from softcal.app.files.anchors import read_anchors
 from softcal.app.files.atomic import write_text
-from softcal.app.files.not_used import NotUsed, unused_of_lot
+from softcal.app.files.not_used import NotUsed
 from softcal.app.files.recording_file import (
     PLAIN,
     ColumnNames,
@@ -21,6 +21,7 @@ from softcal.app.files.recording_file import (
 )
 from softcal.app.files.regular import read_regular
 from softcal.app.files.toml_file import read_toml, typed
+from softcal.app.files.unused_parts import unused_of_lot
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.read import READERS, read_table
 from softcal.core.errors import InputError

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from softcal.core.inspection.config import InspectionConfig
 from softcal.core.inspection.inspection import InspectionFinding
@@ -145,6 +144,9 @@ def find_shift(output: Array, reference: Array) -> Shift:
     Step and trend are taken within the cells of the curve, so that the loads before and after need not be alike
     (Frisch and Waugh 1933).
     """
+    # A recording without a reference, as an estimate has it, does not wait for SciPy.
+    from scipy.ndimage import uniform_filter1d
+
     is_rising = np.gradient(uniform_filter1d(output, SMOOTHED)) > 0
     cells = _levels(output) + BINS * is_rising
     rest = _within(cells, reference)

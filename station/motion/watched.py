@@ -234,6 +234,7 @@ class WatchedBench:
         end_s = self.bench.clock.now_s() + seconds
         while self.bench.clock.now_s() < end_s:
             self.bench.clock.sleep_s(TICK_S)
+            self._looked_s = self.bench.clock.now_s()
             self._take(())
 
     def _take(self, polls: Sequence[StagePosition]) -> None:

@@ -32,7 +32,7 @@ def test_the_lot_is_judged_once_every_drawn_unit_was_measured(unaudited, registr
     batch = ("batch", str(folder), "--registry", registry_url, *SMALL)
     plan = ("lot", "audit-plan", str(folder), "--registry", registry_url)
     main(["train", str(folder), "--registry", registry_url, "--hidden", "16,8"])
-    main(["lot", "limit", "small", "--registry", registry_url, "--rmse", "5", "--reason", "test"])
+    main(["lot", "limit", "small", "--registry", registry_url, "--rmse", "5", "--reason", "test", "--yes"])
     assert _json(tmp_path, *batch)[1]["audit"] is None
     _, drawn = _json(tmp_path, *plan, "--doubtful", "1", "--random", "1")
     asked = [*drawn["plan"]["doubtful"], *drawn["plan"]["random"]]

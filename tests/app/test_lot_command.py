@@ -63,10 +63,10 @@ def test_a_folder_that_is_no_lot_is_named(tmp_path, capsys):
 def test_a_limit_needs_a_reason_and_keeps_its_versions(known_lot, capsys):
     common = ["lot", "limit", "L1", "--registry", known_lot]
     assert main([*common, "--rmse", "0.1"]) == 2 and "--reason" in capsys.readouterr().err
-    assert main([*common, "--rmse", "0.1", "--reason", "drawing C", "--json", "-"]) == 0
+    assert main([*common, "--rmse", "0.1", "--reason", "drawing C", "--yes", "--json", "-"]) == 0
     versions = json.loads(capsys.readouterr().out)["versions"]
     assert [(v["version"], v["rmse"]) for v in versions] == [(1, 0.2), (2, 0.1)]
-    assert main([*common, "--rmse", "0.3", "--reason", "late", "--expect", "1"]) == 2
+    assert main([*common, "--rmse", "0.3", "--reason", "late", "--yes", "--expect", "1"]) == 2
     assert "0.1" in capsys.readouterr().err
 
 

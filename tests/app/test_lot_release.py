@@ -331,7 +331,9 @@ def test_an_account_that_may_not_write_asks_what_stands_released(
     request.addfinalizer(lambda: sqlalchemy_event.remove(Engine, "do_connect", read_only))
     assert main(["lot", "release", "large", "--registry", registry_url, "--json", str(file)]) == 0
     assert json.loads(file.read_text())["released"] == told["released"] and not capsys.readouterr().err
-    assert main(["lot", "limit", "large", "--registry", registry_url, "--rmse", "0.3", "--reason", "drawn"]) == 4
+    assert (
+        main(["lot", "limit", "large", "--registry", registry_url, "--rmse", "0.3", "--reason", "drawn", "--yes"]) == 4
+    )
 
 
 def test_the_statement_is_one_page_and_kept_in_the_registry(make_lot, batch, registry_url, tmp_path, capsys, registry):

@@ -201,7 +201,7 @@ def test_a_worse_verdict_takes_the_files_back(trained_lot, tmp_path):
     main(batch)
     released = {path.name for path in out.iterdir() if path.name.startswith("unit-")}
     assert released
-    main(["lot", "limit", "small", "--registry", url, "--rmse", "0.0001", "--reason", "too strict"])
+    main(["lot", "limit", "small", "--registry", url, "--rmse", "0.0001", "--reason", "too strict", "--yes"])
     assert main(batch) == 1
     assert not [path for path in out.iterdir() if path.name.startswith("unit-")]
     units = read_manifest(out).units.values()

@@ -91,7 +91,7 @@ def folder(small_calibrated: Path, tmp_path: Path, own_data: None) -> Path:
     shutil.copy(small_calibrated, folder / "registry.db")
     url = f"sqlite:///{folder / 'registry.db'}"
     assert main(["lot", "audit-plan", "small", "--random", "1", "--registry", url]) in (0, 1)
-    assert main(["lot", "limit", "small", "--rmse", "1e-6", "--reason", "strict", "--registry", url]) == 0
+    assert main(["lot", "limit", "small", "--rmse", "1e-6", "--reason", "strict", "--yes", "--registry", url]) == 0
     return folder
 
 
@@ -153,7 +153,7 @@ def test_only_the_file_is_read_only(folder, read_only) -> None:
     url = f"sqlite:///{folder / 'registry.db'}"
     asked = [
         ["registry", "list", "--registry", url],
-        ["lot", "limit", "small", "--rmse", "1", "--reason", "x", "--registry", url],
+        ["lot", "limit", "small", "--rmse", "1", "--reason", "x", "--yes", "--registry", url],
     ]
     (code, out, _), (code_write, _, error) = answers_of(asked)
     assert code == 0 and "A1" in out and code_write == 4 and "read-only" in error

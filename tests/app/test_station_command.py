@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from softcal.app.cli.main import command_parser
-from softcal.app.files.lot_folder import open_lot_folder, read_labelled
+from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.files.recording_file import read_recording
 from softcal.core.errors import InputError, NoReply
 from softcal.core.twin.simulate import Twin
@@ -60,7 +60,7 @@ def test_source_and_unit_end_in_a_lot_folder_as_it_is_read(softcal, tmp_path):
         assert softcal(kind, "--simulated", 4, *words) == 0
     folder = open_lot_folder(tmp_path / "lot-1")
     assert (folder.lot.id, folder.lot.source, folder.lot.sample_rate_Hz) == ("lot-1", "A0", 50.0)
-    labelled = read_labelled(tmp_path / "lot-1/source/A0.csv", "A0", 50.0)
+    labelled = folder.read_source()
     assert labelled.reference.max() > 3.0 and labelled.unlabelled.stage_mm is not None
     # A unit has no reference.
     unit = tmp_path / "lot-1/units/A1.csv"

@@ -1,0 +1,155 @@
+"""Find what of a person's files an import, an audit or a batch does not use, and say why."""
+
+import csv
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+from unicodedata import normalize
+
+from softcal.app.files.not_used import MAX_NAMES, NotUsed
+from softcal.app.files.recording_file import ColumnNames
+from softcal.app.tables.read import PARQUET, READERS
+from softcal.core.words.reason import Reason, reason
+
+if TYPE_CHECKING:
+    from softcal.app.files.importing import Columns, ImportedUnit, ImportPlan
+    from softcal.app.tables.table import Table
+
+PARTS = ("source", "units", "audit", "golden")
+"""Folders of a lot folder that hold recordings."""
+
+MAX_HEADER_BYTES = 1 << 16
+
+
+def unread_files(path: Path) -> list[NotUsed]:
+    """Return what of a folder to import is no table, or lies in a folder inside it that is not looked into."""
+    if not path.is_dir():
+        return []
+    folders = [folder for folder in (path, path / "source", path / "units") if folder.is_dir()]
+    items = []
+    for folder in folders:
+        for entry in _entries(folder):
+            if entry.is_dir() and entry not in folders and _entries(entry):
+                items.append(NotUsed("file", f"{entry.relative_to(path)}/", Reason("unused.folder")))
+            elif not entry.is_dir() and entry.suffix.lower() not in READERS and entry.name != "lot.toml":
+                items.append(NotUsed("file", str(entry.relative_to(path)), _format(READERS)))
+    return items
+
+
+def unused_of_import(
+    plan: "ImportPlan", units: Sequence[tuple[Path, str, "ImportedUnit"]]
+) -> tuple[list[str], tuple[NotUsed, ...]]:
+    """Return the serials of targets whose references are kept as audits, and what of the tables is not used."""
+    audits: list[str] = []
+    items: dict[NotUsed, None] = {}
+    for path, serial, unit in units:
+        is_source = serial in plan.sources
+        if not is_source and unit.audit is not None:
+            audits.append(serial)
+        for item in (*_columns(plan, path, unit, is_source), *_audit(plan, path, serial, unit), *_rows(plan, unit)):
+            items[item] = None
+    return audits, tuple(items)
+
+
+def _columns(plan: "ImportPlan", path: Path, unit: "ImportedUnit", is_source: bool) -> Iterator[NotUsed]:
+    columns = plan.columns
+    for name in unit.file.table.names:
+        if not columns.is_requested(name):
+            yield NotUsed("column", name, reason("unused.column"), path.name)
+        elif name == columns.reference and not (is_source or plan.audit or columns.is_wide):
+            yield NotUsed("column", name, reason("unused.reference"), path.name)
+
+
+def _audit(plan: "ImportPlan", path: Path, serial: str, unit: "ImportedUnit") -> Iterator[NotUsed]:
+    asked = plan.columns.reference
+    if plan.audit and unit.audit is None and asked is not None and serial not in plan.sources:
+        yield NotUsed("audit", serial, no_reference_column(plan.columns, unit.file.table))
+
+
+def no_reference_column(columns: "Columns", table: "Table") -> Reason:
+    """Return that a table lacks the column of the reference, and which one may be meant."""
+    asked = columns.reference or ""
+    alike = [name for name in table.names if _folded(name) == _folded(asked)]
+    others = alike or [name for name in table.names if not columns.is_requested(name)]
+    shown = ", ".join(map(repr, others[:MAX_NAMES])) or "no other column"
+    return reason("unused.no_column", file=table.path.name, column=repr(asked), others=shown)
+
+
+def _folded(name: str) -> str:
+    return "".join(c for c in name.casefold() if c.isalnum())
+
+
+def _rows(plan: "ImportPlan", unit: "ImportedUnit") -> Iterator[NotUsed]:
+    total, serial = len(unit.file.table), unit.recording.serial
+    is_audited = plan.audit and unit.reference is not None
+    parts = [plan.fit_rows or (0, total), *([plan.audit_rows or (0, total)] if is_audited else [])]
+    used = {row for start, stop in parts for row in range(start, min(stop, total))}
+    if left := total - len(used):
+        rows = " ".join(f"{start}:{stop}" for start, stop in parts)
+        yield NotUsed("rows", serial, reason("unused.rows", count=left, total=total, rows=rows))
+
+
+def unused_of_lot(root: Path, sources: Mapping[str, Path], units: Mapping[str, Path]) -> tuple[NotUsed, ...]:
+    """Return what of a lot folder is not used: files of another kind or place, audits of no unit.
+
+    Args:
+        sources: recordings of the sources that `lot.toml` names, by serial.
+    """
+    items = []
+    for part in filter(Path.is_dir, (root / name for name in PARTS)):
+        used = {"source": set(sources), "audit": {*units, *sources}}.get(part.name)
+        for entry in _entries(part):
+            name = str(entry.relative_to(root))
+            if entry.suffix.lower() not in READERS:
+                items.append(NotUsed("file", name, _format(READERS)))
+            elif used is not None and normalize("NFC", entry.stem) not in used:
+                if part.name == "audit":
+                    items.append(NotUsed("audit", entry.stem, reason("unused.stranger"), name))
+                else:
+                    items.append(NotUsed("file", name, reason("unused.source", sources=", ".join(sources))))
+    for entry in _entries(root):
+        is_folder = entry.is_dir() and entry.name not in PARTS
+        tables = _entries(entry) if is_folder else [entry]
+        if any(one.suffix.lower() in READERS and one.is_file() for one in tables) and entry.stem != "anchors":
+            items.append(NotUsed("file", f"{entry.name}/" if is_folder else entry.name, Reason("unused.place")))
+    return tuple(items)
+
+
+def unused_columns(root: Path, units: Mapping[str, Path], names: ColumnNames) -> list[NotUsed]:
+    """Return columns of the units' files in a lot folder that no fit reads.
+
+    Only a header in the first line is looked at; a file that cannot be read has none.
+    """
+    items = []
+    for path in units.values():
+        header = _header(path, root)
+        for name in header if names.output in header else ():
+            if not names.is_requested(name):
+                code = "unused.labelled" if name == names.reference else "unused.unit_column"
+                items.append(NotUsed("column", name, Reason(code), path.name))
+    return items
+
+
+def _header(path: Path, root: Path) -> list[str]:
+    with suppress(OSError, ValueError, csv.Error, RuntimeError):
+        if not path.is_file() or not path.resolve().is_relative_to(root.resolve()):
+            return []
+        if path.suffix.lower() in PARQUET:
+            from pyarrow import ArrowException
+            from pyarrow.parquet import read_schema
+
+            with suppress(ArrowException):
+                return list(read_schema(path).names)
+            return []
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            return next(csv.reader([file.readline(MAX_HEADER_BYTES)]), [])
+    return []
+
+
+def _format(suffixes: Iterable[str]) -> Reason:
+    return reason("unused.format", suffixes=", ".join(sorted(suffixes)))
+
+
+def _entries(folder: Path) -> list[Path]:
+    return [entry for entry in sorted(folder.iterdir()) if not entry.name.startswith((".", "~$"))]
