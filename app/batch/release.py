@@ -143,10 +143,11 @@ class _Standing:
 
     @property
     def open(self) -> dict[str, MadeCalibration]:
+        """Unmeasured units that audits of others may release: nothing found, and nothing that bars a pass."""
         return {
             made.serial: made
             for made in self.made
-            if made.decision.measured is None and made.is_open and made.forecast_rmse
+            if made.decision.measured is None and made.is_open and made.forecast_rmse and not made.decision.bars
         }
 
     def decided(self) -> LotRelease:

@@ -63,6 +63,33 @@ def _unmeasured(report: dict) -> list[dict]:
     return [unit for unit in report["units"] if not unit["audited"]]
 
 
+@pytest.mark.parametrize("barred_by", ["reference", "trim", "unreadable audit"])
+def test_whoever_is_listed_as_released_has_the_verdict_pass(barred_by, make_lot, batch, registry, registry_url, capsys):
+    folder = make_lot()
+    unmeasured = [path.stem for path in (folder / "units").iterdir() if not (folder / "audit" / path.name).exists()]
+    toml = folder / "lot.toml"
+    if barred_by == "reference":
+        toml.write_text(toml.read_text().replace("[reference]", '[reference]\ncell = "LC-1"').replace("simulated", "was"))
+    if barred_by == "unreadable audit":
+        (folder / "audit" / f"{unmeasured[0]}.csv").write_text("t_s,output,reference\n0,x,1\n")
+    if barred_by == "trim":
+        batch(folder)
+        unit = pd.read_csv(folder / "units" / f"{unmeasured[0]}.csv")
+        low, high = unit["output"].quantile([0.02, 0.98])
+        loads = folder / "loads.csv"
+        loads.write_text(f"output,reference\n{low},0.3\n{high},2.9\n")
+        assert main(["trim", "--registry", registry_url, "--serial", unmeasured[0], "--loads", str(loads)]) == 0
+    report = batch(folder)
+    passed = sorted(unit["serial"] for unit in report["units"] if unit["verdict"] == "pass" and not unit["audited"])
+    assert sorted(report["release"]["released"]) == passed and (barred_by == "unreadable audit" or len(passed) < 4)
+    capsys.readouterr()
+    main(["lot", "release", "large", "--registry", registry_url, "--json", "-"])
+    assert sorted(json.loads(capsys.readouterr().out)["released"]) == passed
+    *_, stated = sorted(registry.trail.of("lot_release", ("large",)), key=lambda row: row.at)
+    assert sorted(json.loads(stated.after)["released"]) == passed
+    assert str(len(passed) or "no unit") in report["release"]["statement"]
+
+
 def test_units_nobody_measured_pass_on_the_audits_of_the_others(make_lot, batch, tmp_path, capsys, registry):
     folder = make_lot()
     report = batch(folder, "--out", str(tmp_path / "out"))
