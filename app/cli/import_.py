@@ -25,7 +25,6 @@ from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
     from softcal.app.files.importing import ImportedLot, ImportPlan
-    from softcal.core.limit_text import LimitText
 
 EXAMPLES = """examples:
   one file per unit; S1 has a load cell; the others' forces are their audits:
@@ -118,7 +117,7 @@ def run(options: argparse.Namespace) -> None:
         files, columns, lot, options.audit, options.rows, options.audit_rows, table, serials, renames, more_sources=more
     )
     imported = import_lot(plan, options.out)
-    _state_limit(options.out, options.limit)
+    _state_limit(options, lot.reference_unit, imported.reference_range)
     _report(options, plan, imported)
 
 
@@ -153,14 +152,10 @@ def _report(options: argparse.Namespace, plan: "ImportPlan", imported: "Imported
     answer(options, "import/1", facts | unused_json(not_used, imported.remarks))
 
 
-def _state_limit(folder: Path, given: "LimitText | None") -> None:
-    """Write the limit into the folder that was made: a share of the range needs the source's recording."""
-    import numpy as np
+def _state_limit(options: argparse.Namespace, unit: str, full_range: float) -> None:
+    """Write the limit into the folder that was made, as it was given or asked for."""
+    from softcal.app.files.lot_folder import restate_limit
 
-    from softcal.app.files.lot_folder import open_lot_folder, restate_limit
-
-    opened = open_lot_folder(folder)
-    full_range = float(np.ptp(opened.read_source().reference))
-    stated = limit_rmse(given, opened.lot.reference_unit, full_range, folder / "lot.toml")
+    stated = limit_rmse(options.limit, unit, full_range, options.out / "lot.toml")
     if stated is not None:
-        restate_limit(folder, stated)
+        restate_limit(options.out, stated)

@@ -133,10 +133,12 @@ class ImportedLot:
         units, audits: serials of the target units, and of those whose references are kept.
         layouts: what was detected of each file, in one line; "" where it has the plain form.
         remarks: what is odd but no error, such as one recording under two serials.
+        reference_range: range of the source's reference, in its unit.
     """
 
     units: tuple[str, ...]
     audits: tuple[str, ...]
+    reference_range: float
     layouts: Mapping[str, str]
     not_used: tuple[NotUsed, ...]
     remarks: tuple[Reason | str, ...]
@@ -191,7 +193,9 @@ def import_lot(plan: ImportPlan, folder: Path) -> ImportedLot:
     pressed = [Pressed(serial, plan.lot.id, unit.recording.output_sha256) for serial, unit in units.items()]
     remarks: list[Reason | str] = [*of_files, *same_recordings(pressed)]
     remarks += [] if targets else [Reason("lot.no_units")]
-    return ImportedLot(targets, tuple(audits), layouts, (*unnamed, *not_used), tuple(remarks))
+    reference = units[plan.lot.source].reference
+    full_range = 0.0 if reference is None else float(np.ptp(reference))
+    return ImportedLot(targets, tuple(audits), full_range, layouts, (*unnamed, *not_used), tuple(remarks))
 
 
 def _named_units(plan: ImportPlan) -> tuple[list[tuple[Path, str, ImportedUnit]], list[NotUsed]]:

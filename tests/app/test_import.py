@@ -273,3 +273,21 @@ def test_on_a_terminal_a_tenth_of_the_range_is_proposed_and_has_to_be_confirmed(
         assert "proposed: 0.2 N, 10% of the range" in capsys.readouterr().err
         found = open_lot_folder(out).lot.limit_rmse
         assert found == (None if limit is None else pytest.approx(limit, rel=1e-3))
+
+
+def test_a_source_that_trains_nothing_is_imported_with_a_note_and_its_limit(
+    tmp_path: Path, press_unit, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = press_unit(1200, 1.0, 0.5, 4)
+    source.loc[600:, "reference"] -= 1.5
+    source.to_csv(tmp_path / "S1.csv", index=False)
+    press_unit(1200, 1.1, 0.5, 5).to_csv(tmp_path / "S2.csv", index=False)
+    files, options = (
+        [str(tmp_path / f"S{k}.csv") for k in (1, 2)],
+        ["--source", "S1", "--reference-column", "reference"],
+    )
+    assert main(["import", *files, *options, "--limit", "5%", "--out", str(tmp_path / "lot")]) == 0
+    assert "S1.csv: line 602" in capsys.readouterr().err
+    assert open_lot_folder(tmp_path / "lot").lot.limit_rmse == pytest.approx(0.05 * np.ptp(source["reference"]))
+    assert main(["train", str(tmp_path / "lot"), "--registry", f"sqlite:///{tmp_path / 'r.db'}"]) == 2
+    assert "S1.csv: line 602" in capsys.readouterr().err

@@ -69,7 +69,9 @@ def test_whoever_is_listed_as_released_has_the_verdict_pass(barred_by, make_lot,
     unmeasured = [path.stem for path in (folder / "units").iterdir() if not (folder / "audit" / path.name).exists()]
     toml = folder / "lot.toml"
     if barred_by == "reference":
-        toml.write_text(toml.read_text().replace("[reference]", '[reference]\ncell = "LC-1"').replace("simulated", "was"))
+        toml.write_text(
+            toml.read_text().replace("[reference]", '[reference]\ncell = "LC-1"').replace("simulated", "was")
+        )
     if barred_by == "unreadable audit":
         (folder / "audit" / f"{unmeasured[0]}.csv").write_text("t_s,output,reference\n0,x,1\n")
     if barred_by == "trim":
