@@ -49,7 +49,7 @@ class Faults:
     """What simulators do wrong, each as the function that a person would write."""
 
     def __init__(self) -> None:
-        self.rng, self.rest = np.random.default_rng(), 0.0
+        self.rng, self.rest = np.random.default_rng(8), 0.0
 
     def noisy(self, inputs: Columns, p: Mapping[str, float]) -> dict[str, Any]:
         return {"sunk_mm": press(inputs, p)["sunk_mm"] + self.rng.normal(0.0, 1e-6, len(inputs["t_s"]))}

@@ -1,0 +1,189 @@
+"""How a text file is laid out: delimiter, decimal mark, preamble, names and units, detected in its first lines."""
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from softcal.app.tables.encoding import Encoding
+from softcal.app.tables.headings import Heading, IsRequested, data_rows, find_heading, refuse_doubles
+from softcal.app.tables.numbers import THOUSANDS, Kind, cell_kind, shown
+from softcal.app.tables.options import TableOptions
+from softcal.core.errors import InputError
+
+HEAD_LINES = 600
+"""Lines that the layout is detected in."""
+
+BLANKS = "blanks"
+NAMES = {"\t": "tabs", ";": "semicolons", "|": "bars", BLANKS: "blanks", "": "one column"}
+DECLARED = {"tab": "\t", "\\t": "\t", "blank": BLANKS, " ": BLANKS, "space": BLANKS, "comma": ",", "semicolon": ";"}
+CANDIDATES = ("\t", ";", ",", "|", BLANKS, "")
+REMARKS = ("comment", "comments", "note", "notes", "remark", "remarks", "bemerkung", "kommentar", "비고")
+"""Names of a last column that rows without a remark end before, as LabVIEW writes them."""
+
+LVM_HEADER_END = "***End_of_Header***"
+
+
+@dataclass(frozen=True)
+class TextLayout:
+    """How a text file is laid out.
+
+    Args:
+        delimiter: one character, "blanks", or "" where there is one column only.
+        skipped: lines before the one that `heading` counts from.
+        start: index of the first line of data in the file, counted from 0.
+        text_columns: columns that hold text in most rows.
+    """
+
+    encoding: Encoding
+    delimiter: str
+    decimal: str
+    heading: Heading
+    start: int
+    text_columns: frozenset[int]
+    description: str
+    remarks: tuple[str, ...]
+
+
+def detect_layout(
+    lines: Sequence[str], path: Path, encoding: Encoding, options: TableOptions, is_requested: IsRequested
+) -> TextLayout:
+    """Return the layout of a text file, of which the first lines are enough.
+
+    Raises:
+        InputError: there is no row of data, or two readings are possible.
+    """
+    skipped, declared = _preamble(lines, options)
+    # numpy writes its header behind a #.
+    head = [(k, line.lstrip("# ")) for k, line in enumerate(lines[:HEAD_LINES]) if k >= skipped and line.strip("# \t")]
+    # Rows with commas further down tell the decimal mark where the first ones hold whole numbers.
+    more = [line for line in lines[HEAD_LINES:] if "," in line][:200] if len(lines) > HEAD_LINES else []
+    texts = [line for _, line in head]
+    delimiter, decimal = _marks(texts, more, path, declared)
+    rows = [split(line, delimiter) for line in texts]
+    numbers = [k + 1 for k, _ in head]
+    heading = find_heading(rows, numbers, path, decimal=decimal, declared=options.header_row, is_requested=is_requested)
+    refuse_doubles(heading.names, path, is_requested)
+    if heading.first >= len(rows) or not heading.names:
+        raise InputError(f"{path}: there is no row of data below the header")
+    _refuse_unnamed(rows[heading.first :], numbers[heading.first], len(heading.names), delimiter, path)
+    _, text_columns, _ = data_rows(rows[heading.first :], decimal)
+    parts = [NAMES.get(delimiter, f"{delimiter!r} between cells")] if delimiter != "," else []
+    if delimiter == "" and len(heading.names) == 1:
+        parts = []
+    parts += ["decimal comma"] if decimal == "," else []
+    parts += [] if encoding.name in ("utf-8", "utf-8-sig", "ascii") else [_shown_encoding(encoding.name)]
+    parts += heading.describe(numbers)
+    remarks = (encoding.remark,) if encoding.remark else ()
+    start = head[heading.first][0]
+    return TextLayout(encoding, delimiter, decimal, heading, start, text_columns, "; ".join(parts), remarks)
+
+
+def _refuse_unnamed(rows: Sequence[Sequence[str]], line: int, names: int, delimiter: str, path: Path) -> None:
+    """Refuse rows that have more cells than there are names, where most of them have."""
+    wider = [row for row in rows if any(row[names:])]
+    if len(wider) > len(rows) / 2:
+        cure = "give every column a name"
+        if delimiter == ",":
+            cure += "; with decimal commas write semicolons or tabs between cells"
+        raise InputError(
+            f"{path}: the rows have more cells than the header ({len(wider[0])} from line {line} on, {names} "
+            f"names); {cure}"
+        )
+
+
+def _shown_encoding(name: str) -> str:
+    return (
+        "Latin-1"
+        if name in ("cp1252", "iso8859-1", "latin-1")
+        else name.upper().removesuffix("-LE").removesuffix("-BE")
+    )
+
+
+def _preamble(lines: Sequence[str], options: TableOptions) -> tuple[int, TableOptions]:
+    """Return how many lines certainly stand before the names, and the options with what these lines state."""
+    delimiter, decimal = DECLARED.get(options.delimiter or "", options.delimiter), options.decimal
+    for name, value, allowed in (("--decimal", decimal, (None, ".", ",")),):
+        if value not in allowed:
+            raise InputError(f"{name} {value!r}: '.' or ',' was expected")
+    if delimiter is not None and delimiter != BLANKS and len(delimiter) != 1:
+        raise InputError(f"--delimiter {options.delimiter!r}: one character, tab or blanks was expected")
+    skipped = 0
+    if lines and (match := re.fullmatch(r'"?sep=(.)"?\s*', lines[0])):
+        skipped, delimiter = 1, delimiter or match[1]
+    head = [line.rstrip("\t;, ") for line in lines[:HEAD_LINES]]
+    if LVM_HEADER_END in head:
+        skipped = len(head) - head[::-1].index(LVM_HEADER_END)
+        for line in head[:skipped]:
+            words = re.split(r"[\t;, ]", line, maxsplit=1)
+            if words[0] == "Separator" and len(words) > 1:
+                delimiter = delimiter or {"Tab": "\t", "Comma": ","}.get(words[1].strip())
+            elif words[0] == "Decimal_Separator" and words[-1].strip() in (".", ","):
+                decimal = decimal or words[-1].strip()
+    return skipped, replace(options, delimiter=delimiter, decimal=decimal)
+
+
+def split(line: str, delimiter: str) -> list[str]:
+    """Return the cells of one line, without the blanks around them."""
+    if delimiter == BLANKS:
+        return line.split()
+    if delimiter == "":
+        return [line.strip().strip('"')]
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(delimiter)]
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
+
+
+def _marks(texts: Sequence[str], more: Sequence[str], path: Path, options: TableOptions) -> tuple[str, str]:
+    """Return delimiter and decimal mark: those that make the most cells numbers."""
+    scores: dict[tuple[str, str], float] = {}
+    candidates: Sequence[str] = CANDIDATES if options.delimiter is None else (options.delimiter,)
+    if options.delimiter is None and options.decimal == "," and not any('"' in line for line in texts):
+        candidates = [mark for mark in CANDIDATES if mark != ","]
+    if options.delimiter is None and sum("\t" in line for line in texts) > len(texts) / 2:
+        # A blank may part a date from a time.
+        candidates = [mark for mark in candidates if mark != BLANKS]
+    for delimiter in candidates:
+        rows = [split(line, delimiter) for line in (*texts, *more)]
+        if not any(len(row) > 1 for row in rows) and delimiter not in ("", options.delimiter):
+            continue
+        for decimal in (".", ",") if options.decimal is None else (options.decimal,):
+            scores[delimiter, decimal] = _score(rows, decimal)
+    best = max(scores.values(), default=0.0)
+    if best <= 0:
+        return options.delimiter or ",", options.decimal or "."
+    # Of equal readings the first stands: a tab before a blank, a point where no number has a decimal mark.
+    delimiter, decimal = next(marks for marks, score in scores.items() if score > best - 1e-9)
+    if options.delimiter is None and scores.get((",", "."), 0) == scores.get(("", ","), 0) == best:
+        delimiter, decimal = _comma_or_decimal(texts, path)
+    if options.decimal is None:
+        _refuse_thousands([split(line, delimiter) for line in (*texts, *more)], delimiter, decimal, path)
+    return delimiter, decimal
+
+
+def _score(rows: Sequence[Sequence[str]], decimal: str) -> float:
+    """Return the rows that have the form of data, times the share of numbers in their cells."""
+    data, _, _ = data_rows(rows, decimal)
+    kinds = [cell_kind(cell, decimal) for k in data for cell in rows[k]]
+    filled = len(kinds) - kinds.count(Kind.EMPTY)
+    return len(data) * (1 - kinds.count(Kind.TEXT) / filled) if filled else 0.0
+
+
+def _comma_or_decimal(texts: Sequence[str], path: Path) -> tuple[str, str]:
+    """Decide by the header whether `0,512` is two numbers or one."""
+    data, _, _ = data_rows([split(line, ",") for line in texts])
+    above = [len(split(line, ",")) for line in texts[: data[0]]] if data else []
+    if not above:
+        raise InputError(
+            f"{path}: {texts[-1][:30]!r} may be two numbers or one with a decimal comma; give --delimiter , or "
+            f"--decimal ,"
+        )
+    return (",", ".") if above[-1] > 1 else ("", ",")
+
+
+def _refuse_thousands(rows: Sequence[Sequence[str]], delimiter: str, decimal: str, path: Path) -> None:
+    """Refuse `1,234` where nothing tells whether its mark is a decimal one."""
+    marked = [cell for row in rows for cell in row if decimal in cell and cell_kind(cell, decimal) is Kind.NUMBER]
+    if decimal == "," and marked and all(THOUSANDS.fullmatch(cell) for cell in marked):
+        raise InputError(f"{path}: {shown(marked[0])} may be in thousands or have a decimal comma; give --decimal")
