@@ -1,6 +1,7 @@
 """`softcal gap`: diagnose the gap between the twin and a rig, and apply what was found."""
 
 import argparse
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -111,7 +112,7 @@ def _diagnose(options: argparse.Namespace) -> None:
 
     if not options.simulator:
         diagnosis = diagnose_case(options.case, say, _table_readout(options), table_options(options))
-        _show_twin(diagnosis, options.json)
+        _show_twin(diagnosis, options)
         if options.page:
             write_page(options.page, diagnosis)
         return
@@ -119,7 +120,7 @@ def _diagnose(options: argparse.Namespace) -> None:
     diagnosed = diagnose_with(options.case, load_simulator(options.simulator), say, table_options(options))
     if options.json != "-":
         _show(diagnosed)
-    write_json(options.json, diagnosed.report())
+    write_json(options.json, _report(diagnosed, options))
     if options.page:
         write_page(options.page, diagnosed)
     if failed := diagnosed.failures.count:
@@ -239,7 +240,7 @@ def _apply(options: argparse.Namespace) -> None:
     is_bare = diagnosis.verdict == "unknown" and not options.empirical
     said = "nothing explains the gap, so it is the refitted base alone" if is_bare else _contents(twin)
     say(f"twin written to {options.out}: {said}")
-    _show_twin(diagnosis, options.json)
+    _show_twin(diagnosis, options)
 
 
 def _apply_parameters(options: argparse.Namespace, report: Mapping[str, object], source: str) -> None:
@@ -306,11 +307,26 @@ def _show(diagnosis: "GapDiagnosis[Any]") -> None:
         print(f"describes   {held}{addition}: a description, no cause; softcal gap apply --empirical adds it")
 
 
-def _show_twin(diagnosis: "Diagnosis", target: str | None) -> None:
+def _report(diagnosis: "GapDiagnosis[Any]", options: argparse.Namespace) -> dict[str, object]:
+    """Return the report of a diagnosis with what made it and the hashes of what was read."""
+    from softcal.app.files.case_folder import METADATA, RECORDING
+    from softcal.app.provenance import record_provenance
+    from softcal.core.gap.method import METHOD
+
+    root, files = options.case.parent, [options.case]
+    if options.case.is_dir():
+        root = options.case
+        files = [path for path in root.rglob("*") if path.name in (RECORDING, METADATA) and path.is_file()]
+    if options.simulator:
+        files += [Path(str(sys.modules[options.simulator.partition(":")[0]].__file__))]
+    return diagnosis.report() | {"provenance": record_provenance(METHOD.id, root, files).to_json()}
+
+
+def _show_twin(diagnosis: "Diagnosis", options: argparse.Namespace) -> None:
     """Print the diagnosis as tables, then write its report; `--json -` prints the report alone."""
-    if target != "-":
+    if options.json != "-":
         _show_tables(diagnosis)
-    write_json(target, diagnosis.report())
+    write_json(options.json, _report(diagnosis, options))
 
 
 def _show_tables(diagnosis: "Diagnosis") -> None:

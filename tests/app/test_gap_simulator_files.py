@@ -1,13 +1,17 @@
 """A report of a simulator is written whatever its values are, and its parameters run the simulator again."""
 
+import hashlib
 import importlib.util
 import json
+import os
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import softcal
 from softcal.app.cli.main import main
 from softcal.app.gap.simulator import read_parameters
 from softcal.core.errors import InputError
@@ -60,6 +64,19 @@ def read_report(path: Path) -> dict[str, Any]:
     return report
 
 
+def assert_provenance(content: dict[str, Any], case: Path, module: Path) -> None:
+    """A report says what made it, when, and the SHA-256 of every file it was made from."""
+    provenance = content["provenance"]
+    files = {
+        **{str(path.relative_to(case)): path for path in case.rglob("*.csv")},
+        os.path.relpath(module, case): module,
+    }
+    assert provenance["inputs"] == {k: hashlib.sha256(path.read_bytes()).hexdigest() for k, path in files.items()}
+    assert provenance["version"] == softcal.__version__ and provenance["build"] and provenance["actor"]
+    assert len(provenance["method"]) == 64
+    assert abs(datetime.fromisoformat(provenance["made_at"]) - datetime.now(UTC)) < timedelta(minutes=10)
+
+
 ROWS = {"two_tanks": 160, "mass_spring_damper": 200, "motor_drive": 200, "heat_exchanger": 250, "cubic_oscillator": 300}
 HIDDEN = {
     "two_tanks": "leak",
@@ -83,6 +100,7 @@ def test_what_an_example_diagnoses_is_applied_read_and_run(
     assert main(diagnose) == 0
     assert HIDDEN[name] in capsys.readouterr().out
     content = read_report(report)
+    assert_provenance(content, tmp_path / "rig", EXAMPLES / f"{name}.py")
     off = [key for key, value in content["parameters"].items() if value is None]
     assert off == [key for key, value in usual(simulator).items() if np.isinf(value)]
     assert main(["gap", "apply", "--report", str(report), "--out", str(out)]) == 0
