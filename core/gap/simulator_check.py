@@ -25,7 +25,9 @@ class _ReadNames(dict[str, float]):
         self.is_iterated = False
 
     def __getitem__(self, name: str) -> float:
-        self.names.add(name)
+        # A copy fetches every value by its name, one after another.
+        if not self.is_iterated:
+            self.names.add(name)
         return super().__getitem__(name)
 
     def get(self, name: str, default: Any = None) -> Any:
