@@ -69,8 +69,9 @@ def cut_off(simulator: Simulator, case: Case) -> tuple[DataMistake, ...]:
             for end in (float(values.max()), float(values.min())):
                 # A channel that stands on the steps of an encoder repeats its values everywhere.
                 repeats = float(np.mean(np.diff(values[values != end]) == 0.0))
-                if repeats <= CONFIG.resting and float(np.mean(values == end)) > CONFIG.stuck:
-                    count = int(np.sum(values == end))
+                count = int(np.sum(values == end))
+                # Every run has one largest sample, however short it is.
+                if repeats <= CONFIG.resting and count > max(1.0, CONFIG.stuck * len(values)):
                     evidence = reason("data.cut_off", channel=channel, level=end, count=count)
                     repair = reason("data.repair.range", channel=channel)
                     found.append(DataMistake("out_of_range", channel, (number,), None, evidence, repair))
