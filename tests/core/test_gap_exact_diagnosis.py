@@ -1,0 +1,495 @@
+"""Held-out shrink, next run, identifiability, empirical terms and search on a linear model, by linear algebra."""
+
+from dataclasses import replace
+from itertools import combinations
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from softcal.core.gap.empirical import learned, splits
+from softcal.core.gap.fit import fit
+from softcal.core.gap.gap_diagnosis import nearest, on_unseen, partial_of, places_of, ranked_causes, regime_places
+from softcal.core.gap.identifiability import identifiability, reasons
+from softcal.core.gap.method import METHOD
+from softcal.core.gap.next_experiment import MenuEntry, most_telling, propose
+from softcal.core.gap.problem import Hypothesis
+from softcal.core.gap.residual import Regime
+from softcal.core.gap.search import EffectSearch
+from softcal.core.gap.shrink import gap_of_base, quantify, unsupported
+from softcal.core.gap.simulator import Experiment, planned, terms_of
+from softcal.core.gap.simulator_diagnosis import menu_of
+from softcal.core.gap.simulator_search import SimulatorSearch
+from softcal.core.words.reason import Reason, reason
+from tests.core.linear_mechanism import (
+    BEND,
+    CAUSES,
+    KINK,
+    LINE,
+    RIPPLE,
+    SIGMA,
+    design,
+    fits_of,
+    fitted,
+    left_of,
+    measured,
+    problem_of,
+    runs_of,
+    solved,
+)
+
+COUNTS = (60, 71, 48)
+RUNS = runs_of({"bend.size": 0.3, "ripple.size": 0.05}, COUNTS)
+PROBLEM = problem_of(RUNS)
+Y, N = measured(RUNS), sum(COUNTS)
+RUN = np.repeat(np.arange(3), COUNTS)
+FLOOR = SIGMA
+
+
+def held_out(columns, members):
+    """What least squares without these samples leaves on them."""
+    return Y[members] - columns[members] @ solved(columns[~members], Y[~members])
+
+
+def shrunk(before, after):
+    return 1.0 - max(after - FLOOR, 0.0) / (before - FLOOR)
+
+
+@pytest.mark.parametrize("names", [("bend",), ("bend", "ripple")])
+def test_the_held_out_gap_is_that_of_least_squares_without_each_run(names):
+    causes = tuple(c for c in CAUSES if c.id in names)
+    base, best = fitted(PROBLEM), fitted(PROBLEM, *causes)
+    found = quantify(base, best)
+    errors = {}
+    for what, columns in (("before", design(RUNS)), ("after", design(RUNS, *names))):
+        errors[what] = np.concatenate([held_out(columns, RUN == k) for k in range(3)])
+    rms = {what: np.sqrt(np.mean(e**2)) for what, e in errors.items()}
+    gap = found.gap["y"]
+    assert (gap.rmse_before, gap.rmse_after) == pytest.approx((rms["before"], rms["after"]), rel=2e-3)
+    assert gap.noise_floor == FLOOR
+    assert found.shrink.held_out == pytest.approx(np.clip(shrunk(rms["before"], rms["after"]), 0, 1), abs=0.01)
+    assert found.chosen == (best.ids,) * 3
+    before, after = errors["before"] / SIGMA, errors["after"] / SIGMA
+    assert found.held_out_gain == pytest.approx(before @ before - after @ after, rel=1e-2)
+    assert found.gain_error == pytest.approx(2.0 * np.sqrt(np.sum((before - after) ** 2)), rel=1e-2)
+    assert found.stands
+    assert "run" in found.protocol
+
+
+def test_the_forecast_is_by_the_errors_of_the_parameters():
+    """Before, the two fits part by so much; after, the parameters' uncertainty alone is left of a right hypothesis."""
+    base, best = fitted(PROBLEM), fitted(PROBLEM, BEND, RIPPLE)
+    found = quantify(base, best).shrink
+    whole, small = design(RUNS, "bend", "ripple"), design(RUNS)
+    parted, spread = [], []
+    for k in range(3):
+        off = RUN == k
+        parted.append(whole[off] @ solved(whole[~off], Y[~off]) - small[off] @ solved(small[~off], Y[~off]))
+        covariance = SIGMA**2 * np.linalg.inv(whole[~off].T @ whole[~off])
+        spread.append(np.sqrt(np.einsum("ij,jk,ik->i", whole[off], covariance, whole[off])))
+    part, wide = (np.sqrt(np.mean(np.concatenate(rows) ** 2)) for rows in (parted, spread))
+    before, after = np.hypot(FLOOR, part), np.hypot(FLOOR, wide)
+    assert found.predicted == pytest.approx(shrunk(before, after), abs=5e-3)
+    error = left_of(whole, Y) / SIGMA
+    left = FLOOR * np.sqrt(max(0.0, np.mean(error**2) - 1.0 - np.sqrt(2.0 / N)))
+    worst = shrunk(np.sqrt(FLOOR**2 + part**2 + left**2), np.sqrt(FLOOR**2 + (1.6 * left) ** 2 + (2.0 * wide) ** 2))
+    margin = max(METHOD.shrink.least_margin, shrunk(before, after) - worst)
+    assert found.predicted - found.low == pytest.approx(margin, abs=5e-3)
+    assert found.high == pytest.approx(min(1.0, found.predicted + margin), abs=5e-3)
+    assert abs(found.held_out - found.predicted) < 0.1
+
+
+def test_without_a_cause_nothing_shrinks():
+    base = fitted(PROBLEM)
+    found = quantify(base, base)
+    assert (found.shrink.predicted, found.shrink.held_out, found.chosen) == (0.0, 0.0, ())
+    assert found.gap["y"].rmse_before == found.gap["y"].rmse_after
+    assert not found.stands
+    left = left_of(design(RUNS), Y)
+    assert gap_of_base(base)["y"].rmse_before == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-6)
+    assert gap_of_base(base)["y"].rmse_after == gap_of_base(base)["y"].rmse_before
+
+
+def test_a_part_is_measured_by_what_would_be_chosen_without_it():
+    """A kink that fits the whole best, but only by one run, gives way to the bend where that run is held back."""
+    fits = fits_of(PROBLEM, (BEND,), (KINK,), (RIPPLE,))
+    found = quantify(fits[()], fits["kink",], fits.values())
+    assert found.chosen == (("bend",),) * 3
+    given = quantify(fits[()], fits["kink",], fits.values(), is_given=True)
+    assert given.chosen == (("kink",),) * 3
+    after = np.concatenate([held_out(design(RUNS, "kink"), RUN == k) for k in range(3)])
+    assert given.gap["y"].rmse_after == pytest.approx(np.sqrt(np.mean(after**2)), rel=2e-3)
+
+
+def test_a_cause_that_lowers_nothing_held_back_is_unsupported():
+    runs = runs_of({"bend.size": 0.3}, COUNTS, seed=4)
+    fits = fits_of(problem_of(runs), (BEND,), (RIPPLE,), (BEND, RIPPLE))
+    idle = unsupported(fits["bend", "ripple"], {"bend": fits["ripple",], "ripple": fits["bend",]})
+    y, gains = measured(runs), {}
+    for name, rest in (("bend", "ripple"), ("ripple", "bend")):
+        gain = parted = 0.0
+        for k in range(3):
+            off = RUN == k
+            less, more = (
+                (y[off] - d[off] @ solved(d[~off], y[~off])) / SIGMA
+                for d in (design(runs, rest), design(runs, "bend", "ripple"))
+            )
+            gain, parted = gain + less @ less - more @ more, parted + np.sum((less - more) ** 2)
+        gains[name] = gain / (2.0 * np.sqrt(parted))
+    assert idle == [n for n in sorted(gains, key=lambda n: gains[n]) if gains[n] <= METHOD.shrink.beyond] == ["ripple"]
+    # A rival that only adds such a cause is none.
+    best, larger = fits["bend",], fits["bend", "ripple"]
+    assert on_unseen((best, larger), set()) == ((best,), {"ripple"})
+    assert on_unseen((best, fits["ripple",]), set()) == ((best, fits["ripple",]), set())
+    assert on_unseen((fits["ripple",], larger), set()) == ((fits["ripple",], larger), set())
+    assert on_unseen((fits["ripple",], larger), {"bend"}) == ((fits["ripple",],), {"bend"})
+
+
+# The next experiment.
+
+
+def experiment(name, x, minutes=1.0):
+    t_s = 0.05 * np.arange(len(x))
+    simulator = replace(LINE, experiments={name: Experiment({"t_s": t_s, "x": x}, minutes)})
+    (entry,) = menu_of(simulator)
+    return entry
+
+
+NEAR = experiment("near", np.linspace(-0.2, 0.2, 40))
+FAR = experiment("far", np.linspace(-4.0, 4.0, 40), 2.0)
+SHORT = experiment("short", np.linspace(-4.0, 4.0, 31), 1.0)
+
+
+def distance(x, mine, other):
+    """How far a second prediction stays from a first that is refitted to the old runs and to it."""
+    columns = [np.column_stack([np.ones(len(x)), x, *((x**2, np.sin(3 * x))[("bend", "ripple").index(i)] for i in ids)])
+               for ids in (mine, other)]  # fmt: skip
+    theirs = columns[1] @ solved(design(RUNS, *other), Y) - columns[0] @ solved(design(RUNS, *mine), Y)
+    stacked = np.vstack([design(RUNS, *mine), columns[0]])
+    wanted = np.concatenate([np.zeros(N), theirs])
+    return np.linalg.norm(left_of(stacked, wanted)) / SIGMA
+
+
+def test_the_run_is_proposed_that_keeps_refitted_rivals_apart():
+    rivals = [fitted(PROBLEM, BEND), fitted(PROBLEM, RIPPLE)]
+    for entry in (FAR, SHORT):
+        x = entry.run.columns["x"]
+        both = [distance(x, ("bend",), ("ripple",)), distance(x, ("ripple",), ("bend",))]
+        found = most_telling([NEAR, entry], rivals)
+        assert found.profile == entry.name
+        assert found.separation_sigma == pytest.approx(min(both), rel=1e-3)
+        assert found.minutes == entry.minutes
+    # Both tell: the quicker wins, where what it tells per minute is more.
+    per_minute = {e.name: min(most_telling([e], rivals).separation_sigma, 10 * METHOD.telling.enough_sigma) / e.minutes
+                  for e in (FAR, SHORT)}  # fmt: skip
+    assert most_telling([FAR, SHORT], rivals).profile == max(per_minute, key=lambda n: per_minute[n])
+
+
+def test_a_larger_set_is_asked_whether_the_smaller_one_reaches_it():
+    rivals = [fitted(PROBLEM, BEND), fitted(PROBLEM, BEND, RIPPLE)]
+    found = most_telling([FAR], rivals)
+    x = FAR.run.columns["x"]
+    expected = distance(x, ("bend",), ("bend", "ripple"))
+    if expected >= METHOD.telling.enough_sigma:
+        assert found.separation_sigma == pytest.approx(expected, rel=1e-3)
+    else:
+        assert found.profile == "none"
+
+
+def test_no_run_tells_what_no_run_parts():
+    louder = problem_of(RUNS, 4.0)
+    rivals = [fitted(louder, BEND), fitted(louder, RIPPLE)]
+    found = most_telling([NEAR], rivals)
+    assert (found.profile, found.separation_sigma) == ("none", 0.0)
+    assert propose(PROBLEM.case, rivals[:1], None) is None
+
+
+def halves(inputs, p):
+    """A bend on the right alone, a ripple on the left alone."""
+    x = inputs["x"]
+    right, left = np.maximum(x, 0.0) ** 2, np.maximum(-x, 0.0) ** 2
+    return {"y": p["level"] + p["slope"] * x + p["bend.size"] * right + p["ripple.size"] * left}
+
+
+def test_a_run_that_tells_more_rivals_comes_first():
+    base = fitted(problem_of(RUNS, simulator=replace(LINE, run=halves)))
+    rivals = []
+    # The kink does nothing here: it is the base by another name.
+    for cause in (KINK, BEND, RIPPLE):
+        problem, hypothesis = base.problem, base.hypothesis.adding(cause)
+        at = np.append(base.coordinates, 1.0)
+        rivals.append(fit(problem, hypothesis, at, steps=0))
+    right = experiment("right", np.linspace(0.0, 3.0, 40), 0.2)
+    both = experiment("both", np.linspace(-3.0, 3.0, 40), 5.0)
+    assert most_telling([right, both], rivals).profile == "both"
+    assert most_telling([right, both], rivals[:2]).profile == "right"
+    alone = most_telling([right], rivals)
+    assert alone.profile == "right" and alone.why.code == "gap.next.separates_most"
+    assert alone.why.values["others"] == 1
+    assert most_telling([both], rivals).why.code == "gap.next.separates"
+
+
+# What the runs tell.
+
+
+def test_what_shows_of_a_parameter_is_what_the_others_leave():
+    base = fitted(PROBLEM)
+    told = identifiability(base, CAUSES)
+    columns = design(RUNS)
+    for k, name in enumerate(("level", "slope")):
+        usual = (1.0, 2.0)[k]
+        others = np.delete(columns, k, axis=1)
+        left = left_of(others, columns[:, k])
+        assert told[name].sigma == pytest.approx(usual * np.linalg.norm(left) / SIGMA, rel=1e-4)
+        assert told[name].hidden == pytest.approx(1.0 - left @ left / (columns[:, k] @ columns[:, k]), rel=1e-3)
+        assert told[name].is_base and told[name].is_told and told[name].beside == ()
+    for cause in CAUSES:
+        shape = design(RUNS, cause.id)[:, 2]
+        left = left_of(columns, shape)
+        one = told[cause.id]
+        assert one.sigma == pytest.approx(0.2 * np.linalg.norm(left) / SIGMA, rel=1e-4)
+        assert one.hidden == pytest.approx(1.0 - left @ left / (shape @ shape), rel=1e-3)
+        assert not one.is_base and one.own == 0.0 and not one.is_own
+    shapes = {c.id: left_of(columns, design(RUNS, c.id)[:, 2]) for c in CAUSES}
+    alike = [
+        pair for pair in combinations(shapes, 2)
+        if abs(shapes[pair[0]] @ shapes[pair[1]]) > METHOD.telling.alike
+        * np.linalg.norm(shapes[pair[0]]) * np.linalg.norm(shapes[pair[1]])
+    ]  # fmt: skip
+    assert list(told.alike) == alike
+
+
+def test_causes_of_one_shape_are_alike_and_are_said_to_be():
+    def same(inputs, p):
+        return LINE.run(inputs, {**p, "bend.size": p["bend.size"] - 0.7 * p["kink.size"], "kink.size": 0.0})
+
+    told = identifiability(fitted(problem_of(RUNS, simulator=replace(LINE, run=same))), CAUSES)
+    assert told.alike == (("bend", "kink"),)
+    assert len(reasons(told)) == 1
+    assert told.record()["alike"] == [["bend", "kink"]]
+
+
+def test_what_is_too_small_is_told_by_a_run_that_shows_it():
+    narrow = [replace(r, columns={**r.columns, "x": 0.02 * r.columns["x"]}) for r in RUNS]
+    base = fitted(problem_of(narrow, 0.4))
+    told = identifiability(base, (BEND,), [FAR, NEAR, SHORT])
+    columns = np.column_stack([np.ones(N), np.concatenate([r.columns["x"] for r in narrow])])
+    level, slope = columns.T
+    left = left_of(level[:, None], slope)
+    assert told["slope"].sigma == pytest.approx(2.0 * np.linalg.norm(left) / 0.4, rel=1e-3)
+    assert not told["slope"].is_told and not told["bend"].is_told
+    # The quickest first; the near one shows neither.
+    assert told["slope"].by == told["bend"].by == ("short", "far")
+    assert told["level"].by == ()
+    assert told["slope"].beside == ()
+    untold = [one.name for one in told.untold]
+    assert untold == ["slope", "bend"]
+    assert set(told.record()["causes"]) == {"bend"} and set(told.record()["base"]) == {"level", "slope"}
+
+
+def test_a_parameter_that_another_imitates_names_it():
+    far_off = [replace(r, columns={**r.columns, "x": 1.0 + 1e-3 * r.columns["x"]}) for r in RUNS]
+    told = identifiability(fitted(problem_of(far_off)), ())
+    assert told["slope"].beside == ("level",) and told["level"].beside == ("slope",)
+    assert told["slope"].hidden > 0.999
+
+
+def test_what_changes_nothing_does_not_show():
+    base = fitted(problem_of(RUNS, simulator=replace(LINE, run=lambda i, p: LINE.run(i, {**p, "slope": 2.0}))))
+    told = identifiability(base, (BEND,))
+    assert (told["slope"].sigma, told["slope"].hidden) == (0.0, 0.0)
+    assert not told["slope"].is_told
+
+
+def test_a_cause_that_each_run_may_have_of_its_own_is_an_offset():
+    zeroed = replace(
+        LINE,
+        per_run={"y": {"zero": 50.0}},
+        run=lambda i, p: LINE.run(
+            i, {**p, "bend.size": 0.0, "level": p["level"] + p["bend.size"] * (1 + 1e-3 * i["x"] ** 2)}
+        ),
+    )
+    told = identifiability(fitted(problem_of(RUNS, simulator=zeroed)), (BEND, RIPPLE), offsets=("zero of y",))
+    # Each run's own zero takes the shape of the level, and of a bend that is next to level.
+    assert told["bend"].offset in ("", "zero of y")
+    columns = design(RUNS, "ripple")
+    own = np.column_stack([(RUN == k).astype(float) for k in range(3)])
+    seen, after = left_of(columns[:, :2], columns[:, 2]), left_of(np.column_stack([columns[:, 1], own]), columns[:, 2])
+    assert told["ripple"].own == pytest.approx(1.0 - after @ after / (seen @ seen), abs=1e-3)
+    assert told["ripple"].sigma == pytest.approx(0.2 * np.linalg.norm(after) / SIGMA, rel=1e-3)
+
+
+# Empirical terms.
+
+
+def test_what_is_held_back_are_runs_and_then_quarters():
+    cells = frozenset((k, q) for k in (0, 2) for q in range(3))
+    by_run, by_quarter = splits(cells)
+    assert by_run == [frozenset((k, q) for q in range(3)) for k in (0, 2)]
+    assert by_quarter == [frozenset((k, q) for k in (0, 2)) for q in range(3)]
+    assert splits(frozenset((1, q) for q in range(2))) == [[frozenset({(1, 0)}), frozenset({(1, 1)})]]
+    assert splits(frozenset({(1, 1)})) == []
+
+
+def test_a_learned_term_is_what_least_squares_gives_it():
+    runs = runs_of({"bend.size": 0.6}, COUNTS)
+    base = fitted(problem_of(runs))
+    squares = [t for t in terms_of(LINE, base) if t.signal == "x" and t.kind in ("²", "³")]
+    found = learned(base, (base,), lambda base: squares)
+    (one,) = found.terms
+    extra = np.concatenate([one.term.values(r.t_s, r.columns) for r in runs])
+    columns = np.column_stack([design(runs), extra])
+    exact = solved(columns, measured(runs))
+    assert one.term.coefficient == pytest.approx(exact[2], rel=1e-4)
+    left = left_of(columns, measured(runs)) / SIGMA
+    worse = max(1.0, np.sqrt(left @ left / N))
+    assert one.standard_error == pytest.approx(
+        worse * SIGMA * np.sqrt(np.linalg.inv(columns.T @ columns)[2, 2]), rel=1e-3
+    )
+    assert one.chosen == 1.0
+    assert found.without == 0.0 and found.beside == ()
+    assert found.shrink.low < found.shrink.predicted <= found.shrink.high <= 1.0
+    assert found.shrink.predicted > 0.9
+    record = found.record()
+    assert record["terms"][0]["coefficient"] == one.term.coefficient
+    assert record["beside"] == []
+
+
+def test_nothing_is_learned_where_nothing_is_left():
+    runs = runs_of({}, COUNTS)
+    base = fitted(problem_of(runs))
+    assert learned(base, (base,), lambda base: list(terms_of(LINE, base))) is None
+
+
+# The search.
+
+
+def search_of(runs, problem=None):
+    base = fitted(problem or problem_of(runs))
+    return SimulatorSearch(CAUSES, base, lambda _: None)
+
+
+@pytest.mark.parametrize("names", [(), ("bend",), ("bend", "ripple")])
+def test_a_search_finds_the_set_that_is_there(names):
+    runs = runs_of({f"{name}.size": 0.4 for name in names}, COUNTS, seed=2)
+    search = search_of(runs)
+    search.run()
+    assert search.best.ids == names
+    for ids, found in search.fits.items():
+        if found.problem.sigma["y"] == SIGMA:
+            columns = design(runs, *ids)
+            assert found.chi2 >= np.sum(left_of(columns, measured(runs)) ** 2) / SIGMA**2 - 1e-6
+    assert search.closest.chi2 == min(f.chi2 for f in search.fits.values())
+
+
+def hand_search(runs=RUNS):
+    search = search_of(runs)
+    for found in fits_of(search.base.problem, (BEND,), (RIPPLE,), (BEND, RIPPLE)).values():
+        search.keep(found)
+    return search
+
+
+def test_a_share_is_of_what_the_base_leaves_above_the_noise():
+    search = hand_search()
+    for ids, found in search.fits.items():
+        excess = [np.sum(left_of(design(RUNS, *i), Y) ** 2) / SIGMA**2 - N for i in ((), ids)]
+        assert search.share(found) == pytest.approx(1.0 - excess[1] / excess[0], abs=1e-4)
+        assert search.explained_share(found) == np.clip(search.share(found), 0.0, 1.0)
+    louder = problem_of(RUNS, 10.0)
+    noise = SimulatorSearch(CAUSES, fitted(louder), lambda _: None)
+    assert noise.share(noise.base) == 1.0
+
+
+def test_one_less_are_the_sets_without_each_cause():
+    search = hand_search()
+    both = search.fits["bend", "ripple"]
+    assert {i: f.ids for i, f in search.one_less(both).items()} == {"bend": ("ripple",), "ripple": ("bend",)}
+    assert {i: f.ids for i, f in search.one_less(search.fits["bend",]).items()} == {"bend": ()}
+
+
+def test_of_two_fits_of_one_set_the_likelier_is_kept():
+    search = hand_search()
+    good = search.fits["bend",]
+    worse = replace(good, chi2=good.chi2 + 50.0)
+    search.keep(worse)
+    assert search.fits["bend",] is good
+    better = replace(good, chi2=good.chi2 - 1.0)
+    search.keep(better)
+    assert search.fits["bend",] is better
+    search.keep(replace(search.fits["ripple",], chi2=np.inf))
+    assert search.fits["ripple",].chi2 < np.inf
+
+
+def test_what_is_explained_is_by_the_share_for_its_count():
+    search = hand_search()
+    search.is_clean = lambda found: False
+    enough = METHOD.simulator_search.enough
+    for count, least in enumerate(enough[:2], start=1):
+        found = search.fits[("bend", "ripple")[:count]]
+        gap = search.base.chi2 - search.base.problem.count
+        for share, is_enough in ((least + 1e-4, True), (least - 1e-4, False)):
+            assert search.is_explained(replace(found, chi2=found.problem.count + (1.0 - share) * gap)) is is_enough
+
+
+# From a search to a report.
+
+
+def test_the_nearest_is_the_simplest_that_takes_nearly_the_most():
+    search = hand_search()
+    gap = search.base.chi2 - N
+    near = METHOD.verdict.near_share
+    for lacks, ids in ((0.5 * near, ("bend",)), (1.5 * near, ("bend", "ripple"))):
+        both = replace(search.fits["bend", "ripple"], chi2=N + 0.10 * gap)
+        one = replace(search.fits["bend",], chi2=N + (0.10 + lacks) * gap)
+        stub = SimpleNamespace(fits={(): search.base, ("bend",): one, ("bend", "ripple"): both}, share=search.share,
+                               explained_share=search.explained_share)  # fmt: skip
+        assert nearest(stub).ids == ids
+        assert partial_of(stub).effects == ids
+        assert partial_of(stub).share == pytest.approx(0.9 - (lacks if ids == ("bend",) else 0.0))
+    assert (
+        partial_of(SimpleNamespace(fits={(): search.base}, share=search.share, explained_share=search.explained_share))
+        is None
+    )
+
+
+def test_what_several_causes_take_is_split_by_the_mean_of_first_and_last():
+    search = hand_search()
+    best, chi2 = search.fits["bend", "ripple"], {ids: f.chi2 for ids, f in search.fits.items()}
+    chances = {"bend": 0.7, "ripple": 0.9, "kink": 0.0}
+    rows = ranked_causes(search, best, CAUSES, (best,), chances, 0.8)
+    assert [r.effect for r in rows] == ["ripple", "bend", "kink"]
+    worth = {
+        "bend": 0.5 * (chi2[()] - chi2["bend",] + chi2["ripple",] - chi2["bend", "ripple"]),
+        "ripple": 0.5 * (chi2[()] - chi2["ripple",] + chi2["bend",] - chi2["bend", "ripple"]),
+    }
+    for row in rows[:2]:
+        assert row.shrink == pytest.approx(0.8 * worth[row.effect] / sum(worth.values()))
+        assert row.parameters["size"].value == pytest.approx(best.effect_values[best.ids.index(row.effect)][0])
+        assert row.stage == f"part of {row.effect}"
+    assert rows[2].shrink == 0.0
+    (alone, *_) = ranked_causes(search, search.fits["bend",], CAUSES, (best,), {**chances, "bend": 1.0}, 0.8)
+    assert (alone.effect, alone.shrink) == ("bend", pytest.approx(0.8))
+    nothing = ranked_causes(search, search.base, CAUSES, (), chances, 0.8)
+    assert all(r.shrink == 0.0 for r in nothing)
+    places = places_of(rows[:2], "y", Reason("gap.regime.everywhere"), lambda i: reason("gap.effect", effect=i))
+    assert [p.share for p in places] == pytest.approx([r.shrink / 0.8 for r in rows[:2]])
+    assert [p.stage for p in places] == [r.stage for r in rows[:2]]
+
+
+def test_the_first_four_regimes_are_listed():
+    seen = [Regime("y", Reason("gap.regime.start"), 0.1 * k, 2.0) for k in range(1, 7)]
+    places = regime_places("pad", seen, "gap.seen.energy")
+    assert [p.share for p in places] == [0.1, 0.2, pytest.approx(0.3), 0.4]
+    assert {p.stage for p in places} == {"pad"}
+
+
+def test_a_planned_run_is_predicted_like_any_other():
+    entry = planned(replace(LINE, experiments={"e": Experiment({"t_s": 0.05 * np.arange(40), "x": np.ones(40)})}), "e")
+    problem = PROBLEM.of_run(entry)
+    np.testing.assert_allclose(problem.predict(Hypothesis(of_all=LINE.base), np.array([1.0, 2.0])), 3.0)
+    assert problem.sigma == PROBLEM.sigma and problem.scale == PROBLEM.scale
+
+
+def test_a_search_of_the_twin_is_an_effect_search():
+    assert issubclass(SimulatorSearch, EffectSearch)
+    assert isinstance(NEAR, MenuEntry)

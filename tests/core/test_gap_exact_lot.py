@@ -1,0 +1,353 @@
+"""Evidence of a lot, verdicts, and reports on a linear mechanism: sums that can be done by hand."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from softcal.core.errors import InputError
+from softcal.core.gap import gap_diagnosis, shared_cause
+from softcal.core.gap.data_mistake import of_gain
+from softcal.core.gap.gap_diagnosis import GapDiagnosis, judged, under_its_floor
+from softcal.core.gap.method import METHOD
+from softcal.core.gap.posterior import Yardstick, exact_log_evidence, log_evidences, misfit, penalty, probabilities
+from softcal.core.gap.residual import Regime, structure
+from softcal.core.gap.shared_cause import Searched, diagnose_lot, joint_logs, lot_logs
+from softcal.core.gap.shrink import Quantified, Shrink
+from softcal.core.gap.simulator import Experiment
+from softcal.core.gap.simulator_diagnosis import check_simulator, diagnose_simulator
+from softcal.core.gap.simulator_search import SimulatorSearch
+from softcal.core.twin.catalogue import EFFECTS
+from softcal.core.words.reason import Reason
+from tests.core.linear_mechanism import (
+    BEND,
+    CAUSES,
+    KINK,
+    LINE,
+    RIPPLE,
+    SIGMA,
+    design,
+    fits_of,
+    fitted,
+    left_of,
+    measured,
+    problem_of,
+    runs_of,
+    solved,
+)
+
+EVIDENCE, RIVAL, VERDICT = METHOD.evidence, METHOD.rival, METHOD.verdict
+SETS = ((BEND,), (RIPPLE,), (BEND, RIPPLE))
+
+
+def unit(seed, bend=0.3, counts=(60, 71), sets=SETS):
+    return fits_of(problem_of(runs_of({"bend.size": bend}, counts, seed=seed)), *sets)
+
+
+UNITS = [unit(k, 0.25 + 0.05 * k, (50 + 5 * k, 61)) for k in range(3)]
+SEARCHED = [Searched.of(fits) for fits in UNITS]
+PRIOR = np.log(EVIDENCE.prior_odds)
+
+
+def test_what_a_unit_leaves_for_its_lot():
+    one, fits = SEARCHED[0], UNITS[0]
+    assert one.logs == log_evidences(fits)
+    assert one.top == max(one.logs.values())
+    assert one.left == {ids: (f.chi2, penalty(f)) for ids, f in fits.items()}
+    assert one.shared(("bend",)) == pytest.approx(one.logs["bend",] - PRIOR)
+    assert one.shared(("bend", "ripple")) == pytest.approx(one.logs["bend", "ripple"] - 2 * PRIOR)
+    # What was not fitted has its bound.
+    assert one.shared(("kink",)) == pytest.approx(one.top - PRIOR)
+    assert one.stray == pytest.approx(np.log(EVIDENCE.stray_odds) + one.top)
+    odds = EVIDENCE.stray_odds
+    expected = np.log((1 - odds) * np.exp(one.shared(("ripple",)) - one.top) + odds) + one.top
+    assert one.log_term(("ripple",)) == pytest.approx(expected)
+    np.testing.assert_allclose(one.fitted(("bend",)).coordinates, fits["bend",].coordinates, atol=1e-6)
+
+
+def test_what_a_unit_did_not_try_is_fitted_from_another():
+    for sign in (1.0, -1.0):
+        short = Searched.of(unit(5, sign * 0.4, sets=((RIPPLE,),)))
+        donor = SEARCHED[1].found["bend",]
+        short.add(("bend",), donor)
+        runs = runs_of({"bend.size": sign * 0.4}, seed=5)
+        columns = design(runs, "bend")
+        np.testing.assert_allclose(short.found["bend",][1], solved(columns, measured(runs)), atol=1e-3)
+        assert short.left["bend",][0] == pytest.approx(
+            np.sum(left_of(columns, measured(runs)) ** 2) / SIGMA**2, abs=0.05
+        )
+        assert short.logs["bend",] == pytest.approx(short.yardstick.log_evidence(short.fitted(("bend",))), abs=0.1)
+
+
+def test_units_add_what_a_set_leaves_and_judge_it_as_of_one():
+    sets = list(SEARCHED[0].logs)
+    found = joint_logs(SEARCHED, sets)
+    sizes = sum(np.log(s.problem.count) for s in SEARCHED[1:])
+    left = {ids: sum(s.left[ids][0] for s in SEARCHED) + len(ids) * sizes for ids in sets}
+    floor = sum(s.yardstick.floor for s in SEARCHED)
+    for ids in sets:
+        cost = np.mean([s.left[ids][1] for s in SEARCHED])
+        assert found[ids] == pytest.approx(-0.5 * (misfit(floor + left[ids] - min(left.values())) + cost))
+    assert max(found, key=lambda ids: found[ids]) == ("bend",)
+
+
+def test_a_lot_pays_the_odds_of_a_cause_once():
+    votes, ruled_out = lot_logs(SEARCHED)
+    for ids, vote in votes.items():
+        assert vote == pytest.approx(len(ids) * PRIOR + sum(s.log_term(ids) for s in SEARCHED))
+    assert ruled_out == len(SEARCHED[0].logs) - len(votes)
+    # What lies so far behind at its bound is not fitted.
+    best = max(votes.values())
+    assert all(vote >= best - 3 * RIVAL.negligible for vote in votes.values())
+    assert max(votes, key=lambda ids: votes[ids]) == ("bend",)
+
+
+def test_a_set_that_one_unit_lacks_is_fitted_to_it():
+    units = [Searched.of(unit(7, 0.3)), Searched.of(unit(8, 0.3, sets=((RIPPLE,),)))]
+    votes, _ = lot_logs(units)
+    assert ("bend",) in units[1].logs and ("bend",) in votes
+
+
+def stub_diagnosis(fits, verdict="explained"):
+    best = fits[max(log_evidences(fits), key=lambda i: log_evidences(fits)[i])]
+    return SimpleNamespace(verdict=verdict, best=best, rivals=(best,), case=best.problem.case, mistakes=())
+
+
+def test_a_lot_is_diagnosed_from_its_units(monkeypatch):
+    odd = fits_of(problem_of(runs_of({"ripple.size": 0.8}, (60, 71), seed=9)), *SETS)
+    spoilt = unit(11)
+    every = {"u1": UNITS[0], "u2": UNITS[1], "u3": UNITS[2], "odd": odd, "spoilt": spoilt}
+
+    def diagnose(name, on_fits):
+        if name != "spoilt":
+            on_fits(every[name])
+        return stub_diagnosis(every[name], "data" if name == "spoilt" else "explained")
+
+    monkeypatch.setattr(shared_cause, "diagnose", diagnose)
+    said = []
+    found = diagnose_lot({name: name for name in every}, said.append)
+    assert (found.verdict, found.causes) == ("explained", ("bend",))
+    assert (found.outliers, found.left_out) == (["odd"], ["spoilt"])
+    assert found.logs == joint_logs(SEARCHED, found.logs)
+    assert found.probability["bend"] == pytest.approx(probabilities(found.logs, ["bend"])["bend"])
+    by_name = {m.name: m for m in found.members}
+    for name, one in zip(("u1", "u2", "u3"), SEARCHED, strict=True):
+        row = by_name[name]
+        assert row.follows and row.log_odds == pytest.approx(one.shared(("bend",)) - one.stray)
+        assert row.sizes["bend"]["size"].value == pytest.approx(one.found["bend",][1][2], abs=1e-6)
+    assert by_name["odd"].log_odds < 0.0 and by_name["odd"].sizes == {}
+    assert by_name["spoilt"].fit is None and by_name["spoilt"].log_odds is None
+    report = found.report()
+    assert report["causes"][0] == {"effect": "bend", "probability": found.probability["bend"], "shared": True}
+    assert [u["unit"] for u in report["units"]] == list(every)
+    assert report["units"][0]["follows"] is True and report["units"][0]["own"] == ["bend"]
+    assert "unit 1 of 5" in said[0]
+    with pytest.raises(InputError, match="1 unit"):
+        diagnose_lot({"u1": "u1"})
+    pair = diagnose_lot({"u1": "u1", "u2": "u2"})
+    assert pair.causes == ("bend",)
+
+
+def test_a_lot_of_mistakes_alone_is_not_judged(monkeypatch):
+    monkeypatch.setattr(shared_cause, "diagnose", lambda name, on_fits: stub_diagnosis(UNITS[0], "data"))
+    found = diagnose_lot({"a": "a", "b": "b"})
+    assert (found.verdict, found.causes, found.left_out) == ("data", (), ["a", "b"])
+
+
+def test_probabilities_of_an_unknown_lot_are_trusted_less(monkeypatch):
+    def diagnose(name, on_fits):
+        on_fits(UNITS[int(name)])
+        return stub_diagnosis(UNITS[int(name)], "unknown")
+
+    monkeypatch.setattr(shared_cause, "diagnose", diagnose)
+    found = diagnose_lot({"0": "0", "1": "1", "2": "2"})
+    assert found.verdict == "unknown"
+    assert found.probability["bend"] == pytest.approx(
+        VERDICT.unknown_trust * probabilities(found.logs, ["bend"])["bend"]
+    )
+
+
+# From a search to a verdict.
+
+
+def search_of(truth, seed=2, counts=(60, 71, 48), sets=((BEND,), (RIPPLE,), (KINK,), (BEND, RIPPLE)), best=("bend",)):
+    fits = fits_of(problem_of(runs_of(truth, counts, seed=seed)), *sets)
+    search = SimulatorSearch(CAUSES, fits[()], lambda _: None)
+    for found in fits.values():
+        search.keep(found)
+    search.best = search.fits[best]
+    return search
+
+
+def test_an_explained_gap_has_the_probabilities_of_bayes():
+    search = search_of({"bend.size": 0.5})
+    group, quantified, verdict, chances = judged(search, [c.id for c in CAUSES], lambda _: None)
+    assert verdict == "explained" and [f.ids for f in group] == [("bend",)]
+    assert quantified.shrink.held_out > 0.95
+    assert chances == pytest.approx(probabilities(log_evidences(search.fits), [c.id for c in CAUSES]))
+
+
+def test_a_cause_that_lowers_nothing_is_taken_out_of_the_best():
+    search = search_of({"bend.size": 0.5}, best=("bend", "ripple"))
+    judged(search, [c.id for c in CAUSES], lambda _: None)
+    assert search.best.ids == ("bend",)
+
+
+def test_a_gap_that_is_not_reached_is_unknown_and_less_trusted():
+    smooth = lambda r: 0.25 * np.sin(r.t_s * 2.0)  # noqa: E731
+    runs = runs_of({"bend.size": 0.3}, (60, 71, 48))
+    runs = [replace(r, columns={**r.columns, "y": r.columns["y"] + smooth(r)}) for r in runs]
+    fits = fits_of(problem_of(runs), (BEND,), (RIPPLE,))
+    search = SimulatorSearch(CAUSES, fits[()], lambda _: None)
+    for found in fits.values():
+        search.keep(found)
+    search.best = search.fits["bend",]
+    _, _, verdict, chances = judged(search, [c.id for c in CAUSES], lambda _: None)
+    assert verdict == "unknown"
+    every = probabilities(log_evidences(search.fits), [c.id for c in CAUSES])
+    trust = VERDICT.unknown_trust * search.explained_share(search.best)
+    assert chances["bend"] == pytest.approx(trust * every["bend"])
+
+
+def test_a_cause_held_open_counts_by_the_mean_of_two_readings():
+    search = search_of({"bend.size": 0.5})
+    larger = search.fits["bend", "ripple"]
+    search.held_open = {"ripple": larger}
+    group, _, _, chances = judged(search, [c.id for c in CAUSES], lambda _: None)
+    if larger in group:
+        exact = probabilities({f.ids: exact_log_evidence(f) for f in (search.best, larger)}, ["ripple"])["ripple"]
+        plain = probabilities(log_evidences(search.fits), ["ripple"])["ripple"]
+        assert chances["ripple"] == pytest.approx(VERDICT.imitated_trust * 0.5 * (plain + exact))
+    else:
+        plain = probabilities(log_evidences(search.fits), ["ripple"])["ripple"]
+        assert chances["ripple"] == pytest.approx(VERDICT.imitated_trust * plain)
+
+
+def quantified(held_out=0.99, gain=100.0):
+    return Quantified({}, Shrink(held_out, held_out, held_out, held_out), "", (), gain, 1.0)
+
+
+DOWN, CHANCE = VERDICT.down_to_noise, VERDICT.doubted_chance
+
+
+@pytest.mark.parametrize(
+    ("gain", "error", "held_out", "stands"),
+    [(1.65, 1.0, 0.5, True), (1.63, 1.0, 0.5, False), (1.65, 1.0, 0.0, False), (0.0, 0.0, 0.5, False)],
+)
+def test_causes_stand_by_their_gain_on_samples_held_back(gain, error, held_out, stands):
+    found = Quantified({}, Shrink(0.5, 0.4, 0.6, held_out), "", (), gain, error)
+    assert found.stands is stands
+
+
+def test_another_noise_is_kept_only_where_it_explains(monkeypatch):
+    first = SimpleNamespace(closest=None, name="first")
+    monkeypatch.setattr(gap_diagnosis, "coloured", lambda found: None)
+    assert under_its_floor(first, None, None, print) is first
+    monkeypatch.setattr(gap_diagnosis, "coloured", lambda found: "problem")
+    for stranger, clean, floor, kept in (
+        (None, True, True, True),
+        ("x", True, True, False),
+        (None, False, True, False),
+        (None, True, False, False),
+    ):
+        again = SimpleNamespace(stranger=stranger, is_clean=lambda f, c=clean: c, best=None, run=lambda: None)
+        found = under_its_floor(first, lambda problem, again=again: again, lambda f, floor=floor: floor, lambda _: None)
+        assert (found is again) is kept
+
+
+def test_mistaken_recordings_name_and_foretell_nothing():
+    base = UNITS[0][()]
+    found = GapDiagnosis.stopped(base, CAUSES, (of_gain("y", (1,), 2.0, Reason("gap.next.no_gap")),))
+    assert found.verdict == "data" and {c.probability for c in found.causes} == {0.0}
+    assert found.shrink.predicted == found.shrink.held_out == 0.0
+    assert found.next_experiment.profile == "none" and found.told is None
+    assert found.case is base.problem.case
+    assert found.gap["y"].rmse_before == pytest.approx(np.sqrt(np.mean((measured_of(base) - base.predicted) ** 2)))
+
+
+def measured_of(found):
+    return found.problem.measured
+
+
+# The whole diagnosis of a mechanism.
+
+
+EXPERIMENTS = {"wide": Experiment({"t_s": 0.05 * np.arange(60), "x": np.linspace(-4, 4, 60)}, 2.0)}
+
+
+@pytest.fixture(scope="module")
+def line_diagnosis():
+    runs = runs_of({"bend.size": 0.5}, (60, 71, 48), seed=3)
+    return runs, diagnose_simulator(replace(LINE, experiments=EXPERIMENTS), runs, "S7")
+
+
+def test_the_diagnosis_of_a_line_is_that_of_its_algebra(line_diagnosis):
+    runs, found = line_diagnosis
+    assert (found.verdict, found.best.ids) == ("explained", ("bend",))
+    exact = solved(design(runs, "bend"), measured(runs))
+    report = found.report()
+    assert report["parameters"]["bend.size"] == pytest.approx(exact[2], abs=1e-3)
+    assert report["parameters"]["level"] == pytest.approx(exact[0], abs=1e-3)
+    assert report["base"]["bend.size"] == 0.0 and report["base"]["slope"] == pytest.approx(
+        solved(design(runs), measured(runs))[1], abs=1e-3
+    )
+    assert report["simulator"] == "line" and report["failed"] is None and report["offsets"] == []
+    assert report["serial"] == "S7" and report["ambiguous_with"] == []
+    cause = found.causes[0]
+    assert (cause.effect, cause.stage) == ("bend", "part of bend") and cause.probability > 0.95
+    assert cause.shrink == pytest.approx(found.shrink.held_out)
+    assert cause.parameters["size"].low < exact[2] < cause.parameters["size"].high
+    left = left_of(design(runs), measured(runs))
+    gap = found.gap["y"]
+    assert gap.noise_floor == pytest.approx(SIGMA, rel=0.15) and gap.rmse_after < 1.2 * SIGMA
+    assert gap.rmse_before == pytest.approx(np.sqrt(np.mean(left**2)), rel=0.1)
+    shape = design(runs, "bend")[:, 2]
+    hidden = 1 - np.sum(left_of(design(runs), shape) ** 2) / np.sum(shape**2)
+    assert found.hidden_fraction["bend"] == pytest.approx(hidden, abs=1e-3)
+    assert found.places[0].stage == "part of bend" and found.places[0].share == pytest.approx(1.0)
+    assert found.explained_share > 0.95 and found.partial is None and found.residual is None
+    assert found.next_experiment.profile == "none"
+    assert len(found.chosen) == 3
+
+
+def test_no_gap_and_an_unknown_one():
+    clean = diagnose_simulator(LINE, runs_of({}, (60, 71, 48), seed=4))
+    assert clean.verdict == "no_gap" and clean.places == () and clean.best.ids == ()
+    assert clean.next_experiment.why.code == "gap.next.no_gap"
+    strange = [
+        replace(r, columns={**r.columns, "y": r.columns["y"] + 0.3 * np.sign(np.sin(5 * r.columns["x"]))})
+        for r in runs_of({}, (80, 91, 78), seed=4)
+    ]
+    unknown = diagnose_simulator(LINE, strange)
+    assert unknown.verdict == "unknown" and unknown.places[0].stage == "unknown"
+    assert unknown.next_experiment.why.code == "gap.next.add_candidate"
+    assert all(c.probability < 0.31 for c in unknown.causes)
+    with pytest.raises(InputError, match="no run"):
+        diagnose_simulator(LINE, [])
+
+
+def test_a_check_tells_without_a_search():
+    mistakes, told = check_simulator(LINE, runs_of({"bend.size": 0.2}))
+    assert mistakes == () and told["bend"].is_told
+    dead = [replace(r, columns={**r.columns, "y": np.ones(len(r))}) if r.name == "2" else r for r in runs_of({})]
+    mistakes, told = check_simulator(LINE, dead)
+    assert mistakes[0].what == "constant" and told is None
+    with pytest.raises(InputError, match="no run"):
+        check_simulator(LINE, [])
+
+
+# Places and next runs of the soft sensor's twin.
+
+
+SEEN = (Regime("force", Reason("gap.regime.loading"), 0.7, 2.0), Regime("output", Reason("gap.regime.hold"), 0.4, 2.0))
+
+
+def cause(effect_id, share):
+    return SimpleNamespace(effect=effect_id, stage=EFFECTS[effect_id].stage, shrink=share)
+
+
+def test_the_yardstick_is_of_the_closest():
+    fits = UNITS[0]
+    assert Yardstick.of(fits.values()).chi2 == min(f.chi2 for f in fits.values())
+    assert structure(fitted(problem_of(runs_of({})))).z < METHOD.structure.dirty_z

@@ -1,0 +1,265 @@
+"""Single steps of the search, of mistakes and of reasons, each at its threshold."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from softcal.core.gap import identifiability, outlier_run, place, posterior
+from softcal.core.gap.case import Case
+from softcal.core.gap.colour import Colour
+from softcal.core.gap.fit import fit
+from softcal.core.gap.floor import noise_chance
+from softcal.core.gap.identifiability import Identifiability, ParameterTold, why
+from softcal.core.gap.method import METHOD
+from softcal.core.gap.offsets import Nearby
+from softcal.core.gap.problem import Hypothesis, Problem
+from softcal.core.gap.screen import Lead, Probe, joined, screen
+from softcal.core.gap.simulator import candidate
+from softcal.core.gap.simulator_plausibility import against_others
+from softcal.core.gap.simulator_search import base_fit
+from softcal.core.twin.catalogue import EFFECTS
+from softcal.core.twin.effects import Parameter
+from softcal.core.words.reason import Reason
+from tests.core.linear_mechanism import (
+    BEND,
+    CAUSES,
+    LINE,
+    SIGMA,
+    design,
+    fitted,
+    measured,
+    problem_of,
+    runs_of,
+    size,
+    solved,
+)
+from tests.core.test_gap_exact_twin import AT, CASE, PROBLEM, case_of, run_of, spoilt_fit
+
+TELL, OUTLIER, PLACE = METHOD.telling, METHOD.outlier, METHOD.place
+RUNS = runs_of({"bend.size": 0.3, "ripple.size": 0.2}, (60, 71, 48))
+Y, N = measured(RUNS), 179
+
+
+# Growing.
+
+
+def test_a_joined_fit_begins_anew_where_it_brings_too_little(monkeypatch):
+    base = fitted(problem_of(RUNS))
+    starts, gains = [], []
+
+    def noted(problem, hypothesis, start, steps=20):
+        starts.append((tuple(np.round(start, 9)), steps))
+        found = fit(problem, hypothesis, start, steps)
+        return replace(found, chi2=base.chi2 - gains[len(starts) - 1])
+
+    monkeypatch.setattr("softcal.core.gap.screen.fit", noted)
+    lead = Lead(BEND, (0.4,), 100.0, 0.0, np.array([0.1, -0.2]))
+    for drops, calls, best in (
+        ([10.1], 1, 10.1),
+        ([9.9, 10.1], 2, 10.1),
+        ([5.0, 7.0, 6.0], 3, 7.0),
+        ([1.0, 0.0, 0.0], 3, 1.0),
+    ):
+        gains[:] = drops
+        starts.clear()
+        assert joined(base, lead).chi2 == pytest.approx(base.chi2 - best)
+        assert len(starts) == calls
+        shares = (1.0, 0.1, 0.003)[:calls]
+        for (start, steps), share in zip(starts, shares, strict=True):
+            expected = [*(base.coordinates + share * lead.shift), 0.4 * share]
+            np.testing.assert_allclose(start, expected, atol=1e-8)
+            assert steps == (20 if share == 1.0 else 40)
+
+
+def test_a_level_begins_farther_away_at_a_small_share():
+    level = candidate("stop", "wall", Parameter("at", "mm", 1.0, 1e4, 50.0, neutral=np.inf, scale="inverse_square"))
+    lead = Lead(level, (10.0,), 1.0, 0.0, np.zeros(2))
+    base = fitted(problem_of(RUNS))
+    assert lead.start(base)[2] == pytest.approx(1.0 / 10.0**2)
+    assert lead.start(base, 0.1)[2] == pytest.approx(1.0 / 100.0**2)
+
+
+def test_a_lead_of_a_level_moves_by_the_root_of_its_promise():
+    def walled(inputs, p):
+        return {"y": LINE.run(inputs, p)["y"] + 30.0 / p["stop.at"] ** 2 * inputs["x"] ** 2}
+
+    stop = candidate("stop", "wall", Parameter("at", "mm", 1.0, 1e4, 50.0, neutral=np.inf, scale="inverse_square"))
+    simulator = replace(LINE, run=walled, candidates=(stop, *CAUSES))
+    runs = [replace(r, columns={**r.columns, "y": r.columns["y"]}) for r in RUNS]
+    base = fitted(problem_of(runs, simulator=simulator))
+    (lead,) = screen(base, [Probe(stop, (20.0,), True)])
+    exact = solved(design(RUNS, "bend"), Y)[2]
+    # 30/at² is the size of the bend; the probe may be stretched thirtyfold.
+    times = min(exact / (30.0 / 20.0**2), 30.0)
+    assert lead.values[0] == pytest.approx(20.0 / np.sqrt(times), rel=1e-3)
+
+
+# Offsets that all runs share.
+
+
+def test_offsets_nearby_add_what_least_squares_finds():
+    own = replace(LINE, per_run={"y": {"zero": 5.0}})
+    problem = problem_of(RUNS, simulator=own)
+    clean = problem.bare.predict(Hypothesis(of_all=LINE.base), np.array([0.8, 2.0]))
+    rows = problem.directions(Hypothesis(of_all=LINE.base), np.array([0.8, 2.0]), clean, {})
+    near = Nearby(rows)
+    sizes = near.sizes(problem, clean)
+    for k, block in enumerate(problem.blocks):
+        assert sizes[k][0] == pytest.approx(np.mean((Y - clean)[block.place]), rel=1e-4)
+    out = near.added(problem, clean)
+    for k, block in enumerate(problem.blocks):
+        np.testing.assert_allclose(out[block.place], clean[block.place] + sizes[k][0])
+    moved = Nearby(rows, {k: np.array([0.1]) for k in range(3)})
+    for k in range(3):
+        assert moved.sizes(problem, clean)[k][0] == pytest.approx(sizes[k][0], abs=1e-4)
+
+
+# What is said of what the runs do not tell.
+
+
+def told(**change):
+    given = {"name": "slope", "is_base": True, "sigma": 1.0, "hidden": 0.5}
+    return ParameterTold(**(given | change))
+
+
+@pytest.mark.parametrize(
+    ("one", "code"),
+    [
+        (told(offset="zero of y"), "gap.told.own"),
+        (told(offset="zero of y", beside=("level",)), "gap.told.own"),
+        (told(beside=("level",)), "gap.told.beside"),
+        (told(beside=("level",), sigma=0.0), "gap.told.beside"),
+        (told(sigma=TELL.nothing), "gap.told.small"),
+        (told(sigma=0.99 * TELL.nothing), "gap.told.never"),
+    ],
+)
+def test_a_reason_is_the_first_that_holds(one, code):
+    assert why(one).code == code
+    assert why(one).values["cure"].code == "gap.told.no_run"
+    assert why(replace(one, by=("wide",))).values["cure"].code == "gap.told.run"
+
+
+def test_what_is_told_shows_by_so_many_sigma_and_is_no_offset():
+    assert told(sigma=TELL.sigma).is_told and not told(sigma=TELL.sigma - 1e-9).is_told
+    assert not told(sigma=99.0, offset="zero of y").is_told and told(offset="zero of y").is_own
+    every = Identifiability((told(sigma=99.0), told(name="bend", is_base=False)), (("a", "b"),))
+    assert [one.name for one in every.untold] == ["bend"] and every["bend"].sigma == 1.0
+    record = every.record()
+    assert record["base"]["slope"]["is_told"] is True and record["causes"]["bend"]["is_told"] is False
+    assert len(record["untold"]) == 2
+
+
+def test_a_cause_that_fills_an_offset_to_its_bound_is_no_offset():
+    """A zero that most runs would need beyond what each may have is a cause of all of them."""
+    tilt = replace(
+        LINE, run=lambda i, p: {"y": p["level"] + p["slope"] * i["x"] + p["bend.size"] * (i["t_s"] - i["t_s"][0])}
+    )
+    runs = [replace(r, columns={**r.columns, "y": 1 + 2 * r.columns["x"] + 0.4 * r.elapsed_s}) for r in RUNS]
+    for largest, is_own in ((5.0, True), (0.1, False)):
+        own = replace(tilt, per_run={"y": {"drift": largest}}, candidates=(BEND,))
+        base = fitted(problem_of(runs, simulator=own))
+        one = identifiability.identifiability(base, (BEND,), offsets=("drift of y",))["bend"]
+        assert one.own > TELL.own
+        assert one.is_own is is_own and one.offset == ("drift of y" if is_own else "")
+
+
+# Mistakes beside causes.
+
+
+def test_a_mistake_beside_a_cause_must_be_far_ahead():
+    drift = EFFECTS["loadcell_drift"]
+    runs = [run_of(k, 400) for k in (1, 2, 3)]
+    runs = [replace(r, force_N=r.force_N + 0.03 * r.t_s) for r in runs]
+    spoilt = [replace(runs[0], force_N=1.3 * runs[0].force_N), *runs[1:]]
+    for these, is_mistake in ((spoilt, True), (runs, False)):
+        problem = Problem(Case("B", tuple(these)), PROBLEM.sigma)
+        base = fit(problem, Hypothesis(), AT)
+        alone = fit(problem, Hypothesis((drift,)), np.append(base.coordinates, 0.03))
+        search = SimpleNamespace(
+            base=base, best=alone, fits={(): base, alone.ids: alone}, is_clean=posterior_clean,
+            is_explained=posterior_clean, grown_from=lambda fitted: [],
+        )  # fmt: skip
+        found = outlier_run.outlier_run_beside(search)
+        assert (found is not None) is is_mistake
+        if found:
+            assert (found.what, found.channel, found.runs) == ("gain", "force", (1,))
+
+
+def posterior_clean(found):
+    return not posterior.structure(found).is_significant
+
+
+def test_exchanged_columns_are_found_by_the_simulator():
+    # A line of unequal inputs: exchanged with its output it fits nothing.
+    def bent(inputs, p):
+        return {"y": p["level"] + p["slope"] * inputs["x"] ** 3 + p["bend.size"] * inputs["x"]}
+
+    simulator = replace(LINE, run=bent, candidates=(BEND,))
+    rng, runs = np.random.default_rng(4), []
+    for run in RUNS:
+        x = np.sign(run.columns["x"]) * np.abs(run.columns["x"])
+        runs.append(replace(run, columns={**run.columns, "y": 1.0 + 2.0 * x**3 + rng.normal(0, SIGMA, len(x))}))
+    swapped = [replace(r, columns={**r.columns, "x": r.columns["y"], "y": r.columns["x"]}) for r in runs]
+    found = against_others(base_fit(simulator, Case("X", tuple(swapped))))
+    assert (found.mistake.what, found.mistake.channel, found.mistake.runs) == ("swapped_columns", "x+y", ())
+    assert found.is_claim and found.left < 0.05
+    assert against_others(base_fit(simulator, Case("X", tuple(runs)))) is None
+
+
+# Places.
+
+
+def test_a_tone_beside_a_named_line_is_the_lines():
+    found = spoilt_fit("output_V", lambda r: 0.0012 * np.sin(2 * np.pi * 8.2 * r.t_s))
+    hum = EFFECTS["mains_hum"].of_runs(2)
+    for amplitude, frequency_Hz, is_told in (
+        (0.004, 8.0, False),
+        (0.004, 8.0 - PLACE.breathes_Hz, True),
+        (0.0012, 8.0, True),
+    ):
+        at = np.array([*AT, amplitude, frequency_Hz, 0.0, 0.0])
+        named = replace(found, hypothesis=found.hypothesis.adding(hum), coordinates=at)
+        assert (place.loose_noise(named) is not None) is is_told
+
+
+def test_without_a_stage_or_an_output_nothing_is_loose():
+    assert (
+        place.loose_noise(fit(Problem(case_of(run_of(output_V=None)), PROBLEM.sigma).bare, Hypothesis(), AT, steps=0))
+        is None
+    )
+
+
+# Noise of several channels.
+
+
+def test_what_another_channel_leaves_tells_too():
+    """Two channels that err together err by one cause, however small each is."""
+    rng = np.random.default_rng(5)
+    common = [rng.normal(0.0, 1.0, len(r)) for r in CASE.runs]
+    runs = [
+        replace(r, force_N=r.force_N + 0.004 * c, output_V=r.output_V + 0.0004 * c)
+        for r, c in zip(CASE.runs, common, strict=True)
+    ]
+    together = fit(Problem(Case("T", tuple(runs)), PROBLEM.sigma).bare, Hypothesis(), AT)
+    apart = fit(PROBLEM.bare, Hypothesis(), AT)
+    follows = lambda found, channel: [[]]  # noqa: E731
+    assert noise_chance(together, follows=follows) < 1e-3 < noise_chance(apart, follows=follows)
+    assert noise_chance(apart, ("output_V",), follows) >= noise_chance(apart, follows=follows)
+
+
+def test_a_colour_stays_where_none_is_given():
+    coloured = PROBLEM.with_noise(PROBLEM.sigma, {"output_V": Colour(0.002, 0.5)})
+    assert coloured.with_noise({"force_N": 1.0, "output_V": 1.0}).colour == coloured.colour
+    assert coloured.with_noise(PROBLEM.sigma, {}).colour == {}
+    assert coloured.of_run(CASE.runs[0]).colour == coloured.colour
+    seen = coloured.seeing(np.ones(len(coloured.measured)))
+    np.testing.assert_allclose(seen.whitened(coloured.measured), coloured.whitened(coloured.measured))
+
+
+# Free forms.
+
+
+def test_sizes_of_other_kinds_have_no_reason_without_values():
+    assert Reason("gap.told.no_run").values == {} and size().neutral == 0.0 and PROBLEM.count == len(PROBLEM.measured)
