@@ -23,8 +23,8 @@ def diagnose(
     >>> source.to_frame().to_csv(path, index=False)
     >>> readout = ReadoutMetadata(vref_V=3.3, adc_bits=12, r_series_ohm=10.0, sample_rate_Hz=50.0)
     >>> report = softcal.diagnose(path, readout=readout).report()
-    >>> report["missing_channels"]
-    ['stage_mm', 'temperature_C']
+    >>> ", ".join(report["missing_channels"])
+    'stage_mm, temperature_C'
 
     Args:
         case: folder of a case, or a plain table.

@@ -13,9 +13,9 @@ def simulate_recordings(units: int = 1, *, duration_s: float = 12.0, seed: int =
     They are those of the simulator that `Twin` is: the same material in every unit, another gain and another rest.
 
     >>> import softcal
-    >>> softcal.simulate_recordings(units=2)[1:]
-    [<Recording S2: 600 samples at 50 Hz (12 s), output in V, reference in N>, \
-<Recording S3: 600 samples at 50 Hz (12 s), output in V, reference in N>]
+    >>> source, first, second = softcal.simulate_recordings(units=2)
+    >>> second
+    <Recording S3: 600 samples at 50 Hz (12 s), output in V, reference in N>
 
     Args:
         units: how many units beside the source.

@@ -244,8 +244,8 @@ class Unit:
         >>> import tempfile, softcal
         >>> source, target = softcal.simulate_recordings()
         >>> unit = softcal.fit_map(softcal.fit_network(source, hidden=(8,)), target, limit_rmse=2.0)
-        >>> [file.name for file in unit.export(tempfile.mkdtemp(), "json", release="conditional")][:1]
-        ['unit-S2.json']
+        >>> unit.export(tempfile.mkdtemp(), "json", release="conditional")[0].name
+        'unit-S2.json'
 
         Args:
             out: folder.
