@@ -68,8 +68,18 @@ class _Calls:
         """Return the channels of all runs, one after another."""
         return np.concatenate([self._run(run, values) for run in self._runs])
 
-    def _run(self, run: SimulatorRun, values: Mapping[str, float]) -> Array:
-        recorded = {name: run.columns[name] for name in ("t_s", *self.simulator.inputs)}
+    def excited(self, values: Mapping[str, float]) -> Array:
+        """Return the channels of the first run where every input swings about what was recorded."""
+        t_s = self._runs[0].columns["t_s"]
+        phase = 2.0 * np.pi * (t_s - t_s[0]) / max(float(t_s[-1] - t_s[0]), 1e-300)
+        swings = {}
+        for k, name in enumerate(self.simulator.inputs, start=1):
+            column = self._runs[0].columns[name]
+            swings[name] = column + (float(np.max(np.abs(column))) or 1.0) * np.sin((2 * k + 1) * phase)
+        return self._run(self._runs[0], values, swings)
+
+    def _run(self, run: SimulatorRun, values: Mapping[str, float], swings: Columns | None = None) -> Array:
+        recorded = {name: run.columns[name] for name in ("t_s", *self.simulator.inputs)} | dict(swings or {})
         inputs, parameters = {name: column.copy() for name, column in recorded.items()}, _ReadNames(values)
         channels = self.simulator(inputs, parameters)
         self.names |= parameters.names
@@ -150,24 +160,29 @@ def _is_rounded(near: Array, far: Array) -> bool:
 
 
 def _refuse_unread(calls: _Calls, values: Mapping[str, float]) -> None:
+    """Refuse a parameter that is never read, or that is copied with all others and never changes a channel.
+
+    What these runs alone do not excite is left to the diagnosis, which says that they cannot tell it.
+    """
     simulator = calls.simulator
     for name, p in (*((p.name, p) for p in simulator.base), *_of_candidates(simulator)):
-        if (
-            name in calls.names
-            or p.is_fixed
-            or (calls.is_iterated and _changes_something(calls.every, values, name, p))
-        ):
+        if name in calls.names or p.is_fixed:
             continue
-        why = "changes no channel of any run" if calls.is_iterated else "is never read"
-        raise refused(simulator, f"parameter {name} {why}; check how the simulator spells it, or leave it out")
+        makes = (calls.every, calls.excited) if calls.is_iterated else ()
+        if not any(_changes_something(make, values, name, p) for make in makes):
+            raise refused(
+                simulator,
+                f"parameter {name} is never read, or changes no channel; check how the simulator spells it, or leave "
+                "it out",
+            )
 
 
 def _changes_something(
-    every: Callable[[Mapping[str, float]], Array], values: Mapping[str, float], name: str, parameter: Parameter
+    make: Callable[[Mapping[str, float]], Array], values: Mapping[str, float], name: str, parameter: Parameter
 ) -> bool:
     ends = [end for end in (parameter.low, parameter.high) if end != values[name]]
     try:
-        usual = every(values)
-        return any(not np.array_equal(usual, every({**values, name: end})) for end in ends)
+        usual = make(values)
+        return any(not np.array_equal(usual, make({**values, name: end})) for end in ends)
     except SimulatorFailed:
         return True
