@@ -18,7 +18,7 @@ from common.tables import print_table
 
 from softcal.core.inspection.build import InspectedRecording, build_recording
 from softcal.core.inspection.config import InspectionConfig
-from softcal.core.recording import Array
+from softcal.core.recording import Array, Mask
 
 CABLES: dict[str, Callable[[Array], Array]] = {
     "0 V": lambda run: 0 * run,
@@ -51,7 +51,7 @@ def inspected(output: Array, reference: Array | None, rate_Hz: float) -> Inspect
     return build_recording("unit", t_s, output, sample_rate_Hz=rate_Hz, reference=reference)
 
 
-def invalid(result: InspectedRecording, samples: int) -> Array:
+def invalid(result: InspectedRecording, samples: int) -> Mask:
     """Return which samples were masked, (n,)."""
     is_masked = np.ones(samples, dtype=bool)
     is_masked[result.rows] = False
@@ -64,7 +64,7 @@ class Shares:
     def __init__(self) -> None:
         self.counts: dict[tuple[str, str], list[int]] = defaultdict(lambda: [0, 0, 0, 0])
 
-    def add(self, key: tuple[str, str], planted: Array, masked: Array) -> None:
+    def add(self, key: tuple[str, str], planted: Mask, masked: Mask) -> None:
         found, wrong = int((planted & masked).sum()), int((~planted & masked).sum())
         for place, value in enumerate((int(planted.sum()), found, int((~planted).sum()), wrong)):
             self.counts[key][place] += value
