@@ -98,17 +98,17 @@ def _print_rows(header: Sequence[str], rows: Sequence[Sequence[str]], width: int
     if width is not None and _line_width(columns) > width:
         columns = [column for column in columns if not NO_VALUES.issuperset(column[1:])] or columns
         header, *rows = zip(*columns, strict=True)
-    beside = len(columns)
-    while width is not None and beside > 1 and _line_width(columns[:beside]) > width:
-        beside -= 1
+    in_rows = len(columns)
+    while width is not None and in_rows > 1 and _line_width(columns[:in_rows]) > width:
+        in_rows -= 1
     widths = [max(map(_cells_of, column)) for column in columns]
-    widths = widths[:beside] if width is None or beside > 1 else [min(widths[0], width)]
+    widths = widths[:in_rows] if width is None or in_rows > 1 else [min(widths[0], width)]
     print_line = _line_printer()
     print_line(header, widths)
     print_line(["-" * one for one in widths], widths)
     for row in rows:
         print_line(row, widths)
-        others = zip(header[beside:], row[beside:], strict=True)
+        others = zip(header[in_rows:], row[in_rows:], strict=True)
         below = [f"{name}: {cell}" for name, cell in others if cell not in NO_VALUES]
         for line in _wrapped("; ".join(below), (width or 0) - len(BELOW)) if below else ():
             print(BELOW + line)

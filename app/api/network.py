@@ -142,7 +142,7 @@ def recording_with(
     Args:
         usual: facts where neither the data nor the caller state them.
     """
-    beside = {fact: value for fact, value in facts.items() if value is not None}
-    if isinstance(given, Recording) and beside:
-        raise InputError(f"{name} is a Recording already: {'=, '.join(beside)}= belongs to softcal.Recording(...)")
-    return recording_of(given, name, rate_Hz, **usual | beside)
+    extra = {fact: value for fact, value in facts.items() if value is not None}
+    if isinstance(given, Recording) and extra:
+        raise InputError(f"{name} is a Recording already: {'=, '.join(extra)}= belongs to softcal.Recording(...)")
+    return recording_of(given, name, rate_Hz, **usual | extra)

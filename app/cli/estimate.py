@@ -41,9 +41,9 @@ def run(options: argparse.Namespace) -> None:
 
     with registry_of(options) as registry:
         unit = options.serial, options.revision, options.lot
-        made = estimate_file(registry, options.recording, options.out, *unit, names=column_names(options))
+        written = estimate_file(registry, options.recording, options.out, *unit, names=column_names(options))
         say_caution(registry, unit, "estimate")
-    result, file = made.estimate, made.file
+    result, file = written.estimate, written.file
     say_layout(str(options.recording), file.table.layout, file.remarks)
     flags = [flag for flag in result.flag if flag]
     counts = {flag: flags.count(flag) for flag in sorted(set(flags))}

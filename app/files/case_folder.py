@@ -148,8 +148,8 @@ def _samples(
     values = {channel: table.numbers(name) for channel, name in columns.items()}
     recorded = {channel: cells for channel, cells in values.items() if not bool(np.isnan(cells).all())}
     if not columns and "t_s" not in table.names:
-        seen = ", ".join(table.names[:12])
-        raise InputError(f"{table.path}: none of t_s, {', '.join(KNOWN_COLUMNS)}; the file has: {seen}")
+        names = ", ".join(table.names[:12])
+        raise InputError(f"{table.path}: none of t_s, {', '.join(KNOWN_COLUMNS)}; the file has: {names}")
     if "t_s" in table.names and options.time_format is None:
         # As it stands: the diagnosis itself finds a wrong unit or rate.
         t_s = table.numbers("t_s")

@@ -65,8 +65,8 @@ class Stream:
                     raise InputError(f"{path}: {NO_TIME}; the file has: {', '.join(table.names[:12])}")
             self.remarks += [remark for remark in table.remarks if remark not in self.remarks]
             output = table.numbers(names.output)
-            made = (rows + np.arange(len(output))) / (names.rate_Hz or 1.0)
-            t_s = made if clock is None else clock.seconds(table, ", or give the sample rate")
+            stamps = (rows + np.arange(len(output))) / (names.rate_Hz or 1.0)
+            t_s = stamps if clock is None else clock.seconds(table, ", or give the sample rate")
             rows += len(output)
             # A first piece this short is the whole file.
             if rows < TAPS:

@@ -46,14 +46,14 @@ def _groups(path: Path, root: "h5py.Group") -> Iterator[tuple[str, "h5py.Group"]
     """Yield every group once, under its path without the first slash; the root is "/"."""
     import h5py
 
-    waiting, seen = [("/", root)], set()
+    waiting, visited = [("/", root)], set()
     while waiting:
         name, group = waiting.pop(0)
         address = h5py.h5o.get_info(group.id).addr
-        if address in seen:
+        if address in visited:
             continue
-        seen.add(address)
-        if len(seen) > MAX_GROUPS:
+        visited.add(address)
+        if len(visited) > MAX_GROUPS:
             raise InputError(f"{path}: more than {MAX_GROUPS} groups; export the samples of one run alone")
         yield name, group
         if "pandas_type" not in group.attrs:
@@ -165,8 +165,8 @@ def check_dataset(path: Path, name: str, data: "h5py.Dataset", options: TableOpt
 
 def _unit(data: "h5py.Dataset", part: str = "") -> str:
     names = [f"{part}_unit", f"{part}_units"] if part else UNIT_NAMES
-    found = [text(data.attrs[name]) for name in names if name in data.attrs]
-    return found[0] if found else ""
+    units = [text(data.attrs[name]) for name in names if name in data.attrs]
+    return units[0] if units else ""
 
 
 def text(value: object) -> str:

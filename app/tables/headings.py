@@ -200,8 +200,8 @@ def _below(rows: Sequence[Sequence[Any]], row: int, first: int, width: int, deci
     for k, name in enumerate(cells):
         stated = [str(rows[r][k]) for r in range(row + 1, start) if k < len(rows[r]) and rows[r][k] is not None]
         in_name = BRACKETS.search(name)
-        found = [unit for text in stated if (unit := _unit(text))]
-        units.append(found[0] if found else in_name["unit"].strip() if in_name else "")
+        parsed_units = [unit for text in stated if (unit := _unit(text))]
+        units.append(parsed_units[0] if parsed_units else in_name["unit"].strip() if in_name else "")
     names = [name or f"column_{k}" for k, name in enumerate(cells, 1)]
     return Heading(tuple(names), tuple(units), row, unit_rows, start)
 

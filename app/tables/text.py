@@ -141,8 +141,8 @@ def _filled(lines: Sequence[str], offset: int) -> tuple[list[str], list[int]]:
     empty = {k for k, line in enumerate(lines) if not line or line.isspace()}
     if not empty:
         return list(lines), list(range(offset + 1, offset + 1 + len(lines)))
-    kept = [k for k in range(len(lines)) if k not in empty]
-    return [lines[k] for k in kept], [offset + 1 + k for k in kept]
+    filled = [k for k in range(len(lines)) if k not in empty]
+    return [lines[k] for k in filled], [offset + 1 + k for k in filled]
 
 
 def _drop_comments(texts: list[str], numbers: list[int], layout: TextLayout) -> list[str]:
@@ -171,12 +171,12 @@ def _fit(
         InputError: a row is longer or shorter.
     """
     width, at = len(layout.heading.names), "\t" if layout.delimiter == BLANKS else layout.delimiter
-    for k, found in enumerate(widths):
-        if found == width:
+    for k, count in enumerate(widths):
+        if count == width:
             continue
         row = _fitted(cells[k] if cells is not None else split(texts[k], at), width, layout)
         if row is None:
-            raise InputError(_unequal(path, numbers[k], found, width, layout))
+            raise InputError(_unequal(path, numbers[k], count, width, layout))
         if cells is not None:
             cells[k] = row
         else:
@@ -217,11 +217,11 @@ def _fitted(row: list[str], width: int, layout: TextLayout) -> list[str] | None:
     return row if len(row) == width else None
 
 
-def _unequal(path: Path, line: int, found: int, width: int, layout: TextLayout) -> str:
+def _unequal(path: Path, line: int, cells: int, width: int, layout: TextLayout) -> str:
     cure = "repair or remove that line"
-    if layout.delimiter == "," and found > width:
+    if layout.delimiter == "," and cells > width:
         cure += "; are there decimal commas? write the file with semicolons or tabs between cells then"
-    return f"{path}: line {line} has {found} cells where the header has {width}; {cure}"
+    return f"{path}: line {line} has {cells} cells where the header has {width}; {cure}"
 
 
 def _end_of_data(
@@ -349,11 +349,11 @@ def _pieces(
         # The last lines wait for those after them: only the end of the file tells a footer from a broken row.
         cut = len(pending) if is_last else max(0, len(pending) - 60)
         if cut:
-            found = _rows(
+            piece = _rows(
                 pending[:cut], layout, path, options, is_last=is_last, is_open=is_last and is_open, offset=offset
             )
-            if len(found.lines):
-                yield _table(found, layout, path, options, is_requested)
+            if len(piece.lines):
+                yield _table(piece, layout, path, options, is_requested)
         if is_last:
             return
         offset, pending = offset + cut, [*pending[cut:], *(line.rstrip("\n") for line in more)]

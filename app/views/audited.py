@@ -78,8 +78,8 @@ def audited_view(
         calibration = Calibration.from_record(record)
         # The rows that the error of the unit is stated on.
         rows = audit.unlabelled.window_rows
-        found = estimate(registry.networks.get(record.network_id), calibration, audit.unlabelled)
-        units.append(AuditTrace(serial, audit.window_reference, found.estimate[rows]))
+        estimates = estimate(registry.networks.get(record.network_id), calibration, audit.unlabelled)
+        units.append(AuditTrace(serial, audit.window_reference, estimates.estimate[rows]))
     if not units:
         return None
     loads = np.concatenate([unit.reference for unit in units])

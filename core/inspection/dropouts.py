@@ -120,8 +120,8 @@ def _between(padded: Array, begin: int, end: int, config: DropoutConfig) -> Drop
 
 def _is_press(output: Array, stage_mm: Array, dropout: Dropout, config: DropoutConfig) -> bool:
     """Whether the stage went down and up, or up and down, meanwhile."""
-    beside = max(0, dropout.begin - 2), min(len(stage_mm) - 1, dropout.end + 1)
+    neighbours = max(0, dropout.begin - 2), min(len(stage_mm) - 1, dropout.end + 1)
     inside = np.arange(dropout.begin, dropout.end)
-    off_mm = np.abs(stage_mm[inside] - np.interp(inside, beside, stage_mm[list(beside)]))
+    off_mm = np.abs(stage_mm[inside] - np.interp(inside, neighbours, stage_mm[list(neighbours)]))
     off_share = abs(dropout.level - dropout.expected) / float(np.ptp(output))
     return bool(np.max(off_mm) > config.stage_share * off_share * float(np.ptp(stage_mm)))

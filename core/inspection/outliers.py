@@ -67,7 +67,7 @@ def _is_apart(values: Array, end: float, config: InspectionConfig) -> bool:
     return bool(is_rare and high > low and abs(end - middle) > factor * (high - low))
 
 
-def find_spikes(t_s: Array, values: Array, sample_rate_Hz: float, least_share: float, config: InspectionConfig) -> Mask:
+def find_spikes(t_s: Array, values: Array, sample_rate_Hz: float, min_share: float, config: InspectionConfig) -> Mask:
     """Return which samples of a column are spikes, (n,): they leave and come back faster than any press.
 
     The height of a run of samples is how far all of them lie beyond both its neighbours. What is usual is learned from
@@ -75,7 +75,7 @@ def find_spikes(t_s: Array, values: Array, sample_rate_Hz: float, least_share: f
 
     Args:
         values: (n,) without missing samples.
-        least_share: lower spikes, as a share of the range, are none.
+        min_share: lower spikes, as a share of the range, are none.
     """
     longest = min(max(1, round(config.spike_s * sample_rate_Hz)), config.max_spike_samples)
     is_spike = np.zeros(len(values), dtype=np.bool_)
@@ -83,7 +83,7 @@ def find_spikes(t_s: Array, values: Array, sample_rate_Hz: float, least_share: f
         return is_spike
     filled = values
     while True:
-        new = _spike_rows(t_s, filled, longest, GAP_FACTOR / sample_rate_Hz, least_share, config) & ~is_spike
+        new = _spike_rows(t_s, filled, longest, GAP_FACTOR / sample_rate_Hz, min_share, config) & ~is_spike
         if not new.any():
             return is_spike
         is_spike |= new
@@ -100,29 +100,29 @@ def fill(values: Array, is_invalid: Mask) -> Array:
 
 
 def _spike_rows(
-    t_s: Array, values: Array, longest: int, gap_s: float, least_share: float, config: InspectionConfig
+    t_s: Array, values: Array, longest: int, gap_s: float, min_share: float, config: InspectionConfig
 ) -> Mask:
     # The first and the last sample have one neighbour: beside them stands what the next samples usually are.
-    beside = 2 * longest + 1
-    ends = np.median(values[:beside]), np.median(values[-beside:])
+    margin = 2 * longest + 1
+    ends = np.median(values[:margin]), np.median(values[-margin:])
     padded = np.concatenate([ends[:1], values, ends[1:]])
     period_s = gap_s / GAP_FACTOR
     times_s = np.concatenate([[t_s[0] - period_s], t_s, [t_s[-1] + period_s]])
     span = column_scale(values).span
     heights = [_run_heights(padded, length) for length in range(1, longest + 1)]
     usual = max(float(np.quantile(height, config.usual_excursion)) for height in heights)
-    least = max(least_share * span, np.finfo(float).tiny)
-    low, high = _range_of_most(values, least, config)
+    min_height = max(min_share * span, np.finfo(float).tiny)
+    low, high = _range_of_most(values, min_height, config)
     is_apart = (values <= low) | (values >= high)
     hits: list[tuple[float, int, int]] = []
     for length, height in enumerate(heights, 1):
         is_all_apart = np.lib.stride_tricks.sliding_window_view(is_apart, length).all(axis=1)
-        is_high = height > max(config.spike_factor * usual, least)
+        is_high = height > max(config.spike_factor * usual, min_height)
         # A recording may start or end within a press.
         is_high[[0, -1]] = False
         # Where samples are missing, or come at a slower rate, a run lasts as long as a press.
         is_short = times_s[length + 1 :] - times_s[: -length - 1] <= (length + 1) * gap_s
-        starts = np.flatnonzero((is_high | ((height > least) & is_all_apart)) & is_short)
+        starts = np.flatnonzero((is_high | ((height > min_height) & is_all_apart)) & is_short)
         hits += [(-float(height[start]), length, int(start)) for start in starts]
     is_spike = np.zeros(len(values), dtype=np.bool_)
     # A spike makes runs beside it and around it high, too. The highest is the spike; the others are looked at again

@@ -31,7 +31,7 @@ def reference_findings(
         *_sign(t_s, reference),
         *(
             _lag(t_s, output, reference, sample_rate_Hz, config)
-            or [*_held(t_s, reference, config), *_tares(t_s, output, reference, config)]
+            or [*_slower_reference(t_s, reference, config), *_tares(t_s, output, reference, config)]
         ),
     ]
 
@@ -83,7 +83,7 @@ def _lag(
     return [InspectionFinding("lag", "reference", 0, len(t_s), float(t_s[0]), lag_s, 1 - least / unshifted)]
 
 
-def _held(t_s: Array, reference: Array, config: InspectionConfig) -> list[InspectionFinding]:
+def _slower_reference(t_s: Array, reference: Array, config: InspectionConfig) -> list[InspectionFinding]:
     starts, lengths = equal_runs(reference)
     if len(starts) < 2 * BINS:
         return []

@@ -57,11 +57,11 @@ def summarise(inspection: Inspection, lines: Sequence[int] | Indices | None = No
     groups: dict[tuple[str, str], list[InspectionFinding]] = {}
     for finding in inspection.findings:
         groups.setdefault((finding.kind, finding.column), []).append(finding)
-    said = []
+    remarks = []
     for group in groups.values():
         first = finding_reason(group[0], lines)
-        said.append(first if len(group) == 1 else reason("inspect.several", first=first, more=len(group) - 1))
-    return said
+        remarks.append(first if len(group) == 1 else reason("inspect.several", first=first, more=len(group) - 1))
+    return remarks
 
 
 def check_reference(inspection: Inspection, lines: Sequence[int] | Indices | None = None) -> None:

@@ -101,24 +101,24 @@ def missing_findings(recording: OutputRecording, config: HealthConfig) -> tuple[
     missing = missing_samples(recording)
     if not missing.is_any:
         return ()
-    said = _observed(recording, missing)
+    observed = _observed(recording, missing)
     if missing.share <= config.max_missing_share and missing.window_share >= config.min_window_share:
-        return tuple(map(Finding, said))
-    first, *rest = said
+        return tuple(map(Finding, observed))
+    first, *rest = observed
     return (Finding(_too_much(missing, first), Verdict.RETEST), *map(Finding, rest))
 
 
 @lru_cache(maxsize=CACHED)
 def jump_findings(recording: OutputRecording) -> tuple[Finding, ...]:
     """Say where the level of an output jumps for good: a counter that starts again, or a baseline that moved."""
-    found = level_findings(recording.t_s, recording.output, recording.sample_rate_Hz, InspectionConfig())
-    wraps = [one for one in found if one.kind == "wrap"]
+    levels = level_findings(recording.t_s, recording.output, recording.sample_rate_Hz, InspectionConfig())
+    wraps = [one for one in levels if one.kind == "wrap"]
     if wraps:
-        said = reason("wraps", count=len(wraps), first=wraps[0].time_s, jump=wraps[0].value)
-        return (Finding(said, Verdict.RETEST),)
+        wrapped = reason("wraps", count=len(wraps), first=wraps[0].time_s, jump=wraps[0].value)
+        return (Finding(wrapped, Verdict.RETEST),)
     return tuple(
         Finding(reason("stepped", first=one.time_s, jump=one.value, unit=recording.output_unit, share=one.amount))
-        for one in found
+        for one in levels
         if one.kind == "step"
     )
 
@@ -129,23 +129,23 @@ def _too_much(missing: MissingSamples, observed: Reason) -> Reason:
 
 def _observed(recording: OutputRecording, missing: MissingSamples) -> list[Reason]:
     """Return what was observed, the most samples first."""
-    masked, said = recording.masked, list[tuple[float, Reason]]()
+    masked, observed = recording.masked, list[tuple[float, Reason]]()
     for kind, count in missing.masked.items():
         times = {"times": _times_the_range(recording, masked)} if kind == "overflow" else {}
-        said.append((count, reason(MASKED[kind], count=count, first=_first(masked.of_kind(kind)), **times)))
+        observed.append((count, reason(MASKED[kind], count=count, first=_first(masked.of_kind(kind)), **times)))
     if gaps := missing.gaps:
         rows = sum(gap.amount for gap in gaps)
         longest = max(gaps, key=lambda gap: gap.value)
         absent = rows / (rows + len(recording) + len(masked))
-        said.append(
+        observed.append(
             (rows, reason("gaps", gaps=len(gaps), longest=longest.value, at=longest.time_s, rows=rows, share=absent))
         )
     for slow in missing.slow:
         # A slower stretch is as many samples short as its rate is lower.
-        said.append(
+        observed.append(
             (len(recording), reason("slow", rate=slow.value, usual=recording.sample_rate_Hz, first=slow.time_s))
         )
-    return [one for _, one in sorted(said, key=lambda pair: -pair[0])]
+    return [one for _, one in sorted(observed, key=lambda pair: -pair[0])]
 
 
 def _first(masked: MaskedSamples) -> Reason:
