@@ -57,7 +57,7 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
     forecast = forecast_error(evidence.budget, evidence.knowledge)
     lag = find_readout_lag(fit.source.unlabelled, target, fit.synchrony, method.map)
     # What a logger did comes first: the rest may be a consequence.
-    findings = missing_findings(target, method.health) + jump_findings(target)
+    findings = missing_findings(target, method.health) + jump_findings(target, method.inspection)
     if all(finding.best.is_open for finding in findings):
         findings += contradictions(known, target, limits, method, fit.synchrony) or (
             *health_findings(target, known, limits, method.health),

@@ -8,6 +8,7 @@ numbers (`ReleaseConfig`). A trim has a number of its own, in `unit/trim.py`.
 
 from dataclasses import dataclass, field
 
+from softcal.core.inspection.config import InspectionConfig
 from softcal.core.maps.config import MapConfig
 from softcal.core.settings import SET, NumberedMethod, setting
 from softcal.core.unit.knowledge import KnowledgeTable
@@ -251,7 +252,7 @@ class Method(NumberedMethod):
         version: raised when the code computes otherwise from the same numbers.
         taps, levels, confidence: of windows and intervals.
         range_margin: an estimate further than this share of the source's range beyond it is out of range.
-        map, source, health, forecast, knowledge, line, bridge, findings, decision, release: a
+        map, source, inspection, health, forecast, knowledge, line, bridge, findings, decision, release: a
             section a module.
     """
 
@@ -262,6 +263,7 @@ class Method(NumberedMethod):
     range_margin: float = setting(0.05)
     map: MapConfig = field(default_factory=MapConfig)
     source: SourceConfig = field(default_factory=SourceConfig)
+    inspection: InspectionConfig = field(default_factory=InspectionConfig)
     health: HealthConfig = field(default_factory=HealthConfig)
     forecast: ForecastConfig = field(default_factory=ForecastConfig)
     knowledge: KnowledgeTable = field(default_factory=KnowledgeTable)

@@ -109,9 +109,9 @@ def missing_findings(recording: OutputRecording, config: HealthConfig) -> tuple[
 
 
 @lru_cache(maxsize=CACHED)
-def jump_findings(recording: OutputRecording) -> tuple[Finding, ...]:
+def jump_findings(recording: OutputRecording, config: InspectionConfig) -> tuple[Finding, ...]:
     """Say where the level of an output jumps for good: a counter that starts again, or a baseline that moved."""
-    levels = level_findings(recording.t_s, recording.output, recording.sample_rate_Hz, InspectionConfig())
+    levels = level_findings(recording.t_s, recording.output, recording.sample_rate_Hz, config)
     wraps = [one for one in levels if one.kind == "wrap"]
     if wraps:
         wrapped = reason("wraps", count=len(wraps), first=wraps[0].time_s, jump=wraps[0].value)

@@ -1,6 +1,7 @@
 """One look at a recording finds what loggers and loose cables leave in it, and takes nothing good for a fault."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,8 @@ from softcal.core.errors import InputError
 from softcal.core.inspection.build import InspectedRecording, build_recording
 from softcal.core.inspection.words import check_reference
 from softcal.core.recording import Array
+from softcal.core.unit.method import Method
+from softcal.core.unit.missing import jump_findings
 
 PressUnit = Callable[[int, float, float, int], pd.DataFrame]
 RATE_HZ = 50.0
@@ -247,3 +250,12 @@ def test_a_load_cell_that_counts_compression_negative_is_named_and_not_corrected
     result = inspected(table["output"].to_numpy(), -table["reference"].to_numpy())
     assert result.inspection.of_kind("sign")
     assert result.reference is not None and np.array_equal(result.reference, -table["reference"].to_numpy())
+
+
+def test_what_decides_about_a_jump_of_a_unit_stands_in_the_method_that_is_hashed(press_unit: PressUnit) -> None:
+    output = press_unit(1500, 1.0, 0.5, 3)["output"].to_numpy(copy=True)
+    output[800:] += 0.5 * np.ptp(output)
+    recording, usual = inspected(output).recording, Method()
+    deaf = replace(usual, inspection=replace(usual.inspection, step_share=1.0))
+    assert [one.reason.code for one in jump_findings(recording, usual.inspection)] == ["stepped"]
+    assert jump_findings(recording, deaf.inspection) == () and deaf.id != usual.id
