@@ -9,7 +9,7 @@ from softcal.db.truth.registry_base import RegistrySettings
 def open_registry(url: str, settings: RegistrySettings | None = None, *, create: bool = True) -> Registry:
     """Open the registry behind an SQLAlchemy URL (`RegistryError`: URL, folder, file, server or schema are unusable).
 
-    With `create` an empty database or a new SQLite file gets the tables; an older registry is never upgraded here.
+    With `create` an empty database or a new SQLite file gets the tables.
     """
     database = open_database(url, create=create)
     try:

@@ -58,7 +58,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="may also set people, limits, rules and certificates; default softcal_manager",
     )  # fmt: skip
     grants.add_argument("--reader", default="softcal_reader", metavar="ROLE", help="may read; default softcal_reader")
-    action("upgrade", "bring the tables to this version (SQLite: after a backup)", _upgrade)
+    action("upgrade", "make the tables of this version in an empty database", _upgrade)
 
 
 def _done(options: argparse.Namespace, action: str, line: str, **facts: object) -> None:
@@ -181,13 +181,11 @@ def _grants(options: argparse.Namespace) -> None:
 
 def _upgrade(options: argparse.Namespace) -> None:
     from softcal.app.registry.maintenance import upgrade
+    from softcal.db.schema.tables import SCHEMA
 
-    done = upgrade(registry_url(options.registry))
-    backup = None if done.backup is None else str(done.backup)
-    line = f"the registry has schema {done.after} already; nothing to do"
-    if done.before != done.after:
+    before = upgrade(registry_url(options.registry))
+    line = f"the registry has schema {SCHEMA} already; nothing to do"
+    if before is None:
         say_written(registry_url(options.registry))
-        line = f"schema {done.before or 'none'} -> {done.after}" + (
-            f"; backup of the old one: {backup}" if backup else ""
-        )
-    _done(options, "upgrade", line, before=done.before, after=done.after, backup=backup)
+        line = f"the registry was made, with schema {SCHEMA}"
+    _done(options, "upgrade", line, before=before, after=SCHEMA)

@@ -1,52 +1,29 @@
 """What keeps the registry whole: upgrade, check, backup, restore, synchronisation."""
 
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 from softcal.app.registry.anchors import read_anchor, remember, remembered
-from softcal.core.errors import RegistryError
 from softcal.db.care.backup import back_up
 from softcal.db.care.maintenance import migrate
 from softcal.db.care.sync import SyncReport, synchronise
 from softcal.db.connection import open_registry
 from softcal.db.entries import Heads
 from softcal.db.registry import Registry
-from softcal.db.schema.database import open_database, schema_of
-from softcal.db.schema.tables import SCHEMA
+from softcal.db.schema.database import check_schema, open_database, schema_of
 
 
-@dataclass(frozen=True)
-class Upgrade:
-    """What an upgrade did: from which schema (None: empty) to which, and the backup of the old."""
+def upgrade(url: str) -> str | None:
+    """Make the tables in an empty database; return the schema a registry had before, None where it was empty.
 
-    before: str | None
-    after: str
-    backup: Path | None
-
-
-def upgrade(url: str) -> Upgrade:
-    """Bring a registry to this version's schema; an SQLite one is backed up beside itself.
-
-    Raises:
-        RegistryError: it cannot be opened, is newer, or the upgrade failed; nothing changed.
+    `RegistryError`: it cannot be opened, or it has a schema that this version does not know; nothing changed.
     """
-    database = open_database(url)
-    try:
+    with closing(open_database(url)) as database:
         before = schema_of(database)
-        if before is not None and before > SCHEMA:
-            raise RegistryError(f"registry {database.name} has schema {before}, newer than {SCHEMA}; update softcal")
-        if before == SCHEMA:
-            return Upgrade(before, SCHEMA, None)
-        backup = None
-        # On PostgreSQL the upgrade is one transaction, and the server has backups of its own.
-        if before is not None and (path := database.path) is not None:
-            backup = path.with_name(f"{path.stem}-schema-{before}-{datetime.now(UTC):%Y%m%d-%H%M%S}.db")
-            back_up(database, backup)
-        return Upgrade(before, migrate(database), backup)
-    finally:
-        database.close()
+        check_schema(database, migrate(database) if before is None else before)
+        return before
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from softcal.core.errors import RegistryError
 from softcal.db.care.checks import faults
 from softcal.db.care.maintenance import Adoption, migrate
 from softcal.db.schema.database import Database, check_schema, open_database, schema_of
-from softcal.db.schema.tables import SCHEMA, heartbeats, metadata, registry_info, tokens, work_items
+from softcal.db.schema.tables import heartbeats, metadata, registry_info, tokens, work_items
 from softcal.db.truth import history
 from softcal.db.truth.registry_base import RegistrySettings
 
@@ -57,19 +57,17 @@ def restore(path: Path, url: str) -> None:
     """Fill an empty database from a backup, after checking every byte of it.
 
     It writes a chain of its own in the audit trail from here on: no other copy of the same backup is taken for it.
-    `RegistryError`: the backup is missing, damaged or too new, or the target is not empty.
+    `RegistryError`: the backup is missing, damaged or of another schema, or the target is not empty.
     """
     if not path.is_file():
         raise RegistryError(f"backup {path}: there is no such file")
     with tempfile.TemporaryDirectory(prefix="softcal-restore-") as folder:
-        # The copy may be upgraded and gets files beside it; the backup itself stays as it is.
+        # An open copy gets files beside it; the backup itself stays as it is.
         source = open_database(f"sqlite:///{shutil.copy(path, Path(folder) / 'backup.db')}")
         with closing(source):
             schema = schema_of(source)
             if schema is None:
                 raise RegistryError(f"backup {path} is empty; nothing was restored")
-            if schema < SCHEMA:
-                schema = migrate(source)
             check_schema(source, schema)
             with source.reading():
                 problems = list(faults(source))

@@ -307,8 +307,8 @@ def check_schema(database: Database, schema: str) -> None:
     """Refuse a registry that this version cannot use as it is."""
     if schema < SCHEMA:
         raise RegistryError(
-            f"registry {database.name} has schema {schema}, this version needs {SCHEMA}; "
-            "run `softcal registry upgrade` (it makes a backup first)"
+            f"registry {database.name} has schema {schema} of a development version, which nothing reads; "
+            f"use another registry of schema {SCHEMA}: `softcal batch LOT` makes one and fits the lot again"
         )
     if schema > SCHEMA:
         raise RegistryError(

@@ -1,4 +1,4 @@
-"""The tables of the registry as after the step `SCHEMA` of `migrations/`."""
+"""The tables of the registry."""
 
 import json
 from datetime import UTC, datetime
@@ -10,8 +10,8 @@ from sqlalchemy.types import TypeDecorator
 
 from softcal.core.errors import RegistryError
 
-SCHEMA = "0010"
-"""Revision of the newest migration: what a registry must have to be used by this version."""
+SCHEMA = "1"
+"""Revision of the newest migration, which a registry must have to be used by this version."""
 
 metadata = sa.MetaData(
     naming_convention={
@@ -162,7 +162,8 @@ recordings = table(
     "recordings",
     *keys(sha256=SHA256, lot_id=NAME, kind=String(8)),
     *needed(serial=NAME, samples=Integer, sample_rate_Hz=Double, output_unit=Text),
-    *optional(reference_unit=Text, output_sha256=SHA256),
+    *needed(output_sha256=SHA256),
+    *optional(reference_unit=Text),
     Column("blob_sha256", SHA256, ForeignKey("blobs.sha256"), nullable=False),
     *needed(added_at=UtcTime),
     sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
@@ -288,14 +289,13 @@ orders = table(
     *keys(order_id=NAME),
     *needed(station=NAME, kind=String(16), serial=NAME, lot_id=NAME, actor=Text, reason=Text),
     *needed(created=UtcTime, state=String(16), phase=Text, fraction=Double, remaining_s=Double),
-    *needed(code=Text, message=Text, recording_sha256=Text),
-    Column("verdict", Text, nullable=False, server_default=""),
+    *needed(code=Text, message=Text, recording_sha256=Text, verdict=Text),
     *needed(changed_at=UtcTime),
     CheckConstraint("state IN ('queued', 'running', 'done', 'error', 'cancelled')", name="state"),
     Index("ix_orders_station", "station", "created"),
 )
 Index("uq_orders_active", orders.c.station, unique=True)
-# Of runs that are not over, as the migration says: naming a dialect here would load both.
+# Of runs that are not over: the migration says which, as naming a dialect here would load both.
 
 run_signals = table(
     "run_signals",
@@ -307,8 +307,7 @@ heartbeats = table(
     "heartbeats",
     *keys(station=NAME),
     *needed(state=String(16), at=UtcTime, reasons=CanonicalJson, process=Text, order_id=NAME),
-    Column("gate", CanonicalJson, nullable=False, server_default="[]"),
-    Column("is_overridden", sa.Boolean, nullable=False, server_default=sa.false()),
+    *needed(gate=CanonicalJson, is_overridden=sa.Boolean),
 )
 
 line_places = Table("line_places", metadata, *keys(station=NAME), *needed(version=Integer, place=CanonicalJson))
@@ -356,9 +355,6 @@ AUDITED = tuple(
     "certificates golden_runs".split()
 )
 """Tables whose every row stands in the audit trail, too, in the order rows may be copied."""
-
-LATER_COLUMNS = {"refusals": ("work_sha256",), "recordings": ("output_sha256",)}
-"""Columns that older schemas did not have: the audit trail of their rows names none."""
 
 APPEND_ONLY = ("blobs", "audit", *AUDITED)
 """Tables whose rows are never changed or deleted; triggers on both databases see to it."""

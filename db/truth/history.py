@@ -13,7 +13,7 @@ from sqlalchemy import Table, bindparam, select
 from softcal.core.errors import RegistryError
 from softcal.db.entries import AuditRow, Heads
 from softcal.db.schema.database import Database
-from softcal.db.schema.tables import LATER_COLUMNS, TOLD_BY_HASH, audit, canonical_json
+from softcal.db.schema.tables import TOLD_BY_HASH, audit, canonical_json
 
 FIRST_HASH = "0" * 64
 Values = Mapping[str, object]
@@ -91,14 +91,6 @@ def told(table: Table, values: Values) -> dict[str, object]:
         name: hashlib.sha256(canonical_json(value).encode()).hexdigest() if name in hashed else value
         for name, value in plain(values).items()
     }
-
-
-def forms(table: Table, values: Values) -> set[str]:
-    """Return how the audit trail may tell of a row: as it is, or before later columns came."""
-    now = told(table, values)
-    later = [name for name in LATER_COLUMNS.get(table.name, ()) if now[name] is None]
-    older = {name: value for name, value in now.items() if name not in later}
-    return {canonical_json(form) for form in (now, older)}
 
 
 def plain(values: Values) -> dict[str, object]:

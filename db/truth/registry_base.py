@@ -131,7 +131,7 @@ class RegistryBase:
         key = canonical_json(history.row_key(table, values))
         query = select(audit.c.after).where(audit.c.entity == table.name, audit.c.key == key)
         told = self.database.values(query)
-        if not history.forms(table, values) & {after for after in told if after is not None}:
+        if canonical_json(history.told(table, values)) not in told:
             raise RegistryError(
                 f"{table.name} {key} is not what the audit trail tells of it: it was damaged or changed; run "
                 "`softcal registry verify` and go back to a backup"

@@ -6,12 +6,9 @@ import stat
 import pytest
 
 from softcal.app.cli.main import main
-from softcal.app.registry.maintenance import upgrade
 from softcal.core.errors import RegistryError
 from softcal.db.care.backup import back_up, restore
-from softcal.db.care.maintenance import migrate
 from softcal.db.connection import open_registry
-from softcal.db.schema.database import open_database
 
 
 @pytest.mark.parametrize("name", ["lot.toml", "source/A0.csv"])
@@ -45,15 +42,9 @@ def test_a_registry_and_every_copy_of_it_belong_to_their_owner_alone(tmp_path):
             restore(tmp_path / "backup.db", f"sqlite:///{tmp_path / 'restored.db'}")
             # While it is open, the log beside it holds what was written last.
             modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()}
-        old = open_database(f"sqlite:///{tmp_path / 'old.db'}")
-        migrate(old, "0006")
-        old.close()
-        assert upgrade(f"sqlite:///{tmp_path / 'old.db'}").backup is not None
-        modes |= {path.name: stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()}
     finally:
         os.umask(before)
-    assert {"registry.db", "registry.db-wal", "backup.db", "restored.db", "old.db"} <= set(modes)
-    assert any(name.startswith("old-schema-0006") for name in modes)
+    assert {"registry.db", "registry.db-wal", "backup.db", "restored.db"} <= set(modes)
     assert {name: oct(mode) for name, mode in modes.items() if mode != 0o600} == {}
 
 

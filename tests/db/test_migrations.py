@@ -1,105 +1,110 @@
-"""Every schema that was ever released comes up to today's with its data, on both databases."""
+"""One schema: what the migration makes is what the tables say, on both databases, and nothing else is opened."""
 
-import base64
-import json
-from datetime import UTC, date, datetime
-from pathlib import Path
+from contextlib import closing
 
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from sqlalchemy import Date, DateTime, LargeBinary, MetaData, insert, select, text
+from sqlalchemy import inspect, text
+from sqlalchemy.exc import DBAPIError
 
+from softcal.app.cli.main import main
 from softcal.app.registry.maintenance import upgrade
 from softcal.core.errors import RegistryError
-from softcal.db.care.maintenance import MIGRATIONS, migrate
+from softcal.db.care.backup import back_up, restore
+from softcal.db.care.maintenance import MIGRATIONS
 from softcal.db.connection import open_registry
-from softcal.db.schema.database import open_database
-from softcal.db.schema.tables import SCHEMA, metadata, registry_info
-from tests.layers import layered
+from softcal.db.schema.database import open_database, schema_of
+from softcal.db.schema.tables import APPEND_ONLY, SCHEMA, metadata
 
-SCRIPTS = ScriptDirectory(str(MIGRATIONS), version_locations=[str(MIGRATIONS)])
-RELEASED = sorted(Path(__file__).with_name("released").glob("*.json"))
+
+def restamp(url: str, revision: str) -> None:
+    """Let a registry say that it has another schema."""
+    with closing(open_database(url)) as database:
+        database.change(text("UPDATE alembic_version SET version_num = :to"), {"to": revision})
 
 
 @pytest.fixture
-def released(new_url):
-    """`released(file)` gives the URL of a registry as an older version left it."""
+def of_schema(new_url):
+    """`of_schema(revision)` gives the URL of a registry that another version wrote."""
 
-    def build(rows_file: Path) -> str:
-        url = new_url()
-        database = open_database(url)
-        migrate(database, rows_file.stem)
-        tables, rows = MetaData(), json.loads(rows_file.read_text())
-        with database.writing() as connection:
-            tables.reflect(connection)
-            connection.execute(text("DELETE FROM registry_info"))
-            for table in tables.sorted_tables:
-                for row in rows.get(table.name, ()):
-                    connection.execute(insert(table).values({n: _value(table.c[n], v) for n, v in row.items()}))
-        database.close()
+    def build(revision: str) -> str:
+        upgrade(url := new_url())
+        restamp(url, revision)
         return url
 
     return build
 
 
-def _value(column, value):
-    if isinstance(column.type, LargeBinary):
-        return base64.b64decode(value["base64"])
-    if isinstance(column.type, Date):
-        return date.fromisoformat(value)
-    is_time = isinstance(column.type, DateTime) and value is not None
-    return datetime.fromisoformat(value).replace(tzinfo=UTC) if is_time else value
+def test_there_is_one_migration_and_it_makes_the_schema_of_this_version():
+    scripts = ScriptDirectory(str(MIGRATIONS), version_locations=[str(MIGRATIONS)])
+    assert [script.revision for script in scripts.walk_revisions()] == [SCHEMA] == ["1"]
 
 
-def test_the_newest_migration_is_the_schema_of_this_version():
-    assert SCRIPTS.get_current_head() == SCHEMA
-
-
-def test_the_rows_of_every_released_schema_are_recorded():
-    older = {script.revision for script in SCRIPTS.walk_revisions()} - {SCHEMA}
-    assert older <= {path.stem for path in RELEASED}
-
-
-def test_migrations_give_exactly_the_tables(registry):
+def test_the_migration_makes_exactly_the_tables(registry):
     with registry.database.reading() as connection:
         assert compare_metadata(MigrationContext.configure(connection), metadata) == []
+        seen = inspect(connection)
+        for name, table in metadata.tables.items():
+            checks = {str(one.name) for one in table.constraints if type(one).__name__ == "CheckConstraint"}
+            assert {one["name"] for one in seen.get_check_constraints(name)} == checks, name
+            indices = {(one["name"], tuple(one["column_names"]), bool(one["unique"])) for one in seen.get_indexes(name)}
+            assert indices == {(i.name, tuple(c.name for c in i.columns), bool(i.unique)) for i in table.indexes}, name
+            assert seen.get_pk_constraint(name)["name"] == table.primary_key.name
 
 
-@pytest.mark.parametrize("rows_file", layered(RELEASED, (RELEASED[0], RELEASED[-1])), ids=lambda path: path.stem)
-def test_an_older_registry_is_refused_then_upgraded_with_its_data(released, rows_file):
-    url = released(rows_file)
-    if rows_file.stem != SCHEMA:
-        with pytest.raises(RegistryError, match="softcal registry upgrade"):
-            open_registry(url)
-    done = upgrade(url)
-    assert (done.before, done.after) == (rows_file.stem, SCHEMA)
+@pytest.mark.parametrize("change", ["UPDATE {0} SET {1} = {1}", "DELETE FROM {0}"])
+def test_what_was_written_cannot_be_changed(factory, change):
+    factory.calibrate("A1")
+    database = factory.registry.database
+    # SQLite's triggers run once a row, PostgreSQL's once a statement.
+    filled = [name for name in APPEND_ONLY if not database.is_sqlite or database.value(text(f"SELECT 1 FROM {name}"))]
+    assert {"audit", "blobs", "lots", "units", "calibrations", "in_use"} <= set(filled)
+    for name in filled:
+        column = next(iter(metadata.tables[name].columns)).name
+        with pytest.raises(RegistryError, match="append-only"):
+            database.change(text(change.format(name, column)))
+
+
+@pytest.mark.parametrize(("revision", "cure"), [("0001", "softcal batch"), ("0010", "softcal batch"), ("2", "update")])
+@pytest.mark.parametrize("act", ["list", "upgrade", "backup"])
+def test_a_registry_of_another_schema_is_refused_in_one_line(of_schema, tmp_path, capsys, act, revision, cure):
+    url = of_schema(revision)
+    file = [str(tmp_path / "backup.db")] if act == "backup" else []
+    assert main(["registry", act, *file, "--registry", url]) == 4
+    (said,) = capsys.readouterr().err.strip().splitlines()
+    assert f"schema {revision}" in said and SCHEMA in said and cure in said
+    with closing(open_database(url)) as database:
+        assert schema_of(database) == revision
+
+
+def test_a_backup_of_another_schema_is_refused(file_registry, tmp_path):
+    back_up(file_registry.database, tmp_path / "backup.db")
+    restamp(f"sqlite:///{tmp_path / 'backup.db'}", "0010")
+    with pytest.raises(RegistryError, match="schema 0010"):
+        restore(tmp_path / "backup.db", f"sqlite:///{tmp_path / 'restored.db'}")
+
+
+def test_an_upgrade_makes_the_tables_once(new_url):
+    url = new_url()
+    assert (upgrade(url), upgrade(url)) == (None, SCHEMA)
     with open_registry(url, create=False) as registry:
         assert registry.verify() == []
-        assert [(c.revision, c.rolled_back_to) for c in registry.calibrations.history("A1")] == [
-            (1, None),
-            (2, None),
-            (3, 1),
-        ]
-        verdicts = {unit.serial: unit.verdict for unit in registry.lots.units("L1")}
-        assert verdicts == {"A1": "pass", "A2": "retest", "S0": None}
-        assert {(state.state, state.actor) for state in registry.networks.states("L1")} == {("released", "softcal")}
-        with registry.database.reading() as connection:
-            assert compare_metadata(MigrationContext.configure(connection), metadata) == []
-            keys = set(connection.execute(select(registry_info.c.key)).scalars())
-            assert keys == {"origin", "origin_sha256"}, "what decides anything stands under the audit trail"
 
 
-def test_an_sqlite_registry_is_backed_up_before_its_upgrade(released):
-    url = released(RELEASED[0])
-    backup = upgrade(url).backup
-    if url.startswith("sqlite"):
-        assert backup is not None and upgrade(f"sqlite:///{backup}").before == RELEASED[0].stem
-    else:
-        assert backup is None
+def test_one_station_has_one_run_at_a_time_and_any_number_that_are_over(registry):
+    table = metadata.tables["orders"]
+    values = {c.name: "x" for c in table.columns} | {"station": "S", "fraction": 0.0, "remaining_s": 0.0}
 
+    def put(order_id: str, state: str, kind: str) -> None:
+        with registry.database.writing() as connection:
+            now = registry.settings.clock()
+            row = values | {"order_id": order_id, "state": state, "kind": kind, "created": now, "changed_at": now}
+            connection.execute(table.insert().values(row))
 
-def test_an_upgrade_of_today_s_registry_does_nothing(registry_url):
-    done = upgrade(registry_url)
-    assert (done.before, done.after, done.backup) == (SCHEMA, SCHEMA, None)
+    for order_id, state, kind in [("1", "done", "unit"), ("2", "done", "unit"), ("3", "queued", "unit")]:
+        put(order_id, state, kind)
+    put("4", "queued", "home")
+    with pytest.raises((RegistryError, DBAPIError)):
+        put("5", "running", "golden")

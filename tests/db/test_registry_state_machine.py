@@ -3,11 +3,9 @@
 import itertools
 import os
 import shutil
-import sqlite3
 import tempfile
 import uuid
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -22,10 +20,9 @@ from hypothesis.stateful import (
     precondition,
     rule,
 )
-from sqlalchemy import Engine, create_engine, insert, text
+from sqlalchemy import Engine, create_engine, text
 from sqlalchemy.exc import OperationalError
 
-from softcal.app.registry.maintenance import upgrade
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
@@ -34,20 +31,13 @@ from softcal.core.recording import OutputRecording
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.words.reason import plain
 from softcal.db.care.backup import back_up, restore
-from softcal.db.care.maintenance import migrate
 from softcal.db.connection import open_registry
-from softcal.db.schema.database import open_database
-from softcal.db.schema.tables import audit
-from softcal.db.truth import history, in_use
+from softcal.db.truth import in_use
 from softcal.db.truth.calibrations import CalibrationTables
 
 pytestmark = pytest.mark.long
 
 ADMIN_URL = os.environ.get("SOFTCAL_TEST_POSTGRESQL", "postgresql+psycopg://postgres@127.0.0.1:5432/postgres")
-BEFORE = "0006"
-"""The last schema that stated neither what is in use nor which network is released."""
-
-STATED_SINCE = ("in_use", "network_releases")
 SERIALS = st.sampled_from(["A1", "A2", "A3"])
 LOTS = st.sampled_from(["L1", "L2"])
 NUMBERS = st.integers(0, 3)
@@ -64,39 +54,11 @@ def server() -> Engine | None:
     return engine
 
 
-def as_before(path: Path, older: Path) -> None:
-    """Write what a registry holds as the version before would have: tables, columns and audit trail of its own."""
-    registry = open_registry(f"sqlite:///{path}", create=False)
-    trail = [row for row in history.rows(registry.database) if row.entity not in STATED_SINCE]
-    registry.close()
-    migrate(database := open_database(f"sqlite:///{older}"), BEFORE)
-    database.close()
-    with sqlite3.connect(older) as raw:
-        raw.execute("ATTACH ? AS newer", (str(path),))
-        known = [name for (name,) in raw.execute("SELECT name FROM main.sqlite_master WHERE type = 'table'")]
-        for table in (name for name in known if name not in ("audit", "alembic_version", "registry_info")):
-            columns = ", ".join(f'"{row[1]}"' for row in raw.execute(f"PRAGMA main.table_info({table})"))
-            raw.execute(f"INSERT INTO main.{table} ({columns}) SELECT {columns} FROM newer.{table}")
-        origin = "SELECT value FROM newer.registry_info WHERE key = 'origin'"
-        raw.execute(f"UPDATE main.registry_info SET value = ({origin}) WHERE key = 'origin'")
-        raw.execute("DELETE FROM main.registry_info WHERE key <> 'origin'")
-    raw.close()
-    database = open_database(f"sqlite:///{older}")
-    with database.writing() as connection:
-        for _, chain in itertools.groupby(trail, key=lambda row: row.origin):
-            seq, sha256 = 0, history.FIRST_HASH
-            for row in chain:
-                seq, again = seq + 1, replace(row, seq=seq + 1, prev_hash=sha256)
-                sha256 = history.row_hash(again)
-                connection.execute(insert(audit), vars(replace(again, hash=sha256)))
-    database.close()
-
-
 class RegistryMachine(RuleBasedStateMachine):
     """Every rule is done to the registry and to `self.history`: per serial the numbers of its revisions."""
 
     moves = True
-    """Whether it goes to other files, databases and versions, which takes seconds."""
+    """Whether it goes to other files and databases, which takes seconds."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -200,16 +162,6 @@ class RegistryMachine(RuleBasedStateMachine):
         self.registry.close()
         restore(backup, url)
         self.url, self.registry = url, open_registry(url, create=False)
-
-    @precondition(lambda self: self.moves and self.url.startswith("sqlite"))
-    @rule()
-    def come_from_the_version_before(self) -> None:
-        self.registry.close()
-        older = self.new_file()
-        as_before(Path(self.url.removeprefix("sqlite:///")), older)
-        self.url = f"sqlite:///{older}"
-        assert upgrade(self.url).before == BEFORE
-        self.registry = open_registry(self.url, create=False)
 
     @invariant()
     def the_history_is_the_model_s(self) -> None:
