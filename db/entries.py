@@ -188,7 +188,7 @@ class RecordingEntry:
     sample_rate_Hz: float
     output_unit: str
     reference_unit: str | None
-    output_sha256: str | None
+    output_sha256: str
     added_at: datetime
 
 

@@ -20,4 +20,4 @@ def same_recordings_of(registry: Registry, lot_id: str | None = None) -> tuple[R
 
 def _stored(registry: Registry, outputs: Collection[str]) -> list[Pressed]:
     entries = registry.recordings.same_outputs(outputs)
-    return [Pressed(one.serial, one.lot_id, str(one.output_sha256), one.kind) for one in entries]
+    return [Pressed(one.serial, one.lot_id, one.output_sha256, one.kind) for one in entries]
