@@ -201,7 +201,9 @@ class StayingMachine(RegistryMachine):
 
 
 def _no_rollback(self, serial, to, **_):
-    return self.history(serial)[-1].revision
+    if not (stored := self.history(serial)):
+        raise InputError("there is nothing to roll back")
+    return stored[-1].revision
 
 
 def _first_one_stays(self, lot_id, serial, *rest):
