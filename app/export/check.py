@@ -10,7 +10,7 @@ from softcal.app.export.manifest import NAME, SIGNATURE, FileEntry, Manifest, re
 from softcal.app.export.names import APART, AUDIT
 from softcal.app.export.signature import TrustedKey, check_signature
 from softcal.core.errors import InputError
-from softcal.core.export.blob import CONDITIONAL, FAILED, MAGIC, MAJOR, NetworkFile, UnitFile, serial_field
+from softcal.core.export.blob import CONDITIONAL, FAILED, MAGIC, MAJOR, MINOR, NetworkFile, UnitFile, serial_field
 from softcal.core.export.blob_reader import read_network, read_unit
 from softcal.core.export.json_text import network_from_values, network_values, unit_from_values, unit_values
 from softcal.core.export.loader import join
@@ -191,7 +191,7 @@ def file_rows(file: DeviceFile, network: NetworkFile | None = None) -> list[tupl
     if isinstance(file, NetworkFile):
         net, unit = file.network, file.output_unit
         return [
-            ("kind", f"shared network, format {MAJOR}.{file.minor}"),
+            ("kind", f"shared network, format {MAJOR}.{MINOR}"),
             ("id", file.id.hex()),
             ("registry id", file.network_sha256),
             ("source unit", file.source_serial),
@@ -208,10 +208,10 @@ def file_rows(file: DeviceFile, network: NetworkFile | None = None) -> list[tupl
     parts = [] if form.curve is None else [f"curve of {len(form.curve.codes)} knots on every sample"]
     parts += [] if form.layer is None else ["linear layer on every window"]
     if form.mix is not None:
-        parts.append(f"{'wide ' if form.mix.is_wide else ''}mix of {len(form.mix.bias)} shapes on every window")
+        parts.append(f"mix of {len(form.mix.bias)} shapes on every window")
     bands = ", ".join(f"up to {b.level}: -{b.minus} +{b.plus}" for b in file.bands)
     rows = [
-        ("kind", f"unit, format {MAJOR}.{file.minor}"),
+        ("kind", f"unit, format {MAJOR}.{MINOR}"),
         ("serial", file.serial),
         ("network", file.network_id.hex()),
         ("revision", f"{file.revision}, calibrated {made}"),

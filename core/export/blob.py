@@ -1,4 +1,4 @@
-"""The binary files `network-<id>.ssc` and `unit-<serial>.ssc`, format 1.3: values ⇄ bytes.
+"""The binary files `network-<id>.ssc` and `unit-<serial>.ssc`, format 1.0: values ⇄ bytes.
 
 The layout, byte by byte, and what a reader has to check are written down in docs/format.md.
 """
@@ -21,19 +21,18 @@ from softcal.core.windows import TAPS
 MAGIC = 0x4643_5353
 """The bytes S S C F."""
 
-MAJOR, MINOR = 1, 3
+MAJOR, MINOR = 1, 0
 WEIGHTS_INT16 = 1
 SERIAL_BYTES = 20
 HEADER = struct.Struct("<IBBBBI8sII20s")
 NETWORK_FIXED = struct.Struct("<BBBb8HHHIff8s8s32s")
-UNIT_FIXED = struct.Struct("<BBBBHHhhffhhHH")
+UNIT_FIXED = struct.Struct("<BBBBHHhhffhH")
 BAND, SELF_TEST, KNOT, ROW = struct.Struct("<hHH"), struct.Struct("<Hhh"), struct.Struct("<Hh"), struct.Struct("<iHBB")
-MIX_FIXED, MIX_ROW = struct.Struct("<BB"), struct.Struct("<15bBh")
-WIDE_FIXED, WIDE_ROW = struct.Struct("<BBH"), struct.Struct("<i15hH")
+MIX_FIXED, MIX_ROW = struct.Struct("<BBH"), struct.Struct("<i15hH")
 CONDITIONAL, FAILED = 1, 2
-HAS_CURVE, HAS_LAYER, HAS_MIX, HAS_WIDE_MIX = 1, 2, 4, 8
+HAS_CURVE, HAS_LAYER, HAS_MIX = 1, 2, 4
 LEVELS = struct.Struct("<hH25hH")
-FORMS = (1, 2, 3, 4, 5, 8, 9)
+FORMS = (1, 2, 3, 4, 5)
 MAX_LAYERS, MAX_WIDTH, MAX_BANDS, MAX_SELF_TESTS = 7, 1024, 4, 4
 
 
@@ -86,21 +85,6 @@ class Band:
 
 
 @dataclass(frozen=True)
-class AdaptLimits:
-    """Two anchor levels of the mapped samples, in source counts; bounds for older firmware.
-
-    Args:
-        low, high: the level that a trim's gain turns about, and that of the top.
-        gain, offset: what older firmware may change, in 2^-15 and counts; written as 0.
-    """
-
-    low: int
-    high: int
-    gain: int
-    offset: int
-
-
-@dataclass(frozen=True)
 class LoadLevels:
     """What the source puts out at rest, by load: a straight line between neighbours.
 
@@ -134,7 +118,7 @@ class NetworkFile:
         source_serial: the unit f was trained on.
         period_us: time between two samples of a window in µs.
         output_unit, reference_unit: physical units, at most 8 bytes each.
-        levels: of the source, which known loads are compared with; None in files before format 1.3.
+        levels: of the source, which known loads are compared with.
     """
 
     network: IntegerNetwork
@@ -143,12 +127,7 @@ class NetworkFile:
     period_us: int
     output_unit: str
     reference_unit: str
-    levels: LoadLevels | None = None
-
-    @property
-    def minor(self) -> int:
-        """Minor version: the least that says what is in the file."""
-        return 0 if self.levels is None else 3
+    levels: LoadLevels
 
     @property
     def gap_ms(self) -> int:
@@ -162,20 +141,16 @@ class NetworkFile:
             self.period_us, net.input_zero, net.input_lsb,
             _unit_text(self.output_unit), _unit_text(self.reference_unit), bytes.fromhex(self.network_sha256),
         )  # fmt: skip
-        return fixed + b"".join(_layer_bytes(layer) for layer in net.layers)
+        levels = LEVELS.pack(self.levels.first, self.levels.step, *self.levels.counts, 0)
+        return fixed + b"".join(_layer_bytes(layer) for layer in net.layers) + levels
 
     @cached_property
     def id(self) -> bytes:
-        """First 8 bytes of the SHA-256 of the body without levels: it ties unit files to it.
-
-        So unit files made before a network file had levels stay its own.
-        """
+        """First 8 bytes of the SHA-256 of the body: they tie unit files to it."""
         return hashlib.sha256(self._body).digest()[:8]
 
     def to_bytes(self) -> bytes:
-        levels = self.levels
-        end = b"" if levels is None else LEVELS.pack(levels.first, levels.step, *levels.counts, 0)
-        return _sealed(Kind.NETWORK, 0, self.id, 0, 0, self.source_serial, self._body + end, self.minor)
+        return _sealed(Kind.NETWORK, 0, self.id, 0, 0, self.source_serial, self._body)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,6 +166,7 @@ class UnitFile:
         code_min, code_max: codes the unit was seen with; outside, the estimate is flagged.
         out_min, out_max: the estimate is clamped to these, in counts.
         bands: 1 ... 4, by rising level.
+        pivot: mapped sample, in source counts, that the gain of a trim turns about.
     """
 
     serial: str
@@ -206,28 +182,21 @@ class UnitFile:
     out_max: int
     bands: tuple[Band, ...]
     self_tests: tuple[SelfTest, ...]
-    adapt: AdaptLimits
-
-    @property
-    def minor(self) -> int:
-        """Minor version: the least that says what is in the file, for readers in the field."""
-        mix = self.device_map.mix
-        return 0 if mix is None else 2 if mix.is_wide else 1
+    pivot: int
 
     def to_bytes(self) -> bytes:
         """Return the file: at most 256, 512 or 1024 bytes, as the export was asked."""
-        form, adapt = self.device_map, self.adapt
+        form = self.device_map
         knots = 0 if form.curve is None else len(form.curve.codes)
-        mix_bit = HAS_WIDE_MIX if form.mix is not None and form.mix.is_wide else HAS_MIX
-        parts = (HAS_CURVE, form.curve), (HAS_LAYER, form.layer), (mix_bit, form.mix)
+        parts = (HAS_CURVE, form.curve), (HAS_LAYER, form.layer), (HAS_MIX, form.mix)
         fixed = UNIT_FIXED.pack(
             sum(bit for bit, part in parts if part is not None), knots, len(self.bands), len(self.self_tests),
             self.code_min, self.code_max, self.out_min, self.out_max,
-            self.scale.zero, self.scale.lsb, adapt.low, adapt.high, adapt.gain, adapt.offset,
+            self.scale.zero, self.scale.lsb, self.pivot, 0,
         )  # fmt: skip
         tables = b"".join(BAND.pack(b.level, b.minus, b.plus) for b in self.bands)
         tables += b"".join(SELF_TEST.pack(t.start, t.step, t.expected) for t in self.self_tests)
-        body = fixed + _padded(tables)
+        body = fixed + tables + b"\0" * (-len(tables) % 4)
         if form.curve is not None:
             body += b"".join(
                 KNOT.pack(*map(int, point)) for point in zip(form.curve.codes, form.curve.values, strict=True)
@@ -236,15 +205,9 @@ class UnitFile:
             body += _layer_bytes(form.layer)
         if (mix := form.mix) is not None:
             rows = zip(mix.weights.tolist(), mix.shift.tolist(), mix.bias.tolist(), strict=True)
-            if mix.is_wide:
-                body += WIDE_FIXED.pack(mix.keep, len(mix.bias), 0)
-                body += b"".join(WIDE_ROW.pack(bias, *weights, shift) for weights, shift, bias in rows)
-            else:
-                content = b"".join(MIX_ROW.pack(*weights, shift, bias) for weights, shift, bias in rows)
-                body += _padded(MIX_FIXED.pack(mix.keep, len(mix.bias)) + content)
-        return _sealed(
-            Kind.UNIT, self.flags, self.network_id, self.revision, self.time_s, self.serial, body, self.minor
-        )
+            body += MIX_FIXED.pack(mix.keep, len(mix.bias), 0)
+            body += b"".join(MIX_ROW.pack(bias, *weights, shift) for weights, shift, bias in rows)
+        return _sealed(Kind.UNIT, self.flags, self.network_id, self.revision, self.time_s, self.serial, body)
 
 
 def longest_step_ms(period_us: int) -> int:
@@ -272,11 +235,9 @@ def serial_of(field: bytes) -> str:
         return text
 
 
-def _sealed(
-    kind: Kind, flags: int, network_id: bytes, revision: int, time_s: int, serial: str, body: bytes, minor: int
-) -> bytes:
+def _sealed(kind: Kind, flags: int, network_id: bytes, revision: int, time_s: int, serial: str, body: bytes) -> bytes:
     length = HEADER.size + len(body) + 4
-    header = HEADER.pack(MAGIC, kind, MAJOR, minor, flags, length, network_id, revision, time_s, serial_field(serial))
+    header = HEADER.pack(MAGIC, kind, MAJOR, MINOR, flags, length, network_id, revision, time_s, serial_field(serial))
     return header + body + struct.pack("<I", zlib.crc32(header + body))
 
 
@@ -297,10 +258,6 @@ def _layer_bytes(layer: IntegerLayer) -> bytes:
     padded = np.vstack([layer.weights, np.zeros((missing, columns), dtype=np.int64)])
     interleaved = padded.reshape(-1, 4, columns).transpose(0, 2, 1)
     return records + ROW.pack(0, 0, 0, 1) * missing + interleaved.astype("<i2").tobytes()
-
-
-def _padded(content: bytes) -> bytes:
-    return content + b"\0" * (-len(content) % 4)
 
 
 UNIT_BYTES = (256, 512, 1024)

@@ -21,9 +21,6 @@ from softcal.core.export.integer_network import (
 )
 from softcal.core.windows import TAPS
 
-WITH_LEVELS = 3
-"""Minor version from which a network file ends with the levels of its source."""
-
 
 @dataclass(frozen=True)
 class _Opened:
@@ -85,12 +82,10 @@ def read_network(data: bytes) -> NetworkFile:
             layer, at = _parse_layer(opened.body, at, rows, columns)
             layers.append(layer)
         network = IntegerNetwork(tuple(layers), zero, lsb, exponent)
-        levels = None
-        if opened.minor >= WITH_LEVELS:
-            first, step, *counts, _ = blob.LEVELS.unpack_from(opened.body, at)
-            levels, at = LoadLevels(first, step, tuple(counts)), at + blob.LEVELS.size
-            if not step:
-                raise ValueError("levels of the source have no distance")
+        first, step, *counts, _ = blob.LEVELS.unpack_from(opened.body, at)
+        levels, at = LoadLevels(first, step, tuple(counts)), at + blob.LEVELS.size
+        if not step:
+            raise ValueError("levels of the source have no distance")
         units = _text(output_unit), _text(reference_unit)
         file = NetworkFile(network, sha256.hex(), opened.serial, period_us, *units, levels)
     except (ValueError, struct.error, IndexError) as error:
@@ -124,7 +119,7 @@ def read_unit(data: bytes) -> UnitFile:
     try:
         body = opened.body
         form, knots, bands, tests, code_min, code_max, out_min, out_max, *rest = blob.UNIT_FIXED.unpack_from(body)
-        zero, lsb, low, high, gain, offset = rest
+        zero, lsb, pivot, _ = rest
         if form not in blob.FORMS or (knots > 0) != bool(form & blob.HAS_CURVE):
             raise ValueError(f"form {form} with {knots} knots")
         if not 1 <= bands <= blob.MAX_BANDS or not 1 <= tests <= blob.MAX_SELF_TESTS:
@@ -142,8 +137,8 @@ def read_unit(data: bytes) -> UnitFile:
             curve = PiecewiseMap(*np.array(points, dtype=np.int64).reshape(-1, 2).T)
         if form & blob.HAS_LAYER:
             layer, at = _parse_layer(body, at, TAPS, TAPS)
-        if form & (blob.HAS_MIX | blob.HAS_WIDE_MIX):
-            mix, at = _parse_mix(body, at, bool(form & blob.HAS_WIDE_MIX))
+        if form & blob.HAS_MIX:
+            mix, at = _parse_mix(body, at)
         device_map = DeviceMap(curve, layer, mix)
         levels = [band.level for band in own_bands]
         if levels != sorted(levels):
@@ -153,8 +148,7 @@ def read_unit(data: bytes) -> UnitFile:
                 raise ValueError(f"self-test {test} leaves the range of codes")
         file = UnitFile(
             opened.serial, opened.network_id, opened.revision, opened.time_s, opened.flags, device_map,
-            InputScale(zero, lsb), code_min, code_max, out_min, out_max, own_bands, own_tests,
-            blob.AdaptLimits(low, high, gain, offset),
+            InputScale(zero, lsb), code_min, code_max, out_min, out_max, own_bands, own_tests, pivot,
         )  # fmt: skip
     except (ValueError, struct.error, IndexError) as error:
         raise _layout("unit", error) from error
@@ -162,14 +156,11 @@ def read_unit(data: bytes) -> UnitFile:
     return file
 
 
-def _parse_mix(body: bytes, at: int, is_wide: bool) -> tuple[IntegerMix, int]:
-    fixed, row = (blob.WIDE_FIXED, blob.WIDE_ROW) if is_wide else (blob.MIX_FIXED, blob.MIX_ROW)
-    keep, count, *_ = fixed.unpack_from(body, at)
-    rows, end = _rows(row, body, at + fixed.size, count)
+def _parse_mix(body: bytes, at: int) -> tuple[IntegerMix, int]:
+    keep, count, _ = blob.MIX_FIXED.unpack_from(body, at)
+    rows, end = _rows(blob.MIX_ROW, body, at + blob.MIX_FIXED.size, count)
     table = np.array(rows, dtype=np.int64).reshape(-1, TAPS + 2)
-    # A wide row begins with its bias, which needs four bytes; a narrow one ends with it.
-    table = np.roll(table, -1, axis=1) if is_wide else table
-    return IntegerMix(keep, table[:, :TAPS], table[:, TAPS], table[:, TAPS + 1], is_wide), end + -end % 4
+    return IntegerMix(keep, table[:, 1 : TAPS + 1], table[:, TAPS + 1], table[:, 0]), end
 
 
 def _check_end(name: str, opened: _Opened, end: int) -> None:

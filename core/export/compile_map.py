@@ -27,11 +27,8 @@ MARGIN = 0.25
 CLEAR = 0.05
 """A form that deviates by less than this share of the limit is taken at once."""
 
-MIXES = ((3, 21), (5, 12), (6, 7))
-"""Shapes of a mix, and the knots that beside it, four bands and two self-tests make 256 bytes."""
-
-WIDE_SHAPES = (5, 6)
-"""Shapes of a wide mix; with 32 knots beside it a file takes at most 512 bytes."""
+SHAPES = (5, 6)
+"""Shapes of a mix; with 32 knots beside it a file takes at most 512 bytes."""
 
 RIDGE = 1e-6
 """Keeps the affine fit near γ's mean gain where the recording never moved a tap alone."""
@@ -150,21 +147,17 @@ def _bases(
         yield regressed, regressed.apply(windows)
 
 
-def device_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
-    """Give the forms that fit into 256 bytes: curves, then curves with a mix of shapes."""
+def curve_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
+    """Give the forms that fit into 256 bytes: curves."""
     yield from _curves(unit_map, windows, mapped)
-    for shapes, knots in MIXES:
-        for curve, curved in _bases(unit_map, windows, mapped, knots):
-            if (mix := fit_mix(shapes, curved, mapped, network)) is not None:
-                yield MapForm(curve, mix)
 
 
-def wide_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
-    """Give the forms that fit into 512 bytes: curves, then curves with a wide mix."""
+def mix_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
+    """Give the forms that fit into 512 bytes: curves, then curves with a mix of shapes."""
     yield from _curves(unit_map, windows, mapped)
     for curve, curved in _bases(unit_map, windows, mapped, MAX_KNOTS, is_regressed=False):
-        for shapes in WIDE_SHAPES:
-            if (mix := fit_mix(shapes, curved, mapped, network, is_wide=True)) is not None:
+        for shapes in SHAPES:
+            if (mix := fit_mix(shapes, curved, mapped, network)) is not None:
                 yield MapForm(curve, mix)
 
 
@@ -183,7 +176,7 @@ def fine_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Arra
         yield MapForm(curve, _linear(curved, mapped))
 
 
-SIZED_FORMS: tuple[Forms, ...] = (device_forms, wide_forms, matrix_forms)
+SIZED_FORMS: tuple[Forms, ...] = (curve_forms, mix_forms, matrix_forms)
 """Forms of a map, from those of the smallest file to those of the largest."""
 
 
@@ -202,7 +195,7 @@ def compile_map(
     network: Network,
     recording: OutputRecording,
     limit: float,
-    forms: Forms = device_forms,
+    forms: Forms = mix_forms,
     clear: float = math.inf,
 ) -> CompiledMap:
     """Compile γ: the first form that is as good as exact, else the nearest in the limit.

@@ -19,9 +19,6 @@ from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.windows import TAPS
 
-BESIDE_MIX = slice(2, 4)
-"""Self-tests of a file with a narrow mix, without room for four: these reach every weight."""
-
 FORMS_OF: Mapping[int, Forms] = dict(zip(blob.UNIT_BYTES, SIZED_FORMS, strict=True))
 """Forms of a map by the largest size of its file."""
 
@@ -29,8 +26,8 @@ GOAL = 1e-3
 """A device should stay this close to f∘γ, as a share of the span of the unit's estimates."""
 
 VERDICT_FLAGS = {"pass": 0, "conditional": blob.CONDITIONAL, "fail": blob.FAILED, "retest": blob.FAILED}
-ANCHOR_LEVELS = (1 / 32, 31 / 32)
-"""Quantiles of mapped samples that stand for a unit's rest and its top."""
+REST_QUANTILE = 1 / 32
+"""Quantile of the mapped samples that stands for a unit's rest."""
 
 COVERED = 0.95
 """The interval on the device is widened by this quantile of what the device form changes."""
@@ -209,7 +206,7 @@ def _build(
         out_max=min(ACTIVATION_MAX, int(counts.max()) + margin),
         bands=_bands(counts, exact, facts, error, 10.0**integers.output_exponent),
         self_tests=_self_tests(integers, device_map, code_min, code_max),
-        adapt=_anchors(device_map, codes),
+        pivot=_pivot(device_map, codes),
     )
     if (needed := len(file.to_bytes())) > size:
         raise UnitRefused(f"unit {file.serial}: its file would take {needed} bytes, {size} is allowed")
@@ -260,18 +257,16 @@ def _self_tests(network: IntegerNetwork, device_map: DeviceMap, code_min: int, c
     """At rest, at the top, rising and falling through the unit's whole range."""
     step = (code_max - code_min) // (TAPS - 1)
     windows = [(code_min, 0), (code_max, 0), (code_min, step), (code_min + step * (TAPS - 1), -step)]
-    windows = windows if device_map.mix is None or device_map.mix.is_wide else windows[BESIDE_MIX]
     return tuple(
         SelfTest(start, rise, run_self_test(network, device_map, SelfTest(start, rise, 0))) for start, rise in windows
     )
 
 
-def _anchors(device_map: DeviceMap, codes: Integers) -> blob.AdaptLimits:
-    """Return the levels a trim turns about, and that a device follows nothing by itself."""
+def _pivot(device_map: DeviceMap, codes: Integers) -> int:
+    """Return the level of mapped samples that a trim turns about."""
     if device_map.curve is None:
-        return blob.AdaptLimits(0, 0, 0, 0)
-    low, high = np.quantile(device_map.on_samples(codes[:, -1]), ANCHOR_LEVELS)
-    return blob.AdaptLimits(round(float(low)), round(float(high)), 0, 0)
+        return 0
+    return round(float(np.quantile(device_map.on_samples(codes[:, -1]), REST_QUANTILE)))
 
 
 STATE_BYTES, BYTES_PER_WIDTH, LEAST_WIDTH = 100, 4, 16

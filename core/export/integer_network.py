@@ -137,7 +137,6 @@ CODE_MAX = 65_535
 CODE_CENTRE = 32_768
 
 MAX_SHAPES = 6
-WEIGHT_MAX, WIDE_WEIGHT_MAX = 127, 32_767
 KEEP_ONE = 64
 """A mix keeps a share of a window in 1/64, and its sums are in 1/64 count."""
 
@@ -147,16 +146,15 @@ SHAPE_CENTRE, SHAPE_HALF = 7, 8
 
 @dataclass(frozen=True, eq=False)
 class IntegerMix:
-    """out = (keep q + Σ_k U_k w_k) / 64 with w_k = (weights_k · q >> shift_k) + 64 bias_k.
+    """out = (keep q + Σ_k U_k w_k) / 64 with w_k = (weights_k · q >> shift_k) + bias_k.
 
     U_k: Chebyshev, second kind, at (tap - 7) / 8, by Clenshaw's recurrence (1955).
 
     Args:
         keep: 0 ... 255, in 1/64.
-        weights: (k, TAPS) in ± 127, in a wide mix ± 32767; 1 <= k <= 6.
+        weights: (k, TAPS) in ± 32767; 1 <= k <= 6.
         shift: (k,) arithmetic right shifts, 0 ... 31.
-        bias: (k,) in ± 32767 counts; in a wide mix in 1/64 counts, ± 2^31.
-        is_wide: weights of two bytes and finer biases, in files of more than 256 bytes.
+        bias: (k,) in 1/64 counts, ± 2^31.
 
     Raises:
         ValueError: a value is out of range, or some window could overflow 32 bits.
@@ -166,31 +164,24 @@ class IntegerMix:
     weights: Integers
     shift: Integers
     bias: Integers
-    is_wide: bool = False
 
     def __post_init__(self) -> None:
         count = len(self.bias)
         if not 1 <= count <= MAX_SHAPES or self.weights.shape != (count, TAPS) or not 0 <= self.keep <= 255:
             raise ValueError(f"a mix of {count} shapes with weights {self.weights.shape} that keeps {self.keep}/64")
-        largest, most = np.abs(self.weights).max(axis=1), WIDE_WEIGHT_MAX if self.is_wide else WEIGHT_MAX
-        _require(largest <= most, largest, "has a weight of {}, " + f"{most} is allowed")
+        largest = np.abs(self.weights).max(axis=1)
+        _require(largest <= ACTIVATION_MAX, largest, "has a weight of {}, ± 32767 is allowed")
         _require((self.shift >= 0) & (self.shift <= 31), self.shift, "shifts by {}, 0 ... 31 is allowed")
-        _require(self.is_wide | (np.abs(self.bias) <= ACTIVATION_MAX), self.bias, "has bias {}, ± 32767 is allowed")
         total = np.abs(self.weights).sum(axis=1) * ACTIVATION_MAX
         _require(total <= ACCUMULATOR_MAX, total, "can reach {} in its sum, 2^31 - 1 is the most")
-        reach = (total >> self.shift) + 2 + np.abs(self.fine_bias)
+        reach = (total >> self.shift) + 2 + np.abs(self.bias)
         # |U_k| is at most k + 1; the recurrence multiplies a partial sum by up to 7.
         widest = int(np.sum(reach * np.arange(1, count + 1)))
         if SHAPE_CENTRE * widest > ACCUMULATOR_MAX or widest + self.keep * (ACTIVATION_MAX + 1) > ACCUMULATOR_MAX:
             raise ValueError(f"a mix can reach {widest}, which leaves 32 bits")
 
-    @property
-    def fine_bias(self) -> Integers:
-        """(k,) in 1/64 counts."""
-        return self.bias if self.is_wide else KEEP_ONE * self.bias
-
     def apply(self, counts: Integers) -> Integers:
-        steps = (counts @ self.weights.T >> self.shift) + self.fine_bias
+        steps = (counts @ self.weights.T >> self.shift) + self.bias
         place = np.arange(TAPS, dtype=np.int64) - SHAPE_CENTRE
         total = before = np.zeros(counts.shape, dtype=np.int64)
         for k in reversed(range(len(self.bias))):

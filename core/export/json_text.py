@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.export.blob import AdaptLimits, Band, LoadLevels, NetworkFile, SelfTest, UnitFile
+from softcal.core.export.blob import Band, LoadLevels, NetworkFile, SelfTest, UnitFile
 from softcal.core.export.compile_map import InputScale
 from softcal.core.export.integer_network import DeviceMap, IntegerLayer, IntegerMix, IntegerNetwork, PiecewiseMap
 
@@ -31,7 +31,7 @@ def network_values(file: NetworkFile) -> dict[str, object]:
         "input_lsb": net.input_lsb,
         "sizes": list(net.sizes),
         "layers": [_layer_values(layer) for layer in net.layers],
-        **({} if file.levels is None else {"levels": vars(file.levels)}),
+        "levels": vars(file.levels),
     }
 
 
@@ -39,9 +39,8 @@ def network_from_values(values: Mapping[str, Any]) -> NetworkFile:
     """Rebuild a network file; `InputError` where a value is missing or impossible."""
     _check_schema(values, NETWORK_SCHEMA)
     try:
-        levels = None
-        if (known := values.get("levels")) is not None:
-            levels = LoadLevels(int(known["first"]), int(known["step"]), tuple(map(int, known["counts"])))
+        stated = values["levels"]
+        levels = LoadLevels(int(stated["first"]), int(stated["step"]), tuple(map(int, stated["counts"])))
         network = IntegerNetwork(
             tuple(_layer_from(layer) for layer in values["layers"]),
             float(values["input_zero"]),
@@ -59,8 +58,7 @@ def unit_values(file: UnitFile) -> dict[str, object]:
     knots = None if curve is None else np.column_stack([curve.codes, curve.values]).tolist()
     mix_values = None
     if mix is not None:
-        wide = {"wide": True} if mix.is_wide else {}
-        mix_values = {"keep": mix.keep, **wide, **{name: getattr(mix, name).tolist() for name in MIX_FIELDS}}
+        mix_values = {"keep": mix.keep, **{name: getattr(mix, name).tolist() for name in MIX_FIELDS}}
     return {
         "schema": UNIT_SCHEMA,
         "serial": file.serial,
@@ -71,7 +69,7 @@ def unit_values(file: UnitFile) -> dict[str, object]:
         "map": {"knots": knots, "layer": None if layer is None else _layer_values(layer), "mix": mix_values},
         "bands": [vars(band) for band in file.bands],
         "self_tests": [vars(test) for test in file.self_tests],
-        "adapt": vars(file.adapt),
+        "pivot": file.pivot,
     }
 
 
@@ -81,9 +79,8 @@ def unit_from_values(values: Mapping[str, Any]) -> UnitFile:
     try:
         code, estimate, kept = values["code"], values["estimate"], values["map"]
         knots, layer, mix = kept["knots"], kept["layer"], None
-        if (known := kept.get("mix")) is not None:
-            arrays = {name: np.array(known[name], dtype=np.int64) for name in MIX_FIELDS}
-            mix = IntegerMix(int(known["keep"]), **arrays, is_wide=bool(known.get("wide", False)))
+        if (stated := kept["mix"]) is not None:
+            mix = IntegerMix(int(stated["keep"]), *(np.array(stated[name], dtype=np.int64) for name in MIX_FIELDS))
         return UnitFile(
             serial=str(values["serial"]),
             network_id=bytes.fromhex(values["network_id"]),
@@ -100,7 +97,7 @@ def unit_from_values(values: Mapping[str, Any]) -> UnitFile:
             out_max=int(estimate["max"]),
             bands=tuple(Band(**band) for band in values["bands"]),
             self_tests=tuple(SelfTest(**test) for test in values["self_tests"]),
-            adapt=AdaptLimits(**values["adapt"]),
+            pivot=int(values["pivot"]),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise _refusal(error) from error

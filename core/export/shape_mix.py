@@ -2,7 +2,7 @@
 
 y = keep x + Σ_k U_k (r_k · x + b_k), U_k the Chebyshev polynomials of the second kind over the
 taps. A lag, creep, or the smoothing of a coarse converter moves a window along smooth shapes; five
-of them with weights of one byte take the place of a matrix of 225 numbers.
+of them take the place of a matrix of 225 numbers.
 """
 
 from dataclasses import dataclass
@@ -10,11 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.export.integer_network import (
+    ACTIVATION_MAX,
     KEEP_ONE,
     SHAPE_CENTRE,
     SHAPE_HALF,
-    WEIGHT_MAX,
-    WIDE_WEIGHT_MAX,
     IntegerMix,
     Integers,
 )
@@ -30,8 +29,7 @@ WINDOW_WEIGHT = 1e-3
 RIDGE = 1e-7
 MOST_SHIFT = 24
 MOST_ROW_SUM = 65_000
-"""Of a wide mix's weights: times 32767 they stay within 32 bits, with room for rounding."""
-MOST_STEPS = 3000
+"""Of the weights of a row: times 32767 they stay within 32 bits, with room for rounding."""
 
 
 def shapes(count: int) -> Array:
@@ -49,17 +47,15 @@ class Mix:
 
     Args:
         keep: share of the window that stays, in 1/64.
-        weights: (k, TAPS) in ± 127, in a wide mix ± 32767.
+        weights: (k, TAPS) in ± 32767.
         shift: (k,) row k of the weights counts in 2^-shift / 64.
         bias: (k,) in the output unit.
-        is_wide: weights of two bytes and biases in 1/64 counts.
     """
 
     keep: int
     weights: Integers
     shift: Integers
     bias: Array
-    is_wide: bool = False
 
     @property
     def rows(self) -> Array:
@@ -87,20 +83,18 @@ class Mix:
         """
         bias = (self.bias + zero * self.rows.sum(axis=1)) / lsb
         bias[0] += (self.keep / KEEP_ONE - 1) * zero / lsb
-        integers = np.rint(KEEP_ONE * bias if self.is_wide else bias).astype(np.int64)
-        return IntegerMix(self.keep, self.weights, self.shift, integers, self.is_wide)
+        return IntegerMix(self.keep, self.weights, self.shift, np.rint(KEEP_ONE * bias).astype(np.int64))
 
 
-def fit_mix(count: int, windows: Array, mapped: Array, network: Network, is_wide: bool = False) -> Mix | None:
+def fit_mix(count: int, windows: Array, mapped: Array, network: Network) -> Mix | None:
     """Fit a mix of `count` shapes so that f answers to the result as to `mapped`.
 
     Minimises Σ (f(y) - f(mapped))² + a small share of |y - mapped|² by Gauss-Newton steps, each of
-    which ends on the device's integers by the moves that raise this least.
+    which ends on the device's integers.
 
     Args:
         windows: (n, TAPS) windows entering.
         mapped: (n, TAPS) windows wanted.
-        is_wide: weights of two bytes instead of one.
 
     Returns:
         None where the weights are too large for their bytes.
@@ -110,7 +104,7 @@ def fit_mix(count: int, windows: Array, mapped: Array, network: Network, is_wide
     exact = network.evaluate(mapped)
     best, least, found = None, np.inf, mapped
     for _ in range(STEPS):
-        mix = _Normal(count, windows, mapped, network, found).solved(is_wide)
+        mix = _Normal(count, windows, mapped, network, found).solved()
         if mix is None:
             break
         found = mix.apply(windows)
@@ -148,21 +142,20 @@ class _Normal:
         self._matrix += RIDGE * float(np.trace(self._matrix)) / len(right) * np.eye(len(right))
         self._right = seen.T @ target + WINDOW_WEIGHT * right
 
-    def solved(self, is_wide: bool) -> Mix | None:
+    def solved(self) -> Mix | None:
         """Return the best mix on the device's integers; None where a weight is too large."""
-        most, most_sum = (WIDE_WEIGHT_MAX, MOST_ROW_SUM) if is_wide else (WEIGHT_MAX, TAPS * WEIGHT_MAX)
         # The share that stays is fixed first: every other unknown is linear beside it.
         keep = int(np.clip(round(KEEP_ONE * float(np.linalg.solve(self._matrix, self._right)[-1])), 0, 255))
         weights = self.weights(keep / KEEP_ONE)
-        filled = np.maximum(np.abs(weights).max(axis=1) / most, np.abs(weights).sum(axis=1) / most_sum)
+        filled = np.maximum(np.abs(weights).max(axis=1) / ACTIVATION_MAX, np.abs(weights).sum(axis=1) / MOST_ROW_SUM)
         if not np.all(np.isfinite(filled)) or filled.max() > 1 / KEEP_ONE:
             return None
         # The largest shift at which a row still fits its bytes is the finest step it can have.
-        room = np.log2(1 / KEEP_ONE / np.maximum(filled, 2.0**-MOST_SHIFT / most))
+        room = np.log2(1 / KEEP_ONE / np.maximum(filled, 2.0**-MOST_SHIFT / ACTIVATION_MAX))
         shift = np.clip(np.floor(room), 0, MOST_SHIFT).astype(np.int64)
         step = 1 / (KEEP_ONE * 2.0**shift)
-        integers = np.rint(weights / step[:, None]).astype(np.int64) if is_wide else self.to_integers(weights, step)
-        return Mix(keep, integers, shift, self.bias(keep / KEEP_ONE, integers * step[:, None]), is_wide)
+        integers = np.rint(weights / step[:, None]).astype(np.int64)
+        return Mix(keep, integers, shift, self.bias(keep / KEEP_ONE, integers * step[:, None]))
 
     def weights(self, keep: float) -> Array:
         """Return the best weights (k, TAPS) for a share that is kept."""
@@ -178,28 +171,3 @@ class _Normal:
         level = keep * self._centre * np.eye(self._count)[0]
         return np.asarray(constant * self._spread + self._centre * np.eye(self._count)[0] - level
                           - self._centre * weights.sum(axis=1))  # fmt: skip
-
-    def to_integers(self, best: Array, step: Array) -> Integers:
-        """Return (k, TAPS) integers that in multiples of `step` (k,) cost least more than `best`.
-
-        Rounded by themselves they let a level leak; here one makes up for another.
-        """
-        split = TAPS * self._count
-        free, bound = self._matrix[:split, :split], self._matrix[:split, split:-1]
-        scale = np.tile(step, TAPS)
-        # Biases follow the weights: taken out (a Schur complement) before those are rounded.
-        metric = free - bound @ np.linalg.solve(self._matrix[split:-1, split:-1], bound.T)
-        metric = metric * np.outer(scale, scale)
-        wanted = best.T.reshape(-1) / scale
-        found = np.clip(np.rint(wanted), -WEIGHT_MAX, WEIGHT_MAX)
-        pull, own = metric @ (found - wanted), np.diag(metric)
-        for _ in range(MOST_STEPS):
-            # Coordinate descent: of the best whole steps of each weight the one that gains most.
-            move = np.clip(np.rint(-pull / own), -WEIGHT_MAX - found, WEIGHT_MAX - found)
-            gain = -(pull * move + own * move**2 / 2)
-            at = int(np.argmax(gain))
-            if gain[at] <= 1e-12 * own[at]:
-                break
-            found[at] += move[at]
-            pull += metric[:, at] * move[at]
-        return np.asarray(found.reshape(TAPS, -1).T, dtype=np.int64)

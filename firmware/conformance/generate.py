@@ -52,17 +52,14 @@ def synthetic_files() -> tuple[NetworkFile, dict[str, UnitFile]]:
 
 def _maps(curve: UnitFile, rng: np.random.Generator) -> dict[str, DeviceMap]:
     knots = curve.device_map.curve
-    narrow = IntegerMix(40, rng.integers(-127, 128, (3, 15)), np.array([5, 6, 7]), rng.integers(-900, 900, 3))
     weights, bias = rng.integers(-4000, 4001, (5, 15)), rng.integers(-60_000, 60_000, 5)
-    wide = IntegerMix(30, weights, np.full(5, 11), bias, is_wide=True)
+    mix = IntegerMix(30, weights, np.full(5, 11), bias)
     matrix = 0.8 * np.eye(15) + 0.02 * rng.normal(size=(15, 15))
     layer = quantise_layer(matrix, rng.normal(0, 500, 15), np.ones(15), np.ones(15))
     return {
         "curve": DeviceMap(knots),
-        "mix": DeviceMap(knots, mix=narrow),
-        "mix-alone": DeviceMap(None, mix=narrow),
-        "wide": DeviceMap(knots, mix=wide),
-        "wide-alone": DeviceMap(None, mix=wide),
+        "mix": DeviceMap(knots, mix=mix),
+        "mix-alone": DeviceMap(None, mix=mix),
         "layer": DeviceMap(None, layer),
         "curve-layer": DeviceMap(knots, layer),
     }
@@ -98,7 +95,7 @@ def refusals(network: bytes, unit: bytes) -> dict[str, tuple[int, bytes]]:
         data[at : at + len(value)] = value
         return sealed(bytes(data)) if is_sealed else bytes(data)
 
-    tests_at = 76 + 6 * unit[50]
+    tests_at = 72 + 6 * unit[50]
     expected = struct.unpack_from("<h", unit, tests_at + 4)[0]
     longer = bytearray(unit[:-4] + bytes(8))
     longer[8:12] = struct.pack("<I", len(longer))

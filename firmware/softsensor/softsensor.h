@@ -27,8 +27,8 @@
 #define SS_TAPS 15
 #define SS_MAGIC 0x46435353u /* S S C F */
 #define SS_MAJOR 1
-#define SS_MINOR 3  /* files up to this one end where they say; later ones may append something */
-#define SS_LEVELS 25      /* levels of the source at the end of a network file of minor version 3 */
+#define SS_MINOR 0  /* files up to this one end where they say; later ones may append something */
+#define SS_LEVELS 25      /* levels of the source at the end of a network file */
 #define SS_LEVEL_BYTES 56 /* of the least load, the distance of two, the levels, and two zeros */
 #define SS_SHAPES 6 /* a mix has at most this many */
 #define SS_HEADER 48
@@ -178,7 +178,6 @@ SS_SHARED ss_status ss_check(const void *file, uint32_t bytes, uint8_t kind) {
 
 /* The functions below get a body: a file without its header. `left` is what of it is not yet accounted for. */
 #define SS_IS_LATER(body) (ss_u8((body) - SS_HEADER + 6) > SS_MINOR)
-#define SS_HAS_LEVELS(body) (ss_u8((body) - SS_HEADER + 6) > 2)
 
 /* Rows stand in blocks of four. */
 #define SS_PADDED(rows) (((uint32_t)(rows) + 3u) & 0xfffffffcu)
@@ -199,25 +198,25 @@ SS_SHARED ss_status ss_check_network(const uint8_t *p, uint32_t left) {
     if (used > left) return SS_BAD_LAYOUT;
     left -= used;
   }
-  if (SS_HAS_LEVELS(p)) left -= SS_LEVEL_BYTES;
+  left -= SS_LEVEL_BYTES;
   return ss_u16(sizes) == 1 && (!left || ((int32_t)left > 0 && SS_IS_LATER(p))) ? SS_OK : SS_BAD_LAYOUT;
 }
 
-static inline const uint8_t *ss_tests(const uint8_t *unit) { return unit + 28 + 6u * ss_u8(unit + 2); }
+static inline const uint8_t *ss_tests(const uint8_t *unit) { return unit + 24 + 6u * ss_u8(unit + 2); }
 static inline uint32_t ss_map_at(const uint8_t *unit) {
-  return 28 + SS_PADDED(6u * ss_u8(unit + 2) + 6u * ss_u8(unit + 3));
+  return 24 + SS_PADDED(6u * ss_u8(unit + 2) + 6u * ss_u8(unit + 3));
 }
 
 /* The map of a unit is a curve on every sample (bit 0), and on every window a linear layer (bit 1), a mix of shapes
- * (bit 2) or a wide mix (bit 3). */
+ * (bit 2). */
 SS_SHARED ss_status ss_check_unit(const uint8_t *p, uint32_t left) {
   uint32_t form = ss_u8(p), knots = ss_u8(p + 1), used, shapes;
-  if (left < 28) return SS_BAD_LAYOUT;
+  if (left < 24) return SS_BAD_LAYOUT;
   used = ss_map_at(p) + 4 * knots;
-  if (form - 1 > 8 || (form & 6) == 6 || (form & 1) > knots || !ss_u8(p + 2) || !ss_u8(p + 3) || used > left) return SS_BAD_LAYOUT;
+  if (form - 1 > 4 || (form & 1) > knots || !ss_u8(p + 2) || !ss_u8(p + 3) || used > left) return SS_BAD_LAYOUT;
   left -= used;
   shapes = ss_u8(p + used + 1); /* at the end of the file these are bytes of the CRC */
-  if (form & 12) left -= shapes - 1 >= SS_SHAPES ? SS_TOO_MUCH : form & 8 ? 4 + 36 * shapes : SS_PADDED(1 + 18 * shapes);
+  if (form & 4) left -= shapes - 1 >= SS_SHAPES ? SS_TOO_MUCH : 4 + 36 * shapes;
   if (form & 2) left -= ss_layer_bytes(SS_TAPS, SS_TAPS);
   return !left || ((int32_t)left > 0 && SS_IS_LATER(p)) ? SS_OK : SS_BAD_LAYOUT;
 }
@@ -341,24 +340,17 @@ SS_SHARED int32_t ss_map_code(const ss_sensor *s, uint32_t code) {
 }
 
 /* A mix of shapes: x = keep x + sum of U_k(tap) w_k, with w_k = row_k . x + bias_k, in 1/64 count. U_k are the Chebyshev
- * polynomials of the second kind at (tap - 7) / 8, summed by Clenshaw's recurrence. A wide mix has weights of two bytes
- * and finer biases before them. Unsigned as above. */
-SS_SHARED void ss_mix(const uint8_t *m, int16_t *x, uint32_t is_wide) {
+ * polynomials of the second kind at (tap - 7) / 8, summed by Clenshaw's recurrence. Unsigned as above. */
+SS_SHARED void ss_mix(const uint8_t *m, int16_t *x) {
   uint32_t w[SS_SHAPES], *end = w, shapes = ss_u8(m + 1);
-  const uint8_t *row = m + 2;
+  const uint8_t *row = m + 4;
   int32_t i, keep = ss_u8(m);
-  if (is_wide) row += 2;
   do {
-    uint32_t sum = 0, bias = 0;
-    if (is_wide) bias = ss_u32(row), row += 4;
-    for (i = 0; i < SS_TAPS; i++) {
-      int32_t weight = is_wide ? ss_i16(row) : (int8_t)ss_u8(row);
-      row += 1 + is_wide;
-      sum += (uint32_t)(weight * x[i]);
-    }
-    if (!is_wide) bias = 64u * (uint32_t)ss_i16(row + 1);
+    uint32_t sum = 0, bias = ss_u32(row);
+    row += 4;
+    for (i = 0; i < SS_TAPS; i++, row += 2) sum += (uint32_t)(ss_i16(row) * x[i]);
     *end++ = (uint32_t)((int32_t)sum >> (ss_u8(row) & 31)) + bias;
-    row += 3 - is_wide;
+    row += 2;
   } while (end != w + shapes);
   for (i = -7; i < 8; i++, x++) {
     uint32_t total = 0, before = 0, next, *p = end;
@@ -374,7 +366,7 @@ SS_SHARED void ss_mix(const uint8_t *m, int16_t *x, uint32_t is_wide) {
 static inline int16_t *ss_map_window(ss_sensor *s) {
   const uint8_t *map = s->map + 4u * ss_u8(s->unit + 1);
   uint32_t form = ss_u8(s->unit);
-  if (form & 12) ss_mix(map, s->even, form >> 3);
+  if (form & 4) ss_mix(map, s->even);
   if (!(form & 2)) return s->even;
   ss_layer(map, SS_TAPS, SS_TAPS, s->even, s->odd, 0);
   return s->odd;
@@ -490,7 +482,7 @@ static inline void ss_restart(ss_sensor *s) {
 
 /* The band of the unit file that an estimate lies in. */
 static inline const uint8_t *ss_band(const uint8_t *unit, int32_t value) {
-  const uint8_t *band = unit + 28;
+  const uint8_t *band = unit + 24;
   uint32_t left = ss_u8(unit + 2);
   for (; left > 1 && value > ss_i16(band); left--) band += 6;
   return band;
@@ -616,8 +608,7 @@ typedef enum {
   SS_TRIM_TOO_CLOSE = 5,   /* the two loads are the same number, or are not known to 16383 counts */
   SS_TRIM_ALIKE = 6,       /* the two loads cannot be told apart: they or their outputs differ by less than is known */
   SS_TRIM_NEEDLESS = 7,    /* the unit reads both loads already, as well as a trim would be known */
-  SS_TRIM_WORSE = 8,       /* the loads would read worse than before */
-  SS_TRIM_NO_LEVELS = 9    /* the network file is older than format 1.3: export it again, it has the same id */
+  SS_TRIM_WORSE = 8        /* the loads would read worse than before */
 } ss_trim_result;
 
 static inline void ss_trim_start(ss_trim *t) {
@@ -710,7 +701,6 @@ static inline ss_trim_result ss_trim_finish(const ss_trim *t, ss_sensor *s, int1
   uint32_t reach[2], wrong[2], before[2], apart, rise, loads, is_open, is_needless = 1;
   int k;
   if (!t || !s || !s->unit || t->count[0] < SS_TAPS || t->count[1] < SS_TAPS) return SS_TRIM_MORE;
-  if (!SS_HAS_LEVELS(s->network)) return SS_TRIM_NO_LEVELS;
   if (load_0 == load_1 || error_0 > 16383 || error_1 > 16383) return SS_TRIM_TOO_CLOSE;
   if (t->is_beyond || !ss_rest_of(s, load_0, &wanted[0]) || !ss_rest_of(s, load_1, &wanted[1])) return SS_TRIM_OUT_OF_REACH;
   for (k = 0; k < 2; k++) seen[k] = t->sum[k] / t->count[k];

@@ -10,10 +10,10 @@ from softcal.core.errors import UnitRefused
 from softcal.core.export.compile_map import (
     InputScale,
     compile_map,
-    device_forms,
+    curve_forms,
     fine_forms,
     matrix_forms,
-    wide_forms,
+    mix_forms,
 )
 from softcal.core.maps.catalogue import FAMILIES
 from softcal.core.maps.interface import FitProblem
@@ -153,12 +153,12 @@ def test_the_default_scale_covers_source_and_unit(linear_network: Network) -> No
 
 
 def test_more_bytes_hold_a_bend_and_a_linear_part_more_nearly(linear_network: Network, press: Press) -> None:
-    """The whole matrix is exact for any linear part, a wide mix for one of few smooth shapes; a narrow one is not."""
+    """The whole matrix is exact for any linear part, a mix for one of few smooth shapes; a curve is for none."""
     unit, matrix = press(2).unlabelled, _smoothing()
     both = _Map(lambda x: (0.6 + 0.2 * np.tanh(6 * (x - 0.6))) @ matrix.T)
-    narrow, wide, whole = (
-        compile_map(both, linear_network, unit, LIMIT_N, forms, 0.0)
-        for forms in (device_forms, wide_forms, matrix_forms)
+    curve, mix, whole = (
+        compile_map(both, linear_network, unit, 10 * LIMIT_N, forms, 0.0)
+        for forms in (curve_forms, mix_forms, matrix_forms)
     )
-    assert wide.max_deviation < 0.5 * narrow.max_deviation
-    assert whole.max_deviation < 0.5 * narrow.max_deviation
+    assert mix.max_deviation < 0.5 * curve.max_deviation
+    assert whole.max_deviation < 0.5 * curve.max_deviation

@@ -116,7 +116,7 @@ class DeviceStream:
         if not self._filled or code != self._last_code:
             self._is_stuck, self._moved_ms = False, t_ms
         self._is_stuck |= (t_ms - self._moved_ms) % 2**32 >= STUCK_ms
-        mapped = self._trim.shift.apply(int(unit.device_map.on_samples(np.array([code]))[0]), unit.adapt.low)
+        mapped = self._trim.shift.apply(int(unit.device_map.on_samples(np.array([code]))[0]), unit.pivot)
         self._ring = np.append(self._ring[1:], mapped)
         self._outside = np.append(self._outside[1:], self._is_outside(code, mapped))
         self._steps = [*self._steps[1:], step]
@@ -157,7 +157,6 @@ class TrimResult(IntEnum):
     ALIKE = 6
     NEEDLESS = 7
     WORSE = 8
-    NO_LEVELS = 9
 
 
 def find_trim(
@@ -177,8 +176,6 @@ def find_trim(
     levels, unit = sensor.network_file.levels, sensor.unit_file
     if min(map(len, codes)) < TAPS:
         return TrimResult.MORE, Trim()
-    if levels is None:
-        return TrimResult.NO_LEVELS, Trim()
     if loads[0] == loads[1] or max(errors) > MOST_LOAD_ERROR:
         return TrimResult.TOO_CLOSE, Trim()
     used = [c[:MOST_TRIM_SAMPLES] for c in codes]
@@ -207,7 +204,7 @@ def find_trim(
     if joined(*misread) > joined(*(abs(_at_rest(sensor, seen[k]) - loads[k]) for k in (0, 1))):
         return TrimResult.WORSE, Trim()
     gain = _towards_zero(missing * 2**15, apart)
-    offset = wanted[0] - seen[0] - (gain * (seen[0] - unit.adapt.low) >> 15)
+    offset = wanted[0] - seen[0] - (gain * (seen[0] - unit.pivot) >> 15)
     if abs(offset) > ACTIVATION_MAX:
         return TrimResult.TOO_FAR, Trim()
     return TrimResult.TRIMMED, Trim(Shift(gain, offset), loads, (reach[0], reach[1]))

@@ -14,6 +14,7 @@ from softcal.core.export.quantise import evaluate_float64
 from tests.firmware.device_stream import DeviceStream
 
 Build = Callable[..., Path]
+CONFORMANCE = Path(__file__).parents[2] / "firmware" / "conformance"
 
 
 @pytest.fixture(scope="module")
@@ -130,26 +131,24 @@ int main(int count, char **arguments) {
     assert subprocess.run([program, "S2", "bare"], capture_output=True).returncode == 8
 
 
-@pytest.mark.parametrize("name", ["unit-1.0", "linear-1.0", "both-1.0", "mix-1.1"])
+@pytest.mark.parametrize("name", ["unit-curve", "unit-layer", "unit-curve-layer", "unit-mix", "unit-mix-alone"])
 def test_every_form_of_map_gives_the_same_integers(
     program: Path, tmp_path: Path, rng: np.random.Generator, name: str
 ) -> None:
-    released = Path(__file__).parent / "released"
-    network, unit = released / "network-1.0.ssc", released / f"{name}.ssc"
+    network, unit = CONFORMANCE / "network.ssc", CONFORMANCE / f"{name}.ssc"
     stream = DeviceStream(open_sensor(network.read_bytes(), unit.read_bytes()))
     expected = []
     samples = [(20 * k, int(code)) for k, code in enumerate(rng.integers(0, 65_536, 500))]
     for t_ms, sample in samples:
         stream.push(sample, t_ms)
         expected.append(stream.read(t_ms))
-    code, found = _run(program, network, unit, samples, "A1")
+    code, found = _run(program, network, unit, samples, "SYN-1")
     assert code == 0
     assert np.array_equal(found, np.array(expected))
 
 
 def test_each_refusal_ends_with_its_own_status(program: Path, real_case: Any, tmp_path: Path) -> None:
     network, unit = real_case.write(tmp_path)
-    released = Path(__file__).parent / "released" / "unit-1.0.ssc"
     damaged = tmp_path / "damaged.ssc"
     content = bytearray(unit.read_bytes())
     content[60] ^= 0xFF
@@ -157,7 +156,7 @@ def test_each_refusal_ends_with_its_own_status(program: Path, real_case: Any, tm
     cut = tmp_path / "cut.ssc"
     cut.write_bytes(unit.read_bytes()[:-8])
     assert _run(program, network, network, [])[0] == 6
-    assert _run(program, network, released, [])[0] == 7
+    assert _run(program, network, CONFORMANCE / "unit-curve.ssc", [])[0] == 7
     assert _run(program, network, unit, [], "S3")[0] == 8
     assert _run(program, network, damaged, [])[0] == 5
     assert _run(program, network, cut, [])[0] == 4
@@ -176,13 +175,12 @@ def test_of_a_hundred_thousand_damaged_files_none_gives_a_number(
     build_checked: Build, real_case: Any, tmp_path: Path
 ) -> None:
     fuzz = build_checked(Path(__file__).parent / "fuzz.c")
-    released = Path(__file__).parent / "released"
     network, unit = real_case.write(tmp_path)
     rounds = [
         (network, unit, "3000", "300", "300"),
-        (released / "network-1.0.ssc", released / "unit-1.0.ssc", "60000", "20000", "10000"),
-        (released / "network-1.0.ssc", released / "both-1.0.ssc", "20000", "2000", "10000"),
-        (released / "network-1.0.ssc", released / "mix-1.1.ssc", "30000", "0", "20000"),
+        (CONFORMANCE / "network.ssc", CONFORMANCE / "unit-curve.ssc", "60000", "20000", "10000"),
+        (CONFORMANCE / "network.ssc", CONFORMANCE / "unit-curve-layer.ssc", "20000", "2000", "10000"),
+        (CONFORMANCE / "network.ssc", CONFORMANCE / "unit-mix.ssc", "30000", "0", "20000"),
     ]
     tried = 0
     for a, b, *counts in rounds:

@@ -135,7 +135,7 @@ def test_the_same_loads_give_the_same_trim(both: Both, load_N: tuple[float, floa
     on_pc = both.on_pc(output_V, list(load_N))
     result, on_device = both.on_device(output_V, list(load_N))
     assert result is TrimResult.TRIMMED
-    net, low = both.network_file.network, both.unit_file.adapt.low
+    net, low = both.network_file.network, both.unit_file.pivot
     gain = on_device.shift.gain / 2**15
     offset_V = net.input_lsb * (on_device.shift.offset - gain * low) - gain * net.input_zero
     # A source count at each load is what the device resolves.
@@ -151,8 +151,8 @@ def test_the_same_loads_give_the_same_trim(both: Both, load_N: tuple[float, floa
 
 SHAPES = np.random.default_rng(3).integers(-20, 21, (3, TAPS))
 ON_WINDOWS = {
-    "mix": {"mix": IntegerMix(60, SHAPES, np.array([7, 7, 7]), np.array([3, -2, 1]))},
-    "wide mix": {"mix": IntegerMix(62, 40 * SHAPES, np.full(3, 12), np.array([900, -500, 100]), is_wide=True)},
+    "coarse mix": {"mix": IntegerMix(60, SHAPES, np.array([7, 7, 7]), np.array([192, -128, 64]))},
+    "fine mix": {"mix": IntegerMix(62, 40 * SHAPES, np.full(3, 12), np.array([900, -500, 100]))},
     "layer": {"layer": quantise_layer(0.9 * np.eye(TAPS) + 0.005, np.full(TAPS, 300.0), np.ones(TAPS), np.ones(TAPS))},
 }
 

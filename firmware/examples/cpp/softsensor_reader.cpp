@@ -19,7 +19,7 @@
 namespace {
 
 constexpr int taps = 15;
-constexpr int latest_minor = 2;
+constexpr int latest_minor = 0;
 enum Cause { magic = 2, version, length, crc, kind, network_id, serial_number, layout, self_test };
 enum Flag { warm_up = 1, stale = 4, out_of_range = 8, clamped = 16, wrong_rate = 32, stuck = 64 };
 
@@ -153,17 +153,15 @@ struct Shape {
 
 class Mix {
  public:
-  Mix(File &file, bool is_wide) : keep(file.u8()), shapes(file.u8()) {
+  explicit Mix(File &file) : keep(file.u8()), shapes(file.u8()) {
     need(!shapes.empty() && shapes.size() <= 6, layout, "shapes of a mix");
-    if (is_wide) file.u16();
+    file.u16();
     for (Shape &shape : shapes) {
-      if (is_wide) shape.bias = file.i32();
-      for (std::int64_t &weight : shape.weights) weight = is_wide ? file.i16() : file.i8();
-      shape.shift = is_wide ? file.u16() : file.u8();
-      if (!is_wide) shape.bias = 64 * file.i16();
+      shape.bias = file.i32();
+      for (std::int64_t &weight : shape.weights) weight = file.i16();
+      shape.shift = file.u16();
       need(shape.shift <= 31, layout, "shift of a mix");
     }
-    file.skip_to_four();
   }
 
   Window apply(const Window &in) const {
@@ -270,18 +268,19 @@ class Sensor {
     need(period_us > 0, layout, "no sample period");
     file.skip(4 + 4 + 8 + 8 + 32);
     for (std::size_t k = 0; k < count; k++) layers.emplace_back(file, sizes[k + 1], sizes[k]);
+    file.skip(56);  // levels of the source: only a trim needs them
     file.finish();
   }
 
   std::vector<SelfTest> read_unit(File &file) {
     const int form = file.u8();
     const std::size_t knot_count = file.u8(), band_count = file.u8(), test_count = file.u8();
-    need((form >= 1 && form <= 5) || form == 8 || form == 9, layout, "form of the map");
+    need(form >= 1 && form <= 5, layout, "form of the map");
     need(form & 1 ? knot_count >= 2 && knot_count <= 32 : knot_count == 0, layout, "knots");
     need(band_count >= 1 && band_count <= 4 && test_count >= 1 && test_count <= 4, layout, "bands or self-tests");
     code_min = file.u16(), code_max = file.u16(), out_min = file.i16(), out_max = file.i16();
     need(code_min < code_max && out_min < out_max, layout, "ranges");
-    file.skip(16);
+    file.skip(12);
     for (std::size_t k = 0; k < band_count; k++) {
       Band band{};
       band.level = file.i16(), band.minus = file.u16(), band.plus = file.u16();
@@ -293,7 +292,7 @@ class Sensor {
     knots.resize(knot_count);
     for (Knot &knot : knots) knot.code = file.u16(), knot.count = file.i16();
     if (form & 2) linear.emplace_back(file, taps, taps);
-    if (form & 12) mixes.emplace_back(file, form & 8);
+    if (form & 4) mixes.emplace_back(file);
     file.finish();
     return tests;
   }

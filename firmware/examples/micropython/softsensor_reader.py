@@ -20,7 +20,7 @@ import sys
 TAPS = 15
 ALIGNMENT, MAGIC, VERSION, LENGTH, CRC, KIND, NETWORK, SERIAL, LAYOUT, SELF_TEST = range(1, 11)
 WARM_UP, CLOSED, STALE, OUT_OF_RANGE, CLAMPED, WRONG_RATE, STUCK = 1, 2, 4, 8, 16, 32, 64
-LATEST_MINOR = 2
+LATEST_MINOR = 0
 STUCK_MS = 60000
 
 
@@ -98,21 +98,14 @@ class Layer:
 
 
 class Mix:
-    def __init__(self, file, is_wide):
-        self.keep, count = file.take("BB")
+    def __init__(self, file):
+        self.keep, count, _ = file.take("BBH")
         need(1 <= count <= 6, LAYOUT, "shapes of a mix")
         self.shapes = []
-        if is_wide:
-            file.take("H")
         for _ in range(count):
-            if is_wide:
-                fields = file.take("i15hH")
-                self.shapes.append((fields[1:16], fields[16], fields[0]))
-            else:
-                fields = file.take("15bBh")
-                self.shapes.append((fields[:15], fields[15], 64 * fields[16]))
+            fields = file.take("i15hH")
+            self.shapes.append((fields[1:16], fields[16], fields[0]))
         need(all(shift <= 31 for _, shift, _ in self.shapes), LAYOUT, "shift of a mix")
-        file.skip_to_four()
 
     def apply(self, window):
         steps = [(sum(w * x for w, x in zip(row, window)) >> shift) + bias for row, shift, bias in self.shapes]
@@ -151,12 +144,13 @@ class Sensor:
         need(sizes[0] == TAPS and sizes[count] == 1 and self.period_us > 0, LAYOUT, "sizes")
         need(all(1 <= size <= 1024 for size in sizes[: count + 1]), LAYOUT, "sizes")
         self.layers = [Layer(file, sizes[k + 1], sizes[k]) for k in range(count)]
+        file.take("hH25hH")
         file.finish()
 
     def _read_unit(self, file):
         form, knots, bands, tests, self.code_min, self.code_max, self.out_min, self.out_max = file.take("BBBBHHhh")
-        _, _, self.low, _, _, _ = file.take("ffhhHH")
-        need(form in (1, 2, 3, 4, 5, 8, 9) and (2 <= knots <= 32 if form & 1 else knots == 0), LAYOUT, "form")
+        _, _, self.pivot, _ = file.take("ffhH")
+        need(form in (1, 2, 3, 4, 5) and (2 <= knots <= 32 if form & 1 else knots == 0), LAYOUT, "form")
         need(1 <= bands <= 4 and 1 <= tests <= 4, LAYOUT, "bands or self-tests")
         need(self.code_min < self.code_max and self.out_min < self.out_max, LAYOUT, "ranges")
         self.bands = [file.take("hHH") for _ in range(bands)]
@@ -164,7 +158,7 @@ class Sensor:
         file.skip_to_four()
         self.knots = [file.take("Hh") for _ in range(knots)]
         self.layer = Layer(file, TAPS, TAPS) if form & 2 else None
-        self.mix = Mix(file, form & 8) if form & 12 else None
+        self.mix = Mix(file) if form & 4 else None
         file.finish()
 
     def on_sample(self, code):
@@ -199,7 +193,7 @@ class Sensor:
             self.is_stuck = True
         gain, offset = self.trim
         y = self.on_sample(code)
-        self.ring = (self.ring + [clip(y + offset + ((gain * (y - self.low)) >> 15))])[-TAPS:]
+        self.ring = (self.ring + [clip(y + offset + ((gain * (y - self.pivot)) >> 15))])[-TAPS:]
         self.codes = (self.codes + [code])[-TAPS:]
         self.times = (self.times + [t_ms])[-TAPS:]
         self.last_ms, self.last_code = t_ms, code
