@@ -99,12 +99,12 @@ class MadeCalibration:
         predicted_rmse, before_rmse, after_rmse, own_rmse: in the lot's reference unit.
         knowledge: how its loads are known.
         decision: what was predicted and what was measured.
-        method_id: the method it was made with; empty where an older version kept none.
+        method_id: the method it was made with; empty where none was kept.
         forecast_rmse: forecast before audits of other units scaled it.
-        load_rms: RMS load above rest that its recording shows; None in records of older versions.
-        audit: what its audit says beside the error; None in older versions, too.
+        load_rms: RMS load above rest that its recording shows; None where none was kept.
+        audit: what its audit says beside the error; None without one.
         audit_line: gain and zero with which its fitted map reads the loads of its audit.
-        output_level: where the output of its recording stands; None in records of older versions.
+        output_level: where the output of its recording stands; None where none was kept.
         is_open: whether nothing that was found stands against it, whatever its forecast.
         common_line: gain and zero taken off its map, as audited units misread alike.
         missing: samples of its recording that were left out, by kind, and the shares that are missing and left.

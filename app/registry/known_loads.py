@@ -43,8 +43,7 @@ def known_loads(registry: Registry, lot_id: str, serials: Collection[str] | None
     if serials is None:
         serials = {entry.serial for entry in registry.recordings.of_lot(lot_id, kind="unit")}
     found: dict[str, UnitLoads] = {}
-    # Older versions kept those of several units in one row of the lot.
-    for row in registry.trail.of_several(ENTITY, [(lot_id,), *((lot_id, serial) for serial in sorted(serials))]):
+    for row in registry.trail.of_several(ENTITY, [(lot_id, serial) for serial in sorted(serials)]):
         content: dict[str, Any] = json.loads(row.after or "{}")
         for sha256, one in content["recordings"].items():
             if one["serial"] not in serials:

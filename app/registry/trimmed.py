@@ -122,12 +122,7 @@ def _known_trim(registry: Registry, lot_id: str, serial: str) -> KnownTrim | Non
         # Two registries put different maps into use: a person decides first.
         return None
     kept: Mapping[str, Any] | None = stored.record.settings.get(LOADS)  # type: ignore[assignment]
-    if kept is None:
-        return None
-    # Older versions kept the loads alone.
-    before = untrimmed(registry, stored).record.audit
-    audit = "" if before is None else before.recording_sha256
-    return KnownTrim(loads_of(kept), kept.get("recording", stored.record.recording_sha256), kept.get("audit", audit))
+    return None if kept is None else KnownTrim(loads_of(kept), kept["recording"], kept["audit"])
 
 
 def _trimmed(registry: Registry, stored: StoredCalibration, known: KnownTrim, why: str, actor: str | None) -> Trimmed:

@@ -187,5 +187,5 @@ def ranked(report: Report) -> Sequence[Mapping[str, Any]]:
 
 
 def _sentences(entry: Mapping[str, Any], names: Sequence[str], say: Words) -> list[str]:
-    """Return what an entry says under some names; an older version kept English alone."""
+    """Return what an entry says under some names: its reasons, else its plain sentences."""
     return [said(Reason.of(one), say) for one in entry.get("reasons") or [entry.get(name) or "" for name in names]]

@@ -63,10 +63,8 @@ class LineRules:
         return max(0, self.retests.get(verdict, 0) - max(0, tests - 1))
 
     def settings(self) -> dict[str, object]:
-        content: dict[str, object] = {**vars(self), "retests": dict(self.retests)}
-        del content["loads"]
-        # Versions that know no loads can read rules without any.
-        return content | ({"loads": [[load.value, load.expanded] for load in self.loads]} if self.loads else {})
+        loads = [[load.value, load.expanded] for load in self.loads]
+        return {**vars(self), "retests": dict(self.retests), "loads": loads}
 
 
 def rules_for(lot: Lot) -> LineRules:

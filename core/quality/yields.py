@@ -75,7 +75,7 @@ def yields(runs: Mapping[str, Sequence[UnitRun]], golden: Collection[str] = (), 
 def kind(why: Reason) -> str:
     """Return what reasons are counted by: their code with the codes in it, as "statement measured above".
 
-    The sentence itself where an older version kept no code.
+    The sentence itself where it was quoted from a file or a device.
     """
     if why.code == PLAIN:
         return str(why)

@@ -82,7 +82,7 @@ def contributions(calibration: Calibration) -> dict[str, float]:
     budget = {name.removeprefix("u_"): float(str(u)) for name, u in evidence.items() if name.startswith("u_")}
     config = calibration.knowledge.config
     weights = {config.base_term: config.base_factor, **calibration.knowledge.sensitivity, LINE: 1.0, DAY: 1.0}
-    # A calibration of an older version may lack a term that came later.
+    # What the line adds stands in the budget of a lot alone.
     parts = {name: weight * budget[name] for name, weight in weights.items() if name in budget}
     return dict(sorted(parts.items(), key=lambda item: -item[1]))
 

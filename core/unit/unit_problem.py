@@ -64,17 +64,14 @@ class UnitProblem:
             "audit": None if audit is None else audit.sha256,
             # Without an audit no own calibration is trained, whatever was asked.
             "own": None if audit is None or self.own is None else asdict(self.own),
-        }
-        # What came later stands there only where it is given: older results keep their identity.
-        later = {
-            "line": self.line and self.line.to_json(),
-            "golden": self.bridge and self.bridge.sha256,
-            "reference": self.reference and self.reference.to_json(),
+            "line": None if self.line is None else self.line.to_json(),
+            "golden": None if self.bridge is None else self.bridge.sha256,
+            "reference": None if self.reference is None else self.reference.to_json(),
             "beside": sorted(self.beside),
             "unread_audit": self.unread_audit,
             "rules": sorted(self.rules),
         }
-        return content_sha256({}, settings | {name: value for name, value in later.items() if value})
+        return content_sha256({}, settings)
 
     @cached_property
     def fit(self) -> FitProblem:

@@ -26,7 +26,7 @@ from softcal.core.windows import resting
 FILTERS = ("none", "basic", "improved")
 QUEUES = ("ot", "ot-improved")
 MODES = (*FILTERS, *QUEUES)
-STATE_FORMAT = 9
+STATE_FORMAT = 1
 """Of what `Adapter.state` returns; raised whenever a state kept before could not be gone on from."""
 
 

@@ -236,8 +236,7 @@ class Batches(ABC):
         Raises:
             InputError: the state was taken by a version or mode that keeps other things in it; nothing was changed.
         """
-        # The first states named no format.
-        if (found := state.get("format", 1)) != self._format:
+        if (found := state.get("format")) != self._format:
             raise InputError(f"its state has format {found}, what goes on here has format {self._format}")
         if wrong := set(self.state()) ^ set(state):
             raise InputError(f"its state does not fit this version: {min(wrong)} is missing or unknown")

@@ -21,7 +21,7 @@ DOUBT = "doubt."
 """How the codes of reasons begin that set an audit aside."""
 
 PLAIN = "plain"
-"""Code of a sentence that was kept as one: by an older version, or of a file or a device."""
+"""Code of a sentence that is quoted, from a file or a device."""
 
 ENGLISH: Mapping[str, str] = {PLAIN: "{text}", **UNIT_SENTENCES, **GAP_SENTENCES, **SENTENCES}
 """One sentence a code, values in braces; a value that is a reason is a phrase of its own."""
@@ -60,9 +60,9 @@ class Reason:
 
     @classmethod
     def of(cls, kept: object) -> "Reason":
-        """Read a reason that was kept: `to_json`, or the sentence an older version kept.
+        """Read a reason that was kept: `to_json`, or a sentence that was quoted.
 
-        A code this version does not know stays readable as its own name.
+        A code that nobody here knows, of a package that is not installed, stays readable as its own name.
         """
         if isinstance(kept, Reason):
             return kept
@@ -97,7 +97,7 @@ def reason(code: str, /, **values: Value) -> Reason:
 
 
 def plain(text: str) -> Reason:
-    """Return a sentence as it stands: of an older version, or quoted from a file or a device."""
+    """Return a sentence as it stands, quoted from a file or a device."""
     return Reason(PLAIN, {"text": text})
 
 

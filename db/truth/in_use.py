@@ -229,7 +229,7 @@ class LimitInForce:
     unit: str
 
     def is_other_in_sql(self) -> sa.ColumnElement[bool]:
-        """Return whether a calibration was judged against another limit, by its evidence; older versions kept none."""
+        """Return whether a calibration was judged against another limit, by its evidence; False where that has none."""
         text = sa.type_coerce(calibrations.c.evidence, sa.Text)
 
         def says(name: str, value: object) -> sa.ColumnElement[bool]:

@@ -60,12 +60,3 @@ def test_loads_of_several_units_are_kept_together_or_not_at_all(registry: Regist
     with pytest.raises(ValueError, match="JSON"):
         keep_loads(registry, "small", broken, "file")
     assert not known_loads(registry, "small", {"U4", "U5"})
-
-
-def test_rows_of_older_versions_hold_several_units_and_newer_ones_outrank_them(registry: Registry) -> None:
-    facts = {sha256(n): {"serial": f"U{n}", **module.values(loads(n))} for n in (1, 2)}
-    registry.trail.add("state", module.ENTITY, ("small",), {"where": "page", "recordings": facts})
-    assert set(known_loads(registry, "small", {"U2"})) == {sha256(2)}
-    assert keep_loads(registry, "small", {sha256(2): ("U2", loads(9))}, "line") == 1
-    (one,) = known_loads(registry, "small", {"U2"}).values()
-    assert (one.where, one.loads.output[0]) == ("line", 9.0)

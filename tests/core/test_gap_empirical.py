@@ -17,7 +17,7 @@ from softcal.core.gap.start import base_fit
 from softcal.core.twin.effects import Flow
 from softcal.core.twin.empirical_terms import PLACES, VARIABLES, EmpiricalTerm
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
-from softcal.core.twin.simulate import RICHER, SCHEMA, Chain, Twin, TwinStream, simulate, twin_from_record, twin_record
+from softcal.core.twin.simulate import SCHEMA, Chain, Twin, TwinStream, simulate, twin_from_record, twin_record
 
 READOUT = ReadoutMetadata(vref_V=3.3, adc_bits=14, r_series_ohm=10.0, sample_rate_Hz=50.0)
 BASE = BaseParameters(u0_mm=0.35, k1_N_mm=1.1, k3_N_mm3=0.1, kappa_per_N=0.06, sigma_force_N=0.012)
@@ -142,7 +142,7 @@ def test_a_term_does_nothing_where_no_pad_is_pressed():
 
 def test_a_twin_without_terms_keeps_the_first_schema():
     assert twin_record(Twin(BASE, (), READOUT))["schema"] == SCHEMA
-    assert twin_record(Twin(BASE, (), READOUT, (TERM,)))["schema"] == RICHER
+    assert twin_record(Twin(BASE, (), READOUT, (TERM,)))["schema"] == SCHEMA
 
 
 @pytest.mark.parametrize(

@@ -631,14 +631,12 @@ def test_a_twin_goes_through_its_record():
         FINE,
     )
     record = twin_record(twin)
-    assert record["schema"] == "softcal.twin/1" and "empirical" not in record
+    assert record["schema"] == "softcal.twin/1" and record["empirical"] == []
     again = twin_from_record(record, "here")
     assert again == twin
     richer = replace(twin, empirical=(term("F", "t"),))
-    assert twin_record(richer)["schema"] == "softcal.twin/2"
     assert twin_from_record(twin_record(richer), "here") == richer
     formed = replace(twin, effects=(EffectSetting("readout_lag", {"tau": 0.1, "tau2": 0.2}, form="second order"),))
-    assert twin_record(formed)["schema"] == "softcal.twin/2"
     assert twin_from_record(twin_record(formed), "here") == formed
     for wrong in (
         {**record, "schema": "softcal.twin/9"}, {k: v for k, v in record.items() if k != "metadata"},

@@ -72,8 +72,8 @@ def _tracked() -> list[Path]:
 
 def test_the_version_has_one_owner_and_stands_on_top_of_the_changelog() -> None:
     version = _project()["project"]["version"]
-    changelog = re.findall(r"^## (\S+)$", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
-    assert changelog == sorted(changelog, key=Version, reverse=True) and changelog[0] == version
+    changelog = re.findall(r"^## (\d\S*)", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
+    assert changelog == sorted(changelog, key=Version, reverse=True) and changelog[0] == Version(version).base_version
     assert re.findall(r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text("utf-8"), re.MULTILINE) == [version]
     locked = tomllib.loads((ROOT / "uv.lock").read_text("utf-8"))["package"]
     assert [package["version"] for package in locked if package["name"] == "softcal"] == [version]

@@ -120,7 +120,7 @@ class Certificate:
         is_trimmed: whether its map was trimmed since it was judged by its recording and its audit.
         reference: what the source was compared with; None where nobody said.
         bars: why the reference lets no unit pass; empty where it does.
-        budget: at the source's RMS load; None after a trim and in older versions.
+        budget: at the source's RMS load; None after a trim.
         by_loads: what known loads did to the map; empty where there were none.
         by_audits: what was taken off the map as audited units misread alike, if any.
         rows: how many rows of its audit have an estimate, and how many have none.
