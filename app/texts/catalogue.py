@@ -6,9 +6,16 @@ from datetime import datetime, timedelta, timezone, tzinfo
 from functools import cache
 from pathlib import Path
 
-from softcal.core.words.reason import ENGLISH, filled
+from softcal.core.words.reason import ENGLISH, filled, is_known
+from softcal.station.messages import PAGES
 
 LANGUAGES = {"en": "English", "ko": "한국어"}
+
+REASON = "reason."
+"""How the keys begin that say a reason."""
+
+OWN_MESSAGES = {**ENGLISH, **{code: sentence for page in PAGES.values() for code, sentence in page.items()}}
+"""What core and the shipped drivers say in English. Drivers of other people may add theirs later."""
 
 
 @cache
@@ -23,14 +30,21 @@ def catalogue() -> dict[str, dict[str, str]]:
         for language, of_pair in zip(LANGUAGES, zip(*said.values(), strict=True), strict=True):
             texts[language] |= zip(said, of_pair, strict=True)
         texts["ko"] |= korean
-    texts["en"] |= {f"reason.{code}": sentence for code, sentence in ENGLISH.items()}
+    texts["en"] |= {f"{REASON}{code}": sentence for code, sentence in OWN_MESSAGES.items()}
     return texts
 
 
 def text(language: str, key: str, /, **values: object) -> str:
     """Return one text with its values filled in; an unknown language gives English."""
     shown = {name: instant(value) if isinstance(value, datetime) else value for name, value in values.items()}
-    return filled(catalogue().get(language, catalogue()["en"])[key], shown)
+    return filled(_sentence(language, key), shown)
+
+
+def _sentence(language: str, key: str) -> str:
+    """Return the text of a key; a reason that a language lacks, of a driver of somebody else, is said in English."""
+    texts = catalogue().get(language, catalogue()["en"])
+    code = key.removeprefix(REASON)
+    return ENGLISH[code] if key not in texts and code != key and is_known(code) else texts[key]
 
 
 def words_in(language: str, zone: tzinfo | None) -> Callable[..., str]:

@@ -1,12 +1,12 @@
 """What softcal says: a code with values. English stands in core, other languages in app/texts.
 
 Sentences on units and verdicts stand in `sentences`, those of stations, their gates and the
-registry in `rig_sentences`, those of a diagnosis in `gap_sentences`.
+registry in `rig_sentences`, those of a diagnosis in `gap_sentences`; drivers add their own.
 """
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from string import Formatter
 from typing import Any, Union
@@ -23,8 +23,33 @@ DOUBT = "doubt."
 PLAIN = "plain"
 """Code of a sentence that is quoted, from a file or a device."""
 
-ENGLISH: Mapping[str, str] = {PLAIN: "{text}", **UNIT_SENTENCES, **GAP_SENTENCES, **SENTENCES}
+ENGLISH: dict[str, str] = {PLAIN: "{text}", **UNIT_SENTENCES, **GAP_SENTENCES, **SENTENCES}
 """One sentence a code, values in braces; a value that is a reason is a phrase of its own."""
+
+_LOADERS: list[Callable[[], object]] = []
+
+
+def add_messages(messages: Mapping[str, str]) -> None:
+    """Add what a driver or another package says: code → English sentence, values in braces.
+
+    Raises:
+        ValueError: a code has another sentence already; none of them was added.
+    """
+    if taken := [code for code, sentence in messages.items() if ENGLISH.get(code, sentence) != sentence]:
+        raise ValueError(f"{', '.join(taken)}: these codes have another message already; choose other codes")
+    ENGLISH.update(messages)
+
+
+def load_messages_by(load: Callable[[], object]) -> None:
+    """Let the first code that is not known call `load`, which adds messages: who says little need not load them."""
+    _LOADERS.append(load)
+
+
+def is_known(code: str) -> bool:
+    """Whether a code has a message, once those that are loaded late are there."""
+    while code not in ENGLISH and _LOADERS:
+        _LOADERS.pop()()
+    return code in ENGLISH
 
 
 @dataclass(frozen=True)
@@ -40,7 +65,7 @@ class Reason:
     values: Mapping[str, Value] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.code not in ENGLISH:
+        if not is_known(self.code):
             raise ValueError(f"reason {self.code!r} is none of {', '.join(ENGLISH)}")
 
     def __hash__(self) -> int:
@@ -69,7 +94,7 @@ class Reason:
         if not isinstance(kept, Mapping):
             return plain(str(kept))
         code, values = str(kept["code"]), kept["values"]
-        if code not in ENGLISH:
+        if not is_known(code):
             return plain(" ".join([code, *(f"{name} {value}" for name, value in values.items())]))
         return cls(code, {name: cls.of(v) if isinstance(v, Mapping) else v for name, v in values.items()})
 

@@ -1,18 +1,8 @@
-"""What stations, their gates and the registry say, in English: one sentence a code.
-
-What a single driver says stands beside it, in `station/drivers/*.toml`.
-"""
-
-import tomllib
-from pathlib import Path
+"""What stations, their gates and the registry say, in English: one sentence a code. Drivers bring their own."""
 
 from softcal.core.words.sentences import sentences
 
-PAGES = sorted((Path(__file__).parents[2] / "station" / "drivers").glob("*.toml"))
-
-_OF_DRIVERS = {code: said for page in PAGES for code, said in tomllib.loads(page.read_text("utf-8")).items()}
-
-SENTENCES = _OF_DRIVERS | sentences("""
+SENTENCES = sentences("""
 # How a device is called.
 device.stage: stage
 device.cell: load cell

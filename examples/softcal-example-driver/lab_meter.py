@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, InputError
+from softcal.core.words.reason import reason
 from softcal.station.devices.config import ReadoutConfig
 from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.simulated.answering import SimulatedAnswers
@@ -31,7 +32,7 @@ class MeterConfig(ReadoutConfig):
 def parse_pF(line: bytes) -> tuple[float, ...]:
     number, _, unit = line.partition(b" ")
     if unit != b"pF" or not number.lstrip(b"+-").replace(b".", b"", 1).isdigit():
-        raise BadReply(f"lab meter: it sent {line[:40]!r}; a reading as b'+12.345 pF' was expected")
+        raise BadReply(reason("lab_meter.reading", line=repr(line[:40])))
     return (float(number),)
 
 
@@ -39,7 +40,7 @@ def open_meter(config: MeterConfig, opening: Opening) -> AskedReader:
     with link_for_driver(config.port, opening.clock, config.baud_rate, "lab meter") as link:
         link.write(f"AVG {config.averages}\nAVG?\n".encode())
         if link.next_line(1.0).text != str(config.averages).encode():
-            raise CommandRefused(f"lab meter ({config.port}): it does not take AVG; is it the meter?")
+            raise CommandRefused(reason("lab_meter.other", port=config.port))
         return AskedReader("lab meter", "pF", config.rate_Hz, link, b"C?\n", parse_pF, limits=(-10.0, 2000.0))
 
 
@@ -54,4 +55,9 @@ def simulate(around: Surroundings) -> Simulated[MeterConfig]:
     return Simulated(MeterConfig(around.wire.port), SimulatedAnswers(around.wire, answer), reading_per_V=100.0)
 
 
-DRIVER = Driver("lab_meter", "the capacitance meter of our laboratory", MeterConfig, open_meter, simulate)
+MESSAGES = {
+    "lab_meter.reading": "lab meter: it sent {line}; a reading as b'+12.345 pF' was expected",
+    "lab_meter.other": "lab meter ({port}): it does not take AVG; is it the meter?",
+}
+WHAT = "the capacitance meter of our laboratory"
+DRIVER = Driver("lab_meter", WHAT, MeterConfig, open_meter, simulate, messages=MESSAGES)

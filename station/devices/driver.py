@@ -1,12 +1,13 @@
 """What a driver declares of itself: with that a station file, a bench and a simulated rig use it without its name."""
 
 import json
-from collections.abc import Callable
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, get_type_hints
 
 import numpy as np
 
+from softcal.core.words.reason import add_messages
 from softcal.station.devices.config import DEVICES, DeviceConfig, Role
 from softcal.station.interfaces import Clock, ForceReader, Readout, Stage
 from softcal.station.simulated.answering import FarEnd
@@ -82,6 +83,7 @@ class Driver(Generic[C, D]):
         simulate: makes the device for the simulated station and for the test kit.
         wires: what `port` may name, the simulated device stands behind the first of them.
         is_threaded: whether it reads in a thread of its own; then simulated time is real time.
+        messages: what it says, in English: code → sentence with values in braces, for `reason(code, **values)`.
     """
 
     kind: str
@@ -91,6 +93,7 @@ class Driver(Generic[C, D]):
     simulate: Callable[[Surroundings], Simulated[C]]
     wires: tuple[WireKind, ...] = ("serial", "tcp")
     is_threaded: bool = False
+    messages: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not (is_dataclass(self.config) and issubclass(self.config, tuple(DEVICES.values()))):
@@ -98,6 +101,7 @@ class Driver(Generic[C, D]):
             raise ValueError(f"driver {self.kind!r}: config must be a frozen dataclass derived from one of {known}")
         if not self.wires:
             raise ValueError(f"driver {self.kind!r}: wires is empty; say what its port may name")
+        add_messages(self.messages)
 
     @property
     def role(self) -> Role:

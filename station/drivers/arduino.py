@@ -6,6 +6,7 @@ from softcal.station.device_names import READOUT
 from softcal.station.devices.config import ReadoutConfig, check_positive, check_within
 from softcal.station.devices.driver import Driver, Simulated, Surroundings, opens
 from softcal.station.drivers.text_stream import WIRES, TextStream
+from softcal.station.messages import PAGES
 from softcal.station.simulated.text_stream import SimulatedTextStream
 from softcal.station.wire.link import Link
 
@@ -69,4 +70,7 @@ def _simulate(around: Surroundings) -> Simulated[ArduinoConfig]:
     return Simulated(config, SimulatedTextStream(around.wire, counts, electronics.sample_rate_Hz, drift))
 
 
-DRIVERS = (Driver("arduino", "text lines `ms,adc[,adc ...]`", ArduinoConfig, opens(READOUT, _open), _simulate, WIRES),)
+_WHAT = "text lines `ms,adc[,adc ...]`"
+DRIVERS = (
+    Driver("arduino", _WHAT, ArduinoConfig, opens(READOUT, _open), _simulate, WIRES, messages=PAGES["text_stream"]),
+)

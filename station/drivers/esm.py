@@ -11,6 +11,7 @@ from softcal.station.devices.config import ForceConfig, StageConfig
 from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings, opens
 from softcal.station.drivers.admission import admit
 from softcal.station.interfaces import Move, OnWait, Sample, StagePosition, ignore_wait
+from softcal.station.messages import PAGES
 from softcal.station.simulated.esm import SimulatedEsm
 from softcal.station.simulated.force_gauge import SimulatedMark10
 from softcal.station.wire.asked import next_turn_s
@@ -279,6 +280,20 @@ def _simulate_gauge(around: Surroundings) -> Simulated[EsmGaugeConfig]:
 
 
 DRIVERS = (
-    Driver("esm", "Mark-10 ESM301 and ESM303 stands under PC control", EsmConfig, opens("stage", _open), _simulate),
-    Driver("esm", "the gauge on a Mark-10 stand", EsmGaugeConfig, _open_gauge, _simulate_gauge),
+    Driver(
+        "esm",
+        "Mark-10 ESM301 and ESM303 stands under PC control",
+        EsmConfig,
+        opens("stage", _open),
+        _simulate,
+        messages=PAGES["esm"],
+    ),
+    Driver(
+        "esm",
+        "the gauge on a Mark-10 stand",
+        EsmGaugeConfig,
+        _open_gauge,
+        _simulate_gauge,
+        messages={**PAGES["esm"], **PAGES["mark10"]},
+    ),
 )

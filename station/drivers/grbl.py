@@ -11,6 +11,7 @@ from softcal.station.devices.driver import Driver, Simulated, opens
 from softcal.station.drivers.admission import admit
 from softcal.station.drivers.grbl_settings import ANSWER_S, read_settings
 from softcal.station.interfaces import Held, Move, OnWait, StagePosition, ignore_wait
+from softcal.station.messages import PAGES
 from softcal.station.motion.feeding import PieceFeed, runs_on_mm, runs_on_s
 from softcal.station.record.trajectory import Trapezoid
 from softcal.station.simulated.grbl import SimulatedGrbl
@@ -311,5 +312,6 @@ DRIVERS = (
         GrblConfig,
         opens("stage", lambda link, config: GrblStage(link, config.axis, config.is_reversed)),
         lambda around: Simulated(GrblConfig(around.wire.port), SimulatedGrbl(around.wire, around.axis)),
+        messages=PAGES["grbl"],
     ),
 )

@@ -8,6 +8,7 @@ from softcal.station.device_names import CELL, named
 from softcal.station.devices.config import ForceConfig
 from softcal.station.devices.driver import Driver, Simulated, Surroundings, opens
 from softcal.station.drivers.text_stream import WIRES, TextStream
+from softcal.station.messages import PAGES
 from softcal.station.simulated.text_stream import CELL_COUNTS_PER_N, CELL_ZERO_COUNTS, SimulatedTextStream
 from softcal.station.wire.link import Link
 
@@ -73,4 +74,6 @@ def _simulate(around: Surroundings) -> Simulated[Hx711Config]:
     return Simulated(config, SimulatedTextStream(around.wire, counts, config.rate_Hz, drift, banner=banner))
 
 
-DRIVERS = (Driver("hx711", "text lines `ms,counts` of an HX711", Hx711Config, opens(CELL, _open), _simulate, WIRES),)
+_WHAT = "text lines `ms,counts` of an HX711"
+_MESSAGES = {**PAGES["text_stream"], **PAGES["hx711"]}
+DRIVERS = (Driver("hx711", _WHAT, Hx711Config, opens(CELL, _open), _simulate, WIRES, messages=_MESSAGES),)

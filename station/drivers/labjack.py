@@ -14,6 +14,7 @@ from softcal.core.words.reason import reason
 from softcal.station.device_names import READOUT, named
 from softcal.station.devices.config import ReadoutConfig, check_known, check_within
 from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
+from softcal.station.messages import PAGES
 from softcal.station.simulated.labjack import SimulatedLabjack, SimulatedLjm
 from softcal.station.wire.threaded import Reading, ThreadedReader
 
@@ -112,4 +113,4 @@ def _simulate(around: Surroundings) -> Simulated[LabjackConfig]:
 
 
 _WHAT = "LabJack T4, T7, T8: analog inputs"
-DRIVERS = (Driver("labjack", _WHAT, LabjackConfig, open_labjack, _simulate, ("library",), is_threaded=True),)
+DRIVERS = (Driver("labjack", _WHAT, LabjackConfig, open_labjack, _simulate, ("library",), True, PAGES["labjack"]),)

@@ -11,6 +11,7 @@ from softcal.core.words.reason import Reason, reason
 from softcal.station.device_names import READOUT, named
 from softcal.station.devices.config import ReadoutConfig, check_known, check_positive, check_within
 from softcal.station.devices.driver import Driver, Simulated, Surroundings, opens
+from softcal.station.messages import PAGES
 from softcal.station.simulated.scpi import SimulatedDmm, SimulatedLcr
 from softcal.station.wire.asked import AskedReader
 from softcal.station.wire.link import Link
@@ -199,6 +200,6 @@ def _simulate_lcr(around: Surroundings) -> Simulated[LcrConfig]:
 _DMM, _LCR = "SCPI multimeters: Keysight 34461A and its family", "SCPI LCR meters: Keysight E4980A, E4980AL"
 _WIRES: tuple[WireKind, ...] = ("tcp", "visa", "serial")
 DRIVERS = (
-    Driver("scpi_dmm", _DMM, DmmConfig, opens(READOUT, _dmm), _simulate_dmm, _WIRES),
-    Driver("scpi_lcr", _LCR, LcrConfig, opens(READOUT, _lcr), _simulate_lcr, _WIRES),
+    Driver("scpi_dmm", _DMM, DmmConfig, opens(READOUT, _dmm), _simulate_dmm, _WIRES, messages=PAGES["scpi"]),
+    Driver("scpi_lcr", _LCR, LcrConfig, opens(READOUT, _lcr), _simulate_lcr, _WIRES, messages=PAGES["scpi"]),
 )

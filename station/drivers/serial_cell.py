@@ -11,6 +11,7 @@ from softcal.station.devices.config import ForceConfig
 from softcal.station.devices.driver import AnyDriver, Driver, Simulated, opens
 from softcal.station.drivers.text_stream import LineReader
 from softcal.station.interfaces import ForceReader, Sample
+from softcal.station.messages import PAGES
 from softcal.station.simulated.force_gauge import SimulatedGauge
 from softcal.station.wire.link import Line, Link
 
@@ -35,13 +36,14 @@ def cell_driver(
     cell: Callable[[Link, float, float, float], ForceReader],
     gauge: type[SimulatedGauge],
 ) -> AnyDriver:
-    """Return the driver of a cell that is made of its port, capacity, sign and rate."""
+    """Return the driver of a cell that is made of its port, capacity, sign and rate; its page has its kind's name."""
     return Driver(
         config.kind,
         what,
         config,
         opens(CELL, lambda link, own: cell(link, own.capacity_N, own.sign, own.rate_Hz)),
         lambda around: Simulated(config(around.wire.port), gauge(around.wire, around.force_N)),
+        messages=PAGES[config.kind],
     )
 
 

@@ -9,6 +9,7 @@ from softcal.station.devices.config import StageConfig, check_positive
 from softcal.station.devices.driver import Driver, Simulated, opens
 from softcal.station.drivers.admission import admit
 from softcal.station.interfaces import Move, OnWait, StagePosition, ignore_wait
+from softcal.station.messages import PAGES
 from softcal.station.simulated.zaber import SimulatedZaber
 from softcal.station.wire.frames import zaber
 from softcal.station.wire.frames.zaber import ACCELERATION_UNIT, SPEED_UNIT
@@ -167,5 +168,6 @@ DRIVERS = (
         ZaberConfig,
         opens("stage", lambda link, config: ZaberStage(link, config.microstep_mm, config.device, config.axis)),
         lambda around: Simulated(ZaberConfig(around.wire.port), SimulatedZaber(around.wire, around.axis)),
+        messages=PAGES["zaber"],
     ),
 )

@@ -20,13 +20,15 @@ from softcal.core.orders import Condition, Heartbeat, OrderKind, Progress, RunSt
 from softcal.core.quality.gate import CellAtGate, GoldenCheck, RigFacts, StationFacts, may_run
 from softcal.core.use.doubt import JUMP, MISSED, OPEN, QUEUE, STRAY, UNCOMPARED, due
 from softcal.core.use.observation import FOLLOWED, HELD, JUMPED, TRIED, UNWATCHED
+from softcal.core.words import rig_sentences
 from softcal.core.words.reason import ENGLISH, PLAIN, Reason, packed, plain, reason, root_of
-from softcal.core.words.rig_sentences import SENTENCES
 from softcal.db.connection import open_registry
 from softcal.station.device_names import named
+from softcal.station.messages import PAGES as DRIVER_PAGES
 from softcal.station.wire.frames import gcl2, grbl, zaber
 
 KOREAN, ENGLISH_WORDS = partial(text, "ko"), partial(text, "en")
+SENTENCES = {**rig_sentences.SENTENCES, **{code: said for page in DRIVER_PAGES.values() for code, said in page.items()}}
 CODES_OF_DEVICES = (grbl.ALARMS, grbl.ERRORS, zaber.WARNINGS, gcl2.ERRORS)
 ROOT = Path(softcal.core.errors.__file__).parents[1]
 FILES = sorted(path for room in ("station", "app", "db", "core") for path in (ROOT / room).rglob("*.py"))

@@ -20,8 +20,9 @@ from softcal.core.unit.measured_error import MeasuredError, Scores
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Limit, decide, decide_audited, default_limit
 from softcal.core.words import reason as reasons
+from softcal.core.words import rig_sentences
 from softcal.core.words.reason import ENGLISH, PLAIN, Reason, packed, plain, reason, to_kept, unpacked
-from softcal.core.words.rig_sentences import SENTENCES
+from softcal.station.messages import PAGES as DRIVER_PAGES
 
 KOREAN, ENGLISH_WORDS = partial(text, "ko"), partial(text, "en")
 MODULES = [findings, health, verdict, affine_map, ends, monotone, paired]
@@ -35,6 +36,7 @@ def example(code: str) -> Reason:
     return Reason(code, {name: 0.5 if spec else "N" if name == "unit" else plain("so") for name, spec in places})
 
 
+SENTENCES = set(rig_sentences.SENTENCES).union(*DRIVER_PAGES.values())
 VERDICTS = [code for code in ENGLISH if code not in SENTENCES]
 EXAMPLES = [example(code) for code in VERDICTS]
 

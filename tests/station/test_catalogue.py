@@ -16,6 +16,7 @@ from softcal.station.devices.config import ReadoutConfig, StageConfig, StationCo
 from softcal.station.devices.driver import Driver
 from softcal.station.drivers.grbl import DRIVERS as GRBL
 from softcal.station.drivers.hx711 import Hx711Config
+from softcal.station.messages import PAGES
 
 ROOT = Path(__file__).parents[2]
 
@@ -112,6 +113,40 @@ def test_a_broken_package_is_named_and_harms_nobody_else(installed, entry_point,
     role = {group: role for role, group in catalogue.GROUPS.items()}[entry_point]
     with pytest.raises(InputError, match="lab_broken"):
         driver_of(role, "ours")
+
+
+OWN_WORDS = GOOD.replace(
+    "config=Config)", 'config=Config, messages={"ours.line": "our readout sent {line}; a number was expected"})'
+)
+READ_LATER = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import softcal.app
+from softcal.app.texts.catalogue import text
+from softcal.core.words.reason import Reason
+kept = Reason.of({"code": "ours.line", "values": {"line": "'x'"}})
+assert "softcal.station.drivers.grbl" in sys.modules
+print(kept)
+print(text("ko", "reason.ours.line", line="'y'"))
+"""
+
+
+def test_what_another_package_s_driver_says_is_read_where_the_driver_was_not_loaded(installed, tmp_path):
+    installed("lab_ours", "[softcal.readouts]\nours = lab_ours:DRIVER\n", OWN_WORDS)
+    done = subprocess.run([sys.executable, "-c", READ_LATER, str(tmp_path)], capture_output=True, text=True)
+    said = ["our readout sent 'x'; a number was expected", "our readout sent 'y'; a number was expected"]
+    assert done.stdout.splitlines() == said, done.stderr
+
+
+def test_a_driver_that_says_another_s_code_in_other_words_is_named(installed):
+    installed("lab_ours", "[softcal.readouts]\nours = lab_ours:DRIVER\n", OWN_WORDS.replace("ours.line", "stream.line"))
+    (offer,) = [offer for offer in offers() if offer.package == "lab_ours"]
+    assert "stream.line" in offer.fault
+
+
+def test_the_sentences_of_every_shipped_driver_belong_to_one():
+    owned = {code for offer in offers() for code in offer.driver.messages}
+    assert owned == {code for page in PAGES.values() for code in page}
 
 
 def test_two_packages_with_one_kind_are_both_named(installed):
