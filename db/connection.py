@@ -1,6 +1,6 @@
 """Open the registry behind a URL."""
 
-from softcal.core.errors import RegistryError
+from softcal.core.errors import NoRegistry
 from softcal.db.registry import Registry
 from softcal.db.schema.database import check_schema, open_database, schema_of
 from softcal.db.truth.registry_base import RegistrySettings
@@ -15,9 +15,7 @@ def open_registry(url: str, settings: RegistrySettings | None = None, *, create:
     try:
         schema = schema_of(database)
         if schema is None and not create:
-            raise RegistryError(
-                f"registry {database.name}: there is no registry yet; `softcal batch` or `demo` makes one"
-            )
+            raise NoRegistry(f"registry {database.name}: there is no registry yet; `softcal batch` or `demo` makes one")
         if schema is None:
             # Whoever opens what is there needs no migrations.
             from softcal.db.care.maintenance import migrate

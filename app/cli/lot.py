@@ -28,7 +28,7 @@ from softcal.app.cli.options import (
 )
 from softcal.app.output import print_table, say, write_json
 from softcal.app.texts.catalogue import here
-from softcal.core.errors import InputError, RegistryError
+from softcal.core.errors import InputError, NotCalibrated, RegistryReadOnly
 from softcal.core.quality.line_rules import LETTERS, RETESTS
 
 DONE, SOME_UNIT_NOT_PASSED, REFUSED = 0, 1, 2
@@ -168,15 +168,15 @@ def _release(options: argparse.Namespace) -> int:
             # What every change has judged already is only read, so that an account that may not write can ask.
             try:
                 judge_lot(registry, lot_id)
-            except RegistryError as error:
-                raise RegistryError(
+            except RegistryReadOnly as error:
+                raise RegistryReadOnly(
                     f"lot {lot_id}: its audits or its limit changed, and nobody has judged it since; have somebody do "
                     f"this who may write ({error})"
                 ) from error
             standing = lot_standing(registry, lot_id)
         decided = standing.decided
         if decided is None:
-            raise InputError(f"lot {lot_id!r} has no calibrated unit yet; run `softcal batch` first")
+            raise NotCalibrated(f"lot {lot_id!r} has no calibrated unit yet; run `softcal batch` first")
         facts = lot_statement_facts(registry, standing, decided)
     if options.pdf is not None:
         write_bytes(options.pdf, lot_statement_pdf(facts, partial(text, options.language)))

@@ -11,9 +11,9 @@ from softcal.app.cli.configuration import configure, files_in_use
 from softcal.app.cli.parser import Parser
 from softcal.app.extras import missing_extra
 from softcal.app.output import answering
-from softcal.core.errors import DeviceError, InputError, RegistryError, SoftcalError
+from softcal.core.errors import InputError, SoftcalError
 
-DONE, SOME_UNIT_NOT_PASSED, WRONG_USE, RIG_FAILED, REGISTRY_FAILED = 0, 1, 2, 3, 4
+DONE, WRONG_USE = 0, InputError.exit_code
 
 COMMANDS = {
     "demo": "the main job from end to end on a simulated station",
@@ -87,12 +87,8 @@ def _outcome(options: argparse.Namespace) -> tuple[int, str]:
         csv = getattr(options, "csv", None)
         with answering(getattr(options, "json", None), None if csv is None else str(csv)):
             return options.run(options) or DONE, ""
-    except DeviceError as error:
-        return RIG_FAILED, str(error)
-    except RegistryError as error:
-        return REGISTRY_FAILED, str(error)
     except SoftcalError as error:
-        return WRONG_USE, str(error)
+        return error.exit_code, str(error)
     except KeyboardInterrupt:
         return WRONG_USE, "stopped by the keyboard; what was finished is kept, run the same command to go on"
     except BrokenPipeError:

@@ -20,10 +20,11 @@ from softcal.app.connect.rest_models import ProblemAnswer
 from softcal.app.connect.rest_routes import routes
 from softcal.app.connect.settings import is_here
 from softcal.app.logs import log_crash
-from softcal.core.errors import InputError, RegistryError, SoftcalError, UnitRefused
+from softcal.core.errors import InputError, NotInRegistry, RegistryBusy, RegistryError, SoftcalError, UnitRefused
 from softcal.db.registry import Registry
 
 PROBLEM = "application/problem+json"
+RETRY_AFTER_S = 5
 TITLES = {
     400: "Bad request",
     401: "Not signed in",
@@ -92,13 +93,16 @@ def problem(status: int, detail: str, headers: Any = None) -> JSONResponse:
 def _answer(_: Request, error: Exception) -> JSONResponse:
     """Return a request's error as one line; what softcal raises on purpose is no defect."""
     match error:
+        case RegistryBusy():
+            return problem(503, str(error), {"retry-after": str(RETRY_AFTER_S)})
         case RegistryError():
             return problem(503, str(error))
         case UnitRefused():
             return problem(409, str(error))
+        case NotInRegistry():
+            return problem(404, str(error))
         case SoftcalError():
-            is_unknown = isinstance(error, InputError) and error.reason.code.startswith("name.no_")
-            return problem(404 if is_unknown else 400, str(error))
+            return problem(400, str(error))
         case RequestValidationError():
             first = error.errors()[0]
             return problem(422, f"{'.'.join(str(part) for part in first['loc'])}: {first['msg']}")

@@ -26,7 +26,7 @@ from softcal.app.jobs import process
 from softcal.app.registry.listing import history_json, unit_json
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import told
-from softcal.core.errors import InputError
+from softcal.core.errors import InputError, NoSuchUnit
 from softcal.core.lot import Lot, escape_serial
 from softcal.core.orders import RunState
 from softcal.core.unit.verdict import Release
@@ -313,15 +313,12 @@ def _unit(registry: Registry, lot_id: str, serial: str) -> Any:
     registry.lots.get(lot_id)
     unit = next(iter(registry.lots.units(lot_id, serial)), None)
     if unit is None:
-        raise HTTPException(404, f"serial {serial!r} is not in lot {lot_id!r}")
+        raise NoSuchUnit(f"serial {serial!r} is not in lot {lot_id!r}")
     return unit
 
 
 def _job(registry: Registry, job_id: str) -> Job:
-    job = registry.job_board.find(job_id)
-    if job is None:
-        raise HTTPException(404, f"job {job_id!r} is not in the registry")
-    return job
+    return registry.job_board.job(job_id)
 
 
 def _job_json(job: Job) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from softcal.app.export.signature import SigningKey
 from softcal.app.registry.lot_recordings import source_recording, source_sha256, unlabelled
 from softcal.app.registry.standing import standing_of
 from softcal.app.registry.trimmed import UNTRIMMED, untrimmed
-from softcal.core.errors import InputError, UnitRefused
+from softcal.core.errors import InputError, NotReleased
 from softcal.core.export.blob import NetworkFile
 from softcal.core.export.compile_map import InputScale
 from softcal.core.export.device import DeviceOptions, DeviceUnit, UnitFacts, build_network_file, build_unit_file
@@ -153,19 +153,19 @@ class CalibratedUnit:
         return self.stored.record.reasons if self.options.revision is not None else self.standing.reasons
 
     def check_stands(self) -> None:
-        """Raise `UnitRefused` where the unit's newest result is no calibration.
+        """Raise `NotReleased` where the unit's newest result is no calibration.
 
         Who names a revision asks for that one, whatever came after it.
         """
         now = self.standing
         if now.made is None and self.options.revision is None:
-            raise UnitRefused(
+            raise NotReleased(
                 f"unit {self.serial} of lot {self.lot.id} is {now.verdict}: {joined(now.reasons)}; no file of the map "
                 "it had before is given out"
             )
 
     def check_usable(self) -> None:
-        """Raise `UnitRefused` where this unit's verdict forbids files that give numbers."""
+        """Raise `NotReleased` where this unit's verdict forbids files that give numbers."""
         judged: CalibrationRecord | UnitStanding = self.stored.record
         made = self.standing.made
         if made is not None and made.decision.measured and made.decision.measured.verdict is Verdict.FAIL:
@@ -174,14 +174,14 @@ class CalibratedUnit:
         if not self.options.releases(judged.verdict):
             why = judged.reasons[0] if judged.reasons else "no reason is stored"
             is_conditional = judged.verdict == Verdict.CONDITIONAL
-            raise UnitRefused(
+            raise NotReleased(
                 f"unit {self.serial} has the verdict {judged.verdict} ({why}); its device files are not written unless "
                 + ("conditional units are released" if is_conditional else "those of failed units are asked for")
             )
 
     @cached_property
     def device_unit(self) -> DeviceUnit:
-        """The device file of the unit and what it costs; `UnitRefused` where there is none."""
+        """The device file of the unit and what it costs; `NotReleased` where there is none."""
         self.check_usable()
         return build_unit_file(self.facts, self.network, self.shared.file, self.options.scaled_device)
 

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 
 from softcal.app.line.facts import LineFacts, Note, Place, Screen, read_line, read_place, write_place
 from softcal.app.line.scan_codes import Scan, is_unheard_of, lots_of, read_scan
-from softcal.core.errors import InputError
+from softcal.core.errors import InputError, StationBusy
 from softcal.core.lot import check_serial
 from softcal.core.orders import Order, OrderKind, RunState
 from softcal.core.quality.known_loads import load_order
@@ -64,7 +64,7 @@ def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") ->
         if registry.order_queue.place(step.order, until_s=screen.until_s if step.order.kind.is_run else None):
             return read_line(registry, screen)
         refusal = Note("late_start")
-    except InputError:
+    except StationBusy:
         refusal = Note("busy_key", _running(read_line(registry, screen)))
     # Why nothing moved is said also where another screen writes at the same time.
     for _ in range(MOST_CONFLICTS):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from softcal.app.registry.lot_recordings import source_model
 from softcal.app.registry.reference import reference_expanded
-from softcal.core.errors import InputError
+from softcal.core.errors import NotCalibrated
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.judging import LIMIT_EVIDENCE
 from softcal.core.unit.method import Method
@@ -25,7 +25,7 @@ def lot_limit(registry: Registry, lot_id: str) -> Limit:
     units = registry.lots.units(lot_id)
     serial = next((unit.serial for unit in units if unit.role == "target" and unit.revision is not None), None)
     if serial is None:
-        raise InputError(f"lot {lot_id!r} states no limit and has no calibrated unit yet; calibrate its units first")
+        raise NotCalibrated(f"lot {lot_id!r} states no limit and has no calibrated unit yet; calibrate its units first")
     record = registry.calibrations.get(serial, lot_id=lot_id).record
     judged = judged_limit(record, lot.reference_unit)
     if judged is not None and not judged.is_stated:
@@ -50,5 +50,5 @@ def limit_or_none(registry: Registry, lot_id: str) -> Limit | None:
     """Return the limit as `lot_limit`; None without one, and without a calibrated unit."""
     try:
         return lot_limit(registry, lot_id)
-    except InputError:
+    except NotCalibrated:
         return None

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from softcal.app.texts.catalogue import here
-from softcal.core.errors import InputError
+from softcal.core.errors import AmbiguousUnit, NoSuchUnit
 from softcal.db.entries import StoredCalibration, UnitEntry
 
 UNIT_HEADER = tuple("lot serial role verdict rev map predicted before after own made reason".split())
@@ -38,9 +38,9 @@ def only_lot(serial: str, lots: Sequence[str], wanted: str | None) -> str:
         InputError: none, or several.
     """
     if not lots:
-        raise InputError(f"serial {serial!r} is not in lot {wanted!r}")
+        raise NoSuchUnit(f"serial {serial!r} is not in lot {wanted!r}")
     if len(lots) > 1:
-        raise InputError(f"serial {serial!r} stands in the lots {', '.join(map(repr, lots))}; say which lot")
+        raise AmbiguousUnit(f"serial {serial!r} stands in the lots {', '.join(map(repr, lots))}; say which lot")
     return lots[0]
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from softcal.app.registry.known_loads import loads_of, values
 from softcal.app.registry.limit import lot_limit
 from softcal.app.registry.lot_recordings import audit_of, newest_audits, source_recording, unlabelled
-from softcal.core.errors import InputError
+from softcal.core.errors import InputError, MapsConflict
 from softcal.core.identity import content_sha256
 from softcal.core.maps.interface import Anchors, FitProblem, map_sha256
 from softcal.core.unit.audited import measured
@@ -118,8 +118,8 @@ def _known_trim(registry: Registry, lot_id: str, serial: str) -> KnownTrim | Non
         return None
     try:
         stored = registry.calibrations.get(serial, lot_id=lot_id)
-    except InputError:
-        # Two registries put different maps into use: a person decides first.
+    except MapsConflict:
+        # A person decides first.
         return None
     kept: Mapping[str, Any] | None = stored.record.settings.get(LOADS)  # type: ignore[assignment]
     return None if kept is None else KnownTrim(loads_of(kept), kept["recording"], kept["audit"])

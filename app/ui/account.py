@@ -14,7 +14,7 @@ import streamlit as st
 from softcal.app.ui.browser_memory import forget, recall, remember
 from softcal.app.ui.pins import Pauses, is_code, new_code
 from softcal.app.ui.server_memory import registry
-from softcal.core.errors import InputError
+from softcal.core.errors import InputError, SignInRefused
 from softcal.core.words.reason import Reason, reason
 from softcal.db.access.people import PERMISSIONS, may
 from softcal.db.entries import ROLES, User
@@ -74,7 +74,7 @@ def sign_in(name: str, pin: str) -> User:
     pauses.check(name)
     try:
         user = registry().people.sign_in(name.strip(), pin)
-    except InputError:
+    except SignInRefused:
         pauses.failed(name)
         raise
     pauses.succeeded(name)

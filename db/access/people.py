@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from sqlalchemy import RowMapping, func, insert, select, update
 
-from softcal.core.errors import InputError
+from softcal.core.errors import ChangedMeanwhile, InputError, SignInRefused
 from softcal.core.words.reason import Reason
 from softcal.db.entries import ROLES, User
 from softcal.db.schema.database import Database
@@ -73,7 +73,9 @@ class People(RegistryBase):
             known = self.database.row(named)
             current = known["version"] if known else 0
             if current != version:
-                raise InputError(Reason("account.changed", {"name": repr(name), "found": current, "version": version}))
+                raise ChangedMeanwhile(
+                    Reason("account.changed", {"name": repr(name), "found": current, "version": version})
+                )
             if known is None and pin is None:
                 raise InputError(Reason("account.needs_pin", {"name": repr(name)}))
             values = {"name": name, "role": role, "is_active": is_active, "version": version + 1}
@@ -112,11 +114,11 @@ class People(RegistryBase):
                     self._tell("lock", "users", (name,), name, after={"until": pause})
             user = None if row is None else user_of(self.database, row)
         if is_locked:
-            raise InputError(Reason("account.locked", {"minutes": LOCKED_FOR.seconds // 60}))
+            raise SignInRefused(Reason("account.locked", {"minutes": LOCKED_FOR.seconds // 60}))
         if user is None or not is_right:
-            raise InputError(Reason("account.wrong_pin"))
+            raise SignInRefused(Reason("account.wrong_pin"))
         if not user.is_active:
-            raise InputError(Reason("account.inactive"))
+            raise SignInRefused(Reason("account.inactive"))
         return user
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import RowMapping, Select, insert, select, update
 
-from softcal.core.errors import InputError
+from softcal.core.errors import InputError, NoSuchJob
 from softcal.core.orders import ACTIVE, RunState
 from softcal.db.schema.arrays import get_arrays, put_arrays
 from softcal.db.schema.database import given
@@ -125,7 +125,7 @@ class JobBoard(RegistryBase):
         """Return one job with its trace and result (`InputError`: there is none of this id)."""
         job = self.find(job_id)
         if job is None:
-            raise InputError(f"job {job_id!r} is not in the registry")
+            raise NoSuchJob(f"job {job_id!r} is not in the registry")
         return job
 
     def find(self, job_id: str) -> Job | None:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from sqlalchemy import RowMapping, Select, delete, insert, select, update
 
-from softcal.core.errors import InputError
+from softcal.core.errors import InputError, NoSuchOrder, StationBusy
 from softcal.core.orders import ACTIVE, Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.words.reason import Reason, packed, reason, to_kept
 from softcal.db.schema.database import given
@@ -65,7 +65,7 @@ class OrderQueue(RegistryBase):
                 return True
             row = self.database.rows(_open_runs(order.station))[0]
             what = f"{row['kind']} {row['serial']}".strip()
-            raise InputError(reason("station.busy", station=repr(order.station), what=what, state=row["state"]))
+            raise StationBusy(reason("station.busy", station=repr(order.station), what=what, state=row["state"]))
 
     def take(self, station: str, only: OrderKind | None = None) -> Order | None:
         """Return the station's next order, marked running; what is no run (STOP) comes first."""
@@ -98,7 +98,7 @@ class OrderQueue(RegistryBase):
         with self.database.reading():
             row = self.database.row(select(orders).where(o.order_id == order_id))
             if row is None:
-                raise InputError(reason("name.no_order", order=repr(order_id)))
+                raise NoSuchOrder(reason("name.no_order", order=repr(order_id)))
             return _progress(row, self._signal(order_id))
 
     def runs(self, station: str | None = None, count: int = 50) -> list[tuple[Order, Progress]]:

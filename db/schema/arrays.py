@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from sqlalchemy import bindparam, insert, select
 
-from softcal.core.errors import RegistryError
+from softcal.core.errors import RegistryDamaged, RegistryError
 from softcal.db.schema.database import Database
 from softcal.db.schema.tables import blobs, canonical_json
 
@@ -62,7 +62,7 @@ def get_arrays(database: Database, sha256: str) -> dict[str, NDArray[np.generic]
         for name, part in parts_of(content).items():
             arrays[name] = load(get_bytes(database, part))[ARRAY]
     except SafetensorError as error:
-        raise RegistryError(f"blob {sha256[:12]} holds no arrays: {error}") from error
+        raise RegistryDamaged(f"blob {sha256[:12]} holds no arrays: {error}") from error
     return arrays
 
 
@@ -112,8 +112,8 @@ def get_bytes(database: Database, sha256: str) -> bytes:
     """Return the bytes stored under a hash, after checking them (`RegistryError`: gone, or damaged)."""
     content = database.value(READ_BLOB, {"sha": sha256})
     if content is None:
-        raise RegistryError(f"blob {sha256[:12]} is missing from the registry; restore a backup")
+        raise RegistryDamaged(f"blob {sha256[:12]} is missing from the registry; restore a backup")
     content = bytes(content)
     if hashlib.sha256(content).hexdigest() != sha256:
-        raise RegistryError(f"blob {sha256[:12]} was damaged: its bytes have another SHA-256; restore a backup")
+        raise RegistryDamaged(f"blob {sha256[:12]} was damaged: its bytes have another SHA-256; restore a backup")
     return content

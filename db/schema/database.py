@@ -14,7 +14,7 @@ from typing import Any, TypeVar, cast
 from sqlalchemy import URL, Connection, Engine, Executable, RowMapping, inspect, make_url, text
 from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError, OperationalError, SQLAlchemyError
 
-from softcal.core.errors import RegistryError
+from softcal.core.errors import RegistryBusy, RegistryError, RegistryReadOnly, WrongSchema
 from softcal.db.schema.engines import IN_MEMORY, READ_ONLY, postgresql_engine, sqlite_engine
 from softcal.db.schema.tables import SCHEMA
 from softcal.db.schema.transaction_cache import HAS_TOLD, Found, found_in
@@ -26,6 +26,12 @@ WRITER_LOCK = 1_900_178
 """Key of the PostgreSQL advisory lock that puts writers of the audit chain in a row."""
 
 VALUES_AT_ONCE = 500
+
+DENIED = ("42501", "25006")
+"""PostgreSQL's codes of a missing privilege and of a transaction that may only read."""
+
+BUSY = (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, "40001", "40P01", "55P03", "57014")
+"""Codes of what others hold: SQLite's two; PostgreSQL's of a serialisation, a deadlock, a lock and a timeout."""
 
 Answer = TypeVar("Answer")
 Values = Mapping[str, Any] | Sequence[Mapping[str, Any]] | None
@@ -148,7 +154,7 @@ class Database:
     def check_writable(self) -> None:
         """Raise `RegistryError` where the file or its folder can only be read; a server says so when it is asked."""
         if why := self.engine.get_execution_options().get(READ_ONLY):
-            raise RegistryError(f"registry {self.name} is read-only: {why}; nothing was changed")
+            raise RegistryReadOnly(f"registry {self.name} is read-only: {why}; nothing was changed")
 
     @contextmanager
     def writing(self, *, in_turn: bool = True) -> Iterator[Connection]:
@@ -235,10 +241,12 @@ class Database:
             if isinstance(error, DBAPIError) and error.connection_invalidated:
                 cut = f"registry {self.name}: {what}; nothing was changed; run it again when the server answers"
                 raise ConnectionCut(cut, is_undone=True) from error
+            kind: type[RegistryError] = RegistryBusy if is_busy(error) else RegistryError
             if is_denied(error):
                 may_not = "this is read-only for" if is_writing else "this is hidden from"
                 what += f"; {may_not} the database account, ask who manages the registry to do it"
-            raise RegistryError(f"registry {self.name}: {what}; nothing was changed") from error
+                kind = RegistryReadOnly if is_writing else RegistryError
+            raise kind(f"registry {self.name}: {what}; nothing was changed") from error
 
 
 def first_line(error: Exception) -> str:
@@ -250,7 +258,20 @@ def first_line(error: Exception) -> str:
 
 def is_denied(error: Exception) -> bool:
     """Whether the account at the server may not do what was asked."""
-    return "permission denied" in str(error) or "read-only transaction" in str(error)
+    return _code_of(error) in DENIED
+
+
+def is_busy(error: Exception) -> bool:
+    """Whether others held for too long what was asked for."""
+    code = _code_of(error)
+    # The low byte of an SQLite code is its kind.
+    return code in BUSY or (isinstance(code, int) and code & 0xFF in BUSY)
+
+
+def _code_of(error: Exception) -> int | str | None:
+    cause = error.orig if isinstance(error, DBAPIError) else error
+    code: int | str | None = getattr(cause, "sqlite_errorcode", getattr(cause, "sqlstate", None))
+    return code
 
 
 def given(*pairs: tuple[Any, object]) -> list[Any]:
@@ -306,12 +327,12 @@ def schema_of(database: Database) -> str | None:
 def check_schema(database: Database, schema: str) -> None:
     """Refuse a registry that this version cannot use as it is."""
     if schema < SCHEMA:
-        raise RegistryError(
+        raise WrongSchema(
             f"registry {database.name} has schema {schema} of a development version, which nothing reads; "
             f"use another registry of schema {SCHEMA}: `softcal batch LOT` makes one and fits the lot again"
         )
     if schema > SCHEMA:
-        raise RegistryError(
+        raise WrongSchema(
             f"registry {database.name} has schema {schema}, newer than {SCHEMA} of this version; update softcal"
         )
 

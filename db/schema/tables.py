@@ -8,7 +8,7 @@ import sqlalchemy as sa
 from sqlalchemy import CheckConstraint, Column, Double, ForeignKey, Index, Integer, String, Table, Text
 from sqlalchemy.types import TypeDecorator
 
-from softcal.core.errors import RegistryError
+from softcal.core.errors import RegistryDamaged
 
 SCHEMA = "1"
 """Revision of the newest migration, which a registry must have to be used by this version."""
@@ -31,7 +31,7 @@ def _read_or_damaged(process: Any) -> Any:
         try:
             return value if process is None else process(value)
         except (ValueError, TypeError) as error:
-            raise RegistryError(
+            raise RegistryDamaged(
                 f"the registry holds {str(value)[:40]!r} where a value was written; it is damaged; run `softcal "
                 "registry verify` and go back to a backup"
             ) from error

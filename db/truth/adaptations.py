@@ -7,7 +7,7 @@ from typing import Any
 
 from sqlalchemy import Select, Text, func, select, type_coerce
 
-from softcal.core.errors import InputError
+from softcal.core.errors import NoSuchRevision
 from softcal.db.schema.database import given
 from softcal.db.schema.tables import adaptations, calibrations
 from softcal.db.truth.registry_base import RegistryBase, of_row
@@ -43,7 +43,7 @@ class AdaptationTables(RegistryBase):
             c = calibrations.c
             known = select(c.serial).where(c.serial == serial, c.revision == revision).limit(1)
             if self.database.row(known) is None:
-                raise InputError(f"serial {serial!r} has no revision {revision} to adapt")
+                raise NoSuchRevision(f"serial {serial!r} has no revision {revision} to adapt")
             mine = (adaptations.c.serial == serial, adaptations.c.origin == self.origin)
             last = int(self.database.value(select(func.max(adaptations.c.number)).where(*mine)) or 0)
             for number, entry in enumerate(entries, last + 1):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import RowMapping, bindparam, func, select
 
-from softcal.core.errors import InputError
+from softcal.core.errors import AmbiguousUnit, InputError, NoSuchNetwork, NoSuchRevision, NoSuchUnit
 from softcal.core.words.reason import Reason, to_kept
 from softcal.db.entries import StoredCalibration
 from softcal.db.schema.arrays import get_arrays, put_arrays
@@ -58,7 +58,7 @@ class CalibrationTables(InUseTable):
             stored, network = self.database.found.networks, record.network_id
             if network not in stored:
                 if self.database.row(KNOWN_NETWORK, {"network": network}) is None:
-                    raise InputError(f"network {network[:12]} is not in the registry; add it before its maps")
+                    raise NoSuchNetwork(f"network {network[:12]} is not in the registry; add it before its maps")
                 stored.add(network)
             self._add_unit(lot_id, record.serial, "target", actor)
             values = {field: getattr(record, field) for field in PLAIN_FIELDS}
@@ -149,7 +149,7 @@ class CalibrationTables(InUseTable):
                     raise InputError(f"serial {serial!r} has no calibration in lot {lot!r}")
                 try:
                     row = self._revision_row(lot, serial, statement["revision"], statement["made_by"])
-                except InputError as error:
+                except NoSuchRevision as error:
                     raise damaged(f"unit {serial} of lot {lot}: the calibration in use was not found") from error
             else:
                 row = self._revision_row(lot, serial, revision, origin)
@@ -225,10 +225,10 @@ class CalibrationTables(InUseTable):
         self._known_serial(serial)
         lots = self.lots_of(serial)
         if lot_id is None and len(lots) > 1:
-            raise InputError(f"serial {serial!r} stands in the lots {', '.join(map(repr, lots))}; say which lot")
+            raise AmbiguousUnit(f"serial {serial!r} stands in the lots {', '.join(map(repr, lots))}; say which lot")
         if lot_id is not None and lot_id not in lots:
             self._lot_row(lot_id)
-            raise InputError(f"serial {serial!r} is not in lot {lot_id!r}; it is in {', '.join(map(repr, lots))}")
+            raise NoSuchUnit(f"serial {serial!r} is not in lot {lot_id!r}; it is in {', '.join(map(repr, lots))}")
         return lots[0] if lot_id is None else lot_id
 
     def _revision_row(self, lot_id: str, serial: str, revision: int, origin: str | None) -> RowMapping:
@@ -237,10 +237,10 @@ class CalibrationTables(InUseTable):
         rows = self.database.rows(select(calibrations).where(*named).order_by(c.origin))
         if not rows:
             by = "" if origin is None else f" of registry {origin}"
-            raise InputError(f"serial {serial!r} has no revision {revision}{by} in lot {lot_id!r}")
+            raise NoSuchRevision(f"serial {serial!r} has no revision {revision}{by} in lot {lot_id!r}")
         if len(rows) > 1:
             names = ", ".join(f"{row['origin']} ({row['made_at']:%Y-%m-%d %H:%M:%S} UTC)" for row in rows)
-            raise InputError(
+            raise AmbiguousUnit(
                 f"revision {revision} of serial {serial!r} was made by the registries {names}; say which origin"
             )
         self._check_row(calibrations, rows[0])

@@ -13,7 +13,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy import RowMapping, and_, bindparam, func, select
 
-from softcal.core.errors import InputError
+from softcal.core.errors import MapsConflict
 from softcal.core.words.reason import Reason, reason
 from softcal.db.entries import LimitEntry
 from softcal.db.schema.database import Database, given, parts
@@ -146,7 +146,7 @@ class InUseTable(RegistryBase):
         for head in heads:
             self._check_row(in_use, head)
         if names_several(self.database, heads):
-            raise InputError(conflict_line(self.database, lot_id, serial))
+            raise MapsConflict(conflict_line(self.database, lot_id, serial))
         return heads[0] if heads else None
 
     def _state(

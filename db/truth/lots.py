@@ -6,7 +6,7 @@ from typing import Any
 
 from sqlalchemy import RowMapping, Table, select
 
-from softcal.core.errors import InputError
+from softcal.core.errors import ChangedMeanwhile, InputError
 from softcal.core.lot import Lot
 from softcal.core.quality.line_rules import LineRules, rules_for
 from softcal.core.words.reason import Reason
@@ -190,7 +190,7 @@ class LotTables(RegistryBase):
         """Return what the version after the newest, which must be the expected one, has beside its content."""
         self._lot_row(lot_id)
         if newest is not None and expected not in (None, newest.version):
-            raise InputError(
+            raise ChangedMeanwhile(
                 f"{changed} by {newest.actor} at {newest.made_at:%Y-%m-%d %H:%M} UTC; look at version "
                 f"{newest.version} and decide again"
             )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, cast
 
 from sqlalchemy import RowMapping, select
 
-from softcal.core.errors import InputError
+from softcal.core.errors import InputError, NoSuchNetwork
 from softcal.db.entries import NetworkEntry
 from softcal.db.schema.arrays import get_arrays, put_arrays
 from softcal.db.schema.tables import network_releases, networks
@@ -90,7 +90,7 @@ class NetworkTables(RegistryBase):
     def _network_row(self, network_id: str) -> RowMapping:
         row = self.database.row(select(networks).where(networks.c.id == network_id))
         if row is None:
-            raise InputError(f"network {network_id[:12]} is not in the registry")
+            raise NoSuchNetwork(f"network {network_id[:12]} is not in the registry")
         self._check_row(networks, row)
         return row
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 
 from sqlalchemy import RowMapping, and_, bindparam, or_, select
 
-from softcal.core.errors import InputError
+from softcal.core.errors import NoSuchRecording
 from softcal.db.entries import RecordingEntry
 from softcal.db.schema.arrays import get_arrays, put_arrays
 from softcal.db.schema.database import given, parts
@@ -57,7 +57,7 @@ class RecordingTables(RegistryBase):
         with self.database.reading():
             row = self.database.row(query)
             if row is None:
-                raise InputError(f"recording {sha256[:12]} is not in the registry")
+                raise NoSuchRecording(f"recording {sha256[:12]} is not in the registry")
             self._check_row(recordings, row)
             arrays = cast("dict[str, Array]", get_arrays(self.database, row["blob_sha256"]))
             # Whoever lists units reads none.

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from sqlalchemy import RowMapping, Table, bindparam, insert, select
 
-from softcal.core.errors import InputError, RegistryError
+from softcal.core.errors import NoSuchLot, NoSuchUnit, RegistryDamaged, RegistryError
 from softcal.core.words.reason import reason
 from softcal.db.entries import AuditRow
 from softcal.db.schema.database import Database
@@ -51,9 +51,9 @@ class RegistrySettings:
     clock: Callable[[], datetime] = utc_now
 
 
-def damaged(what: str) -> RegistryError:
+def damaged(what: str) -> RegistryDamaged:
     """Return the error for what softcal has never written."""
-    return RegistryError(f"{what}; the registry is damaged; run `softcal registry verify` and go back to a backup")
+    return RegistryDamaged(f"{what}; the registry is damaged; run `softcal registry verify` and go back to a backup")
 
 
 def _once_more(method: Callable[..., Any]) -> Callable[..., Any]:
@@ -160,7 +160,7 @@ class RegistryBase:
             row = self.database.row(KNOWN_LOT, {"lot": lot_id})
             if row is None:
                 known = self.database.values(select(lots.c.id).order_by(lots.c.id).limit(6))
-                raise InputError(reason("name.no_such_lot", lot=repr(lot_id), known=_some(known)))
+                raise NoSuchLot(reason("name.no_such_lot", lot=repr(lot_id), known=_some(known)))
             self._check_row(lots, row)
             checked[lot_id] = row
         return checked[lot_id]
@@ -184,7 +184,7 @@ class RegistryBase:
     def _known_serial(self, serial: str) -> None:
         if self.database.row(select(units.c.serial).where(units.c.serial == serial).limit(1)) is None:
             known = self.database.values(select(units.c.serial).distinct().order_by(units.c.serial).limit(6))
-            raise InputError(reason("name.no_such_serial", serial=repr(serial), known=_some(known)))
+            raise NoSuchUnit(reason("name.no_such_serial", serial=repr(serial), known=_some(known)))
 
 
 def of_row(kind: type[Entry], row: RowMapping, **others: Any) -> Entry:
