@@ -13,7 +13,7 @@ SETTINGS = {
     "decisions/0080-a-lot-is-released-by-sample": "99 90",
     "decisions/0100-what-the-line-adds": "100 5 3 4.3 2.1",
     "decisions/0143-a-trim-is-one-rule": "143",
-    "firmware": "1234 1.234 90 50 20 1.5 1024 1.2 1.4 300 150 4 85,000 1,920 700 2,500 2012",
+    "firmware": "1234 1.234 90 50 20 1.5 1024 512 1.2 1.4 300 150 4 85,000 1,920 700 2,500 2012",
     "hazards": "0.9 0.12 0.4 0.3 0.25 1.2 1.6 0.6 0.7 100 162 0.5 1000",
     "own-simulator": "90 300 8 0.4",
     "compare": "",
