@@ -15,7 +15,7 @@ MODULES_OF = {
     "postgresql": ("psycopg",),
     "cluster": ("dask", "distributed"),
     "sklearn": ("sklearn",),
-    "connect": ("asyncua", "fastapi", "httpx2", "paho", "uvicorn"),
+    "connect": ("asyncua", "fastapi", "h11", "httpx2", "paho", "uvicorn"),
 }
 """Modules that are imported, by their extra."""
 EXTRA_OF = {module: extra for extra, modules in MODULES_OF.items() for module in modules}

@@ -54,7 +54,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _serve(options: argparse.Namespace) -> None:
-    from softcal.app.connect.rest import ServingOptions, serve_api
+    from softcal.app.rest.server import ServingOptions, serve_api
 
     serving = ServingOptions(
         options.registry, options.host, options.port, tuple(options.name), options.cert, options.key
@@ -69,13 +69,13 @@ def _openapi(options: argparse.Namespace) -> None:
 
 
 def _client(options: argparse.Namespace) -> None:
-    from softcal.app.connect.client_text import client_text
+    from softcal.app.rest.client_text import client_text
 
     write_text(options.out, client_text(_document()))
 
 
 def _document() -> dict[str, Any]:
-    from softcal.app.connect.rest import openapi_document, rest_app
+    from softcal.app.rest.server import openapi_document, rest_app
 
     with registry_at("sqlite://") as registry:
         return openapi_document(rest_app(registry))

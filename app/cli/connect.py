@@ -61,7 +61,7 @@ def _status(options: argparse.Namespace) -> None:
     from softcal.app.connect.forwarder import status_json
 
     with registry_of(options) as registry:
-        status = status_json(registry)
+        status = status_json(registry, registry.settings.clock())
     answer(options, "connect.status/1", {"destinations": status})
     rows = [list(delivery.values()) for delivery in status]
     print_table(("destination", "sent", "waits", "failed", "next try", "why", "served by"), rows)

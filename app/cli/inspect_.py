@@ -61,11 +61,11 @@ def _show_device_file(options: argparse.Namespace) -> None:
     from softcal.core.errors import InputError
     from softcal.core.export.blob import NetworkFile
 
-    file = read_device_file(options.file)
-    network = read_device_file(options.network) if options.network else None
+    file, is_proven = read_device_file(options.file)
+    network = read_device_file(options.network)[0] if options.network else None
     if network is not None and not isinstance(network, NetworkFile):
         raise InputError(f"{options.network}: a network file was expected, this one is of unit {network.serial}")
-    rows = file_rows(file, network)
-    write_json(options.json, file_values(file))
+    rows = file_rows(file, is_proven, network)
+    write_json(options.json, file_values(file, is_proven))
     if options.json != "-" or options.csv:
         print_table(("what", "value"), rows)

@@ -23,6 +23,9 @@ KINDS = (VERDICT, "alert", CHANGE)
 FOR_ALL = (VERDICT, "alert")
 """What everybody may read who may look; the rest of the audit trail is for who may read that."""
 
+JUDGED = ("in_use", "refusals")
+"""What the audit trail calls the entities of a verdict."""
+
 ALERTS = "alerts"
 """What the audit trail calls the entity of an alert."""
 
@@ -94,6 +97,23 @@ def events_after(registry: Registry, cursor: Cursor, count: int, kinds: Collecti
     return EventPage(tuple(found), place, False)
 
 
+def standing_events(registry: Registry, cursor: Cursor, kinds: Collection[str]) -> list[RegistryEvent]:
+    """Return the events up to a cursor that still hold: the newest verdict of each unit, and open alerts."""
+    newest: dict[tuple[str, ...], AuditRow] = {}
+    for entity in (*JUDGED, ALERTS):
+        for row in registry.trail.of_kind(entity):
+            kind = kind_of(row)
+            if kind.partition(".")[0] not in kinds or row.seq > cursor.get(row.origin, 0):
+                continue
+            content = json.loads(row.after or "{}")
+            key = (content["lot_id"], content["serial"]) if kind == VERDICT else tuple(json.loads(row.key))
+            about = (kind.partition(".")[0], *key)
+            if about not in newest or newest[about].at <= row.at:
+                newest[about] = row
+    rows = sorted(newest.values(), key=lambda row: (row.at, row.origin, row.seq))
+    return [_event(registry, row, cursor) for row in rows if kind_of(row) != CLEARED]
+
+
 def lots_judged_since(registry: Registry, cursor: Cursor | None) -> tuple[set[str], Cursor]:
     """Return the lots judged behind a cursor, and the cursor now; None takes all lots."""
     if cursor is None:
@@ -108,7 +128,7 @@ def lots_judged_since(registry: Registry, cursor: Cursor | None) -> tuple[set[st
 
 def kind_of(row: AuditRow) -> str:
     """Return what kind of event a row of the audit trail is."""
-    if row.entity in ("in_use", "refusals"):
+    if row.entity in JUDGED:
         return VERDICT
     if row.entity == ALERTS:
         return RAISED if row.action == "raise" else CLEARED

@@ -12,10 +12,14 @@ from typing import Any, Protocol
 from softcal.app.connect.events import RegistryEvent, events_after
 from softcal.app.connect.settings import DestinationSettings
 from softcal.core.errors import SoftcalError
+from softcal.db.queues.outbox import Cursor, Delivery
 from softcal.db.registry import Registry
+from softcal.db.schema.deadline import has_passed
 
 FIRST_DELAY_S, LONGEST_DELAY_S = 1.0, 900.0
 """A failed try is repeated after 1 s, then twice as long each time, up to a quarter of an hour."""
+
+LONGEST_DELAY = timedelta(seconds=LONGEST_DELAY_S)
 
 LEASE_S = 30.0
 """A destination is held for so long after each look; one whose process was killed is free then.
@@ -79,12 +83,13 @@ class Forwarder:
         known = outbox.begin(settings.name, outbox.end() if settings.begin == "now" else {})
         now, lease = self._clock(), timedelta(seconds=LEASE_S)
         # While half of the lease is left a look need not write.
-        is_held = known.holder == self.holder and known.held_until is not None and known.held_until - now > lease / 2
+        until = known.held_until if known.holder == self.holder else None
+        is_held = until is not None and lease / 2 < until - now <= lease
         place = known if is_held else outbox.hold(settings.name, self.holder, now, now + lease)
         if place is None:
             self.close()
             return False
-        if place.not_before is not None and now < place.not_before:
+        if not has_passed(place.not_before, now, LONGEST_DELAY):
             return False
         try:
             self._sender = sender = self._sender or self._opened.enter_context(self._destination.open_sender())
@@ -103,18 +108,26 @@ class Forwarder:
         return not page.is_end
 
 
-def status_json(registry: Registry) -> list[dict[str, Any]]:
-    """Return where every destination stands; `waits` counts all changes behind its cursor."""
+def status_json(registry: Registry, now: datetime) -> list[dict[str, Any]]:
+    """Return where every destination stands; `waits` counts all changes behind its cursor.
+
+    What a clock wrote that was ahead is over: nobody serves it since, no try waits for it, and `error` says so.
+    """
     end = registry.outbox.end()
-    return [
-        {
-            "destination": delivery.destination,
-            "sent": delivery.delivered,
-            "waits": sum(seq - delivery.cursor.get(origin, 0) for origin, seq in end.items()),
-            "failures": delivery.failures,
-            "next_try": delivery.not_before and delivery.not_before.isoformat(),
-            "error": delivery.error or None,
-            "served_by": delivery.holder,
-        }
-        for delivery in registry.outbox.deliveries()
-    ]
+    return [_status(delivery, end, now) for delivery in registry.outbox.deliveries()]
+
+
+def _status(delivery: Delivery, end: Cursor, now: datetime) -> dict[str, Any]:
+    is_free = has_passed(delivery.held_until, now, timedelta(seconds=LEASE_S))
+    is_due = has_passed(delivery.not_before, now, LONGEST_DELAY)
+    over = [at for at, is_over in ((delivery.held_until, is_free), (delivery.not_before, is_due)) if at and is_over]
+    ahead = [f"the clock was set back; what waited until {at.isoformat()} waits no longer" for at in over if at > now]
+    return {
+        "destination": delivery.destination,
+        "sent": delivery.delivered,
+        "waits": sum(seq - delivery.cursor.get(origin, 0) for origin, seq in end.items()),
+        "failures": delivery.failures,
+        "next_try": None if is_due or delivery.not_before is None else delivery.not_before.isoformat(),
+        "error": "; ".join([*ahead[:1], delivery.error]).removesuffix("; ") or None,
+        "served_by": None if is_free else delivery.holder,
+    }

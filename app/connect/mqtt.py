@@ -19,7 +19,7 @@ from typing import Any
 import paho.mqtt.client as paho
 from paho.mqtt.enums import CallbackAPIVersion
 
-from softcal.app.connect.events import ABOUT, CLEARED, RAISED, VERDICT, RegistryEvent, path_part
+from softcal.app.connect.events import ABOUT, CLEARED, RAISED, VERDICT, RegistryEvent, path_part, standing_events
 from softcal.app.connect.forwarder import NotDelivered
 from softcal.app.connect.settings import MqttSettings, read_secret, split_address
 from softcal.app.connect.stations import stations_json
@@ -45,11 +45,11 @@ States = Callable[[], Sequence[Message]]
 
 
 @contextmanager
-def open_mqtt(settings: MqttSettings, states: States = tuple) -> Iterator["MqttSender"]:
+def open_mqtt(settings: MqttSettings, states: States = tuple, standing: States = tuple) -> Iterator["MqttSender"]:
     """Connect to the broker; the status is `online` inside the block, then `offline`.
 
-    `states` are published whenever they have changed. `NotDelivered`: the broker cannot be reached or refuses.
-    `InputError`: a secret or certificate cannot be read.
+    `standing` is published once, `states` whenever they have changed.
+    `NotDelivered`: the broker cannot be reached or refuses. `InputError`: a secret or certificate cannot be read.
     """
     client = paho.Client(CallbackAPIVersion.VERSION2, reconnect_on_failure=False)
     parts = split_address("broker", settings.broker)
@@ -73,7 +73,7 @@ def open_mqtt(settings: MqttSettings, states: States = tuple) -> Iterator["MqttS
     client.loop_start()
     try:
         sender.wait_until_connected()
-        sender.publish([("status", ONLINE, True)])
+        sender.publish([("status", ONLINE, True), *standing()])
         yield sender
     finally:
         # Who says goodbye has no last will; where the connection is cut, the broker says it.
@@ -147,6 +147,22 @@ def messages_of(event: RegistryEvent) -> list[Message]:
         topic = "/".join(path_part(part) or "-" for part in parts)
         messages.append((f"alerts/{topic}", text if event.kind == RAISED else "", True))
     return messages
+
+
+def standing_messages(registry: Registry, settings: MqttSettings) -> list[Message]:
+    """Return what a broker keeps of the time before a destination was known; nothing once it got its first event.
+
+    The newest verdict of every unit, and every open alert, each as its event tells it.
+    """
+    place = registry.outbox.begin(settings.name, {})
+    if place.delivered:
+        return []
+    return [
+        message
+        for event in standing_events(registry, place.cursor, settings.events)
+        for message in messages_of(event)
+        if message[2]
+    ]
 
 
 def state_messages(registry: Registry) -> list[Message]:

@@ -5,14 +5,15 @@ import socket
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from contextlib import AbstractContextManager
 from datetime import UTC, datetime
 from functools import partial
 
 from softcal.app.connect.alert_watch import AlertWatch
 from softcal.app.connect.forwarder import Destination, Forwarder
 from softcal.app.connect.mail import MailSender, open_mail
-from softcal.app.connect.mqtt import open_mqtt, state_messages
-from softcal.app.connect.settings import ConnectSettings, OpcUaSettings, is_here, split_address
+from softcal.app.connect.mqtt import MqttSender, open_mqtt, standing_messages, state_messages
+from softcal.app.connect.settings import ConnectSettings, MqttSettings, OpcUaSettings, is_here, split_address
 from softcal.app.connect.webhook import open_webhook
 from softcal.core.errors import InputError, SoftcalError
 from softcal.db.registry import Registry
@@ -33,7 +34,7 @@ def run_connect(
     destinations = [
         *(Destination(one, partial(open_webhook, one)) for one in settings.webhooks),
         *(Destination(one, partial(open_mail, one)) for one in settings.mails),
-        *(Destination(one, partial(open_mqtt, one, partial(state_messages, registry))) for one in settings.mqtts),
+        *(Destination(one, _open_mqtt(registry, one)) for one in settings.mqtts),
     ]
     works = [partial(_forward, registry, one, over, on_trouble) for one in destinations]
     if settings.opcua is not None:
@@ -50,6 +51,10 @@ def run_connect(
             over.set()
         for finished in done:
             finished.result()
+
+
+def _open_mqtt(registry: Registry, one: MqttSettings) -> Callable[[], AbstractContextManager[MqttSender]]:
+    return partial(open_mqtt, one, partial(state_messages, registry), partial(standing_messages, registry, one))
 
 
 def reach(settings: ConnectSettings) -> Iterator[str]:

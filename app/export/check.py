@@ -1,6 +1,5 @@
 """Read exports back: what a calibration file holds; is a folder complete, unchanged, and who signed it?"""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime
@@ -12,8 +11,15 @@ from softcal.app.export.signature import TrustedKey, check_signature
 from softcal.core.errors import InputError
 from softcal.core.export.blob import CONDITIONAL, FAILED, MAGIC, MAJOR, MINOR, NetworkFile, UnitFile, serial_field
 from softcal.core.export.blob_reader import read_network, read_unit
-from softcal.core.export.json_text import network_from_values, network_values, unit_from_values, unit_values
+from softcal.core.export.json_text import (
+    is_proven,
+    network_from_values,
+    network_values,
+    unit_from_values,
+    unit_values,
+)
 from softcal.core.export.loader import join
+from softcal.core.json_input import parse_json
 
 DeviceFile = NetworkFile | UnitFile
 NOT_SIGNED, NOT_CHECKED, WRONG = "not signed", "not checked", "wrong"
@@ -136,7 +142,7 @@ def _device_problems(folder: Path, names: list[str]) -> tuple[list[str], int]:
             if path.suffix == ".ssc":
                 file = read_network(path.read_bytes()) if is_network else read_unit(path.read_bytes())
             elif path.suffix == ".json":
-                values = json.loads(path.read_text(encoding="utf-8"))
+                values = parse_json(path.read_text(encoding="utf-8"))
                 if is_network:
                     file = network_from_values(values)
                 elif values.get("device"):
@@ -158,50 +164,63 @@ def _device_problems(folder: Path, names: list[str]) -> tuple[list[str], int]:
     return problems, len({unit.serial for unit in units})
 
 
-def read_device_file(path: Path) -> DeviceFile:
-    """Read a network or unit file: .ssc or its JSON twin (`InputError`: it is none, or damaged)."""
+def read_device_file(path: Path) -> tuple[DeviceFile, bool]:
+    """Read a network or unit file: .ssc or its JSON twin (`InputError`: it is none, damaged, or was changed).
+
+    Returns:
+        the file, and whether it carries the hash that proves it to be as it was exported.
+    """
     try:
         content = path.read_bytes()
         if content[:4] == MAGIC.to_bytes(4, "little"):
-            return read_network(content) if content[4:5] == b"\x01" else read_unit(content)
+            return (read_network(content) if content[4:5] == b"\x01" else read_unit(content)), True
         try:
-            values = json.loads(content)
+            values = parse_json(content)
         except ValueError as error:
             raise InputError("neither a calibration file (.ssc) nor its JSON twin") from error
         if not isinstance(values, Mapping):
             raise InputError("JSON, but no calibration file")
+        is_whole = is_proven(values)
         if values.get("schema") == "softcal.calibration/1":
             if values.get("device") is None:
                 raise InputError(f"has no device file: {values.get('device_refused', 'none was exported')}")
-            return unit_from_values(values["device"])
-        return unit_from_values(values) if "serial" in values else network_from_values(values)
+            return unit_from_values(values["device"]), is_whole
+        return (unit_from_values(values) if "serial" in values else network_from_values(values)), is_whole
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
 
-def file_values(file: DeviceFile) -> dict[str, object]:
-    """Return everything in a file as JSON values."""
-    return network_values(file) if isinstance(file, NetworkFile) else unit_values(file)
+def file_values(file: DeviceFile, is_whole: bool) -> dict[str, object]:
+    """Return everything in a file as JSON values, and whether it is proven."""
+    return (network_values(file) if isinstance(file, NetworkFile) else unit_values(file)) | {"is_proven": is_whole}
 
 
-def file_rows(file: DeviceFile, network: NetworkFile | None = None) -> list[tuple[str, str]]:
+def file_rows(file: DeviceFile, is_whole: bool, network: NetworkFile | None = None) -> list[tuple[str, str]]:
     """Return what a person wants to know of a file; beside its network a unit's is self-tested."""
-    if isinstance(file, NetworkFile):
-        net, unit = file.network, file.output_unit
-        return [
-            ("kind", f"shared network, format {MAJOR}.{MINOR}"),
-            ("id", file.id.hex()),
-            ("registry id", file.network_sha256),
-            ("source unit", file.source_serial),
-            ("sizes", "-".join(map(str, net.sizes))),
-            ("multiplications per estimate", f"{net.multiplications}"),
-            ("bytes", f"{len(file.to_bytes())}"),
-            ("sample period", f"{file.period_us / 1000:g} ms; a gap is more than {file.gap_ms} ms"),
-            ("one count of the estimate", f"{10.0**net.output_exponent:g} {file.reference_unit}"),
-            ("source window", f"{net.input_zero:.6g} {unit} + {net.input_lsb:.6g} {unit} per count"),
-        ]
+    rows = _network_rows(file) if isinstance(file, NetworkFile) else _unit_rows(file, is_whole, network)
+    proof = "its hash holds" if is_whole else "not proven: it carries no sha256; anybody may have changed it"
+    return [*rows, ("as exported", proof)]
+
+
+def _network_rows(file: NetworkFile) -> list[tuple[str, str]]:
+    net, unit = file.network, file.output_unit
+    return [
+        ("kind", f"shared network, format {MAJOR}.{MINOR}"),
+        ("id", file.id.hex()),
+        ("registry id", file.network_sha256),
+        ("source unit", file.source_serial),
+        ("sizes", "-".join(map(str, net.sizes))),
+        ("multiplications per estimate", f"{net.multiplications}"),
+        ("bytes", f"{len(file.to_bytes())}"),
+        ("sample period", f"{file.period_us / 1000:g} ms; a gap is more than {file.gap_ms} ms"),
+        ("one count of the estimate", f"{10.0**net.output_exponent:g} {file.reference_unit}"),
+        ("source window", f"{net.input_zero:.6g} {unit} + {net.input_lsb:.6g} {unit} per count"),
+    ]
+
+
+def _unit_rows(file: UnitFile, is_whole: bool, network: NetworkFile | None) -> list[tuple[str, str]]:
     form = file.device_map
     words = {0: "passed", CONDITIONAL: "passed conditionally", FAILED: "DID NOT PASS, exported on demand"}
     made = datetime.fromtimestamp(file.time_s, UTC).isoformat() if file.time_s else "unknown"
@@ -215,7 +234,7 @@ def file_rows(file: DeviceFile, network: NetworkFile | None = None) -> list[tupl
         ("serial", file.serial),
         ("network", file.network_id.hex()),
         ("revision", f"{file.revision}, calibrated {made}"),
-        ("verdict", words.get(file.flags, f"unknown flags {file.flags}")),
+        ("verdict", words.get(file.flags, f"unknown flags {file.flags}") if is_whole else "not proven"),
         ("bytes", f"{len(file.to_bytes())}"),
         ("map", ", then ".join(parts)),
         ("code", f"output = {file.scale.zero:.6g} + {file.scale.lsb:.6g} × code"),

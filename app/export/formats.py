@@ -16,7 +16,7 @@ from softcal.core.export.c_text import intel_hex, network_header, unit_header
 from softcal.core.export.compile_map import compile_map, fine_forms
 from softcal.core.export.device import device_cost, device_limit, limits_of_unit, sample_period_us
 from softcal.core.export.graph import compose
-from softcal.core.export.json_text import json_text, network_values, unit_values
+from softcal.core.export.json_text import json_text, network_values, sealed, unit_values
 from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE
 from softcal.core.lot import escape_serial
 from softcal.core.plugins import installed, loaded, who
@@ -46,11 +46,11 @@ def _json_files(unit: CalibratedUnit) -> dict[str, bytes]:
     try:
         values["device"] = unit_values(unit.device_unit.file)
         network = unit.shared.file
-        files[f"network-{network.id.hex()}.json"] = json_text(network_values(network)).encode()
+        files[f"network-{network.id.hex()}.json"] = json_text(sealed(network_values(network))).encode()
     except UnitRefused as error:
         values["device"] = None
         values["device_refused"] = str(error)
-    return {f"unit-{unit.escaped_serial}.json": json_text(values).encode(), **files}
+    return {f"unit-{unit.escaped_serial}.json": json_text(sealed(values)).encode(), **files}
 
 
 def calibration_values(unit: CalibratedUnit) -> dict[str, object]:

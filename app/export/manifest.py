@@ -4,7 +4,6 @@ Files of units that are no longer released are taken back here: a later verdict 
 """
 
 import hashlib
-import json
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from softcal.app.export.signature import SigningKey
 from softcal.app.files.atomic import write_bytes
 from softcal.core.errors import InputError
 from softcal.core.export.json_text import json_text
+from softcal.core.json_input import parse_json
 
 SCHEMA = "softcal.export/1"
 NAME, SIGNATURE = "manifest.json", "manifest.sig"
@@ -83,7 +83,7 @@ def read_manifest(folder: Path) -> Manifest:
     if not path.exists():
         return Manifest({}, {})
     try:
-        values: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        values: dict[str, Any] = parse_json(path.read_text(encoding="utf-8"))
         if values["schema"] != SCHEMA:
             raise InputError(f"{path}: schema {values['schema']!r}, {SCHEMA!r} was expected; export to another folder")
         entries = [FileEntry.read(row) for row in values["files"]]

@@ -1,6 +1,5 @@
 """A case for diagnosis on disk: runs of one unit, each with recording.csv and recording.json."""
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,6 +13,7 @@ from softcal.app.tables.read import READERS, read_table
 from softcal.app.tables.table import Table
 from softcal.core.errors import InputError
 from softcal.core.gap.case import CHANNELS, KINDS, Case, Run
+from softcal.core.json_input import parse_json
 from softcal.core.recording import Array
 from softcal.core.twin.parameters import ReadoutMetadata, SensorType
 
@@ -90,7 +90,7 @@ def _metadata(path: Path) -> Mapping[str, object]:
             f"{path}: missing; it must declare vref_V, adc_bits, r_series_ohm, sample_rate_Hz and serial of the run"
         )
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = parse_json(path.read_text(encoding="utf-8"))
     except (ValueError, OSError) as error:
         raise InputError(f"{path}: cannot be read as JSON: {error}") from error
     if not isinstance(content, dict):

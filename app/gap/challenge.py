@@ -21,6 +21,7 @@ from softcal.core.challenge.realised import realised_shrink
 from softcal.core.challenge.score import ScoreSheet, score_reports
 from softcal.core.challenge.seal import Label, open_seal, seal_labels
 from softcal.core.errors import InputError
+from softcal.core.json_input import parse_json
 from softcal.core.lot import Lot
 
 SCHEMA = "softcal.challenge/1"
@@ -207,7 +208,7 @@ def _text(path: Path) -> str:
 
 def _json(path: Path) -> dict[str, Any]:
     try:
-        value = json.loads(_text(path))
+        value = parse_json(_text(path))
     except json.JSONDecodeError as error:
         raise InputError(f"{path}: is not JSON: line {error.lineno}: {error.msg}") from error
     if not isinstance(value, dict):

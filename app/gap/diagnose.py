@@ -16,6 +16,7 @@ from softcal.core.gap.data_mistake import DataMistake
 from softcal.core.gap.diagnosis import Diagnosis, checked, diagnose
 from softcal.core.gap.gap_diagnosis import GapDiagnosis
 from softcal.core.gap.identifiability import Identifiability
+from softcal.core.json_input import parse_json
 from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.twin.simulate import Twin, twin_from_record, twin_record
 
@@ -168,7 +169,7 @@ def read_report(path: Path) -> Mapping[str, Any]:
         InputError: the file is missing or holds no JSON object.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = parse_json(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except ValueError as error:

@@ -21,6 +21,7 @@ from softcal.core.gap.data_mistake import DataMistake
 from softcal.core.gap.identifiability import Identifiability
 from softcal.core.gap.simulator import Simulator, SimulatorRun, recorded, term_of, with_terms
 from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis, check_simulator, diagnose_simulator
+from softcal.core.json_input import parse_json
 from softcal.core.recording import Array
 
 PARAMETERS_SCHEMA = "softcal.simulator/1"
@@ -192,7 +193,7 @@ def with_written_terms(path: str | Path, simulator: Simulator) -> Simulator:
 
 def _written(path: str | Path) -> dict[str, Any]:
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
+        content = parse_json(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as JSON: {error}") from error
     return content if isinstance(content, dict) else {}

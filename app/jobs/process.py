@@ -4,7 +4,8 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 from softcal.app.bootstrap import open_chosen_registry
@@ -25,17 +26,26 @@ def start_job(registry: Registry, kind: str, request: Mapping[str, Any], actor: 
     return job_id
 
 
-def launch(job_id: str) -> None:
-    """Start the process of a job on the registry of the environment; it outlives this one."""
-    _detached(["softcal.app.jobs.process", job_id], "jobs.log", f"job {job_id}", THREADS)
+def launch(job_id: str, on_end: Callable[[], None] = lambda: None) -> None:
+    """Start the process of a job on the registry of the environment; it outlives this one.
+
+    `on_end` is called in a thread once the process has ended, however it did.
+    """
+    _detached(["softcal.app.jobs.process", job_id], "jobs.log", f"job {job_id}", THREADS, on_end)
 
 
 def start_simulated_station(name: str) -> None:
     """Start a simulated station's service on the registry of the environment."""
-    _detached(["softcal.app.cli.main", "station", "serve", "--simulated", "--name", name], "station.log", name, {})
+    _detached(["softcal.app.cli.main", "station", "serve", "--simulated", "--name", name], "station.log", name)
 
 
-def _detached(arguments: list[str], log_name: str, name: str, more: dict[str, str]) -> None:
+def _detached(
+    arguments: list[str],
+    log_name: str,
+    name: str,
+    more: Mapping[str, str] = MappingProxyType({}),
+    on_end: Callable[[], None] = lambda: None,
+) -> None:
     with (log_folder() / log_name).open("ab") as log:
         process = subprocess.Popen(
             [sys.executable, "-m", *arguments],
@@ -43,10 +53,15 @@ def _detached(arguments: list[str], log_name: str, name: str, more: dict[str, st
             stdout=log,
             stderr=log,
             start_new_session=True,
-            env=dict(os.environ) | more,
+            env={**os.environ, **more},
         )
+
     # Somebody has to take note of its end, or it stays in the table of processes for as long as the screens run.
-    threading.Thread(target=process.wait, name=name, daemon=True).start()
+    def wait() -> None:
+        process.wait()
+        on_end()
+
+    threading.Thread(target=wait, name=name, daemon=True).start()
 
 
 def main(job_id: str) -> None:

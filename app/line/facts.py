@@ -17,6 +17,7 @@ from softcal.core.unit.verdict import Verdict
 from softcal.db.entries import RunEntry, UnitStanding
 from softcal.db.queues.order_queue import STATION_SILENT_AFTER, LinePlaces
 from softcal.db.registry import Registry
+from softcal.db.schema.deadline import is_silent
 from softcal.db.truth.networks import NetworkState
 
 NEWEST_RUNS = 40
@@ -83,7 +84,7 @@ class Place:
         return replace(self, after_run=newest_run, serial="", is_golden=False, is_new=False, is_confirmed=False)
 
     def is_badge_over(self, now: datetime) -> bool:
-        return self.badged_at is not None and now - self.badged_at > BADGE_HOLDS
+        return self.badged_at is not None and is_silent(self.badged_at, now, BADGE_HOLDS)
 
 
 def read_place(places: LinePlaces, station: str) -> Place:
@@ -110,7 +111,7 @@ def state_of(beat: Heartbeat, now: datetime, is_alive: bool | None) -> str:
     for `is_alive`: whether its process lives cannot be seen from here.
     """
     patience = HUNG_AFTER if is_alive else STATION_SILENT_AFTER
-    is_there = is_alive is not False and now - beat.at <= patience
+    is_there = is_alive is not False and not is_silent(beat.at, now, patience)
     return str(beat.state) if is_there or beat.state is StationState.OFF else SILENT
 
 

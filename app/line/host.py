@@ -18,6 +18,7 @@ from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState,
 from softcal.core.quality.known_loads import ordered_load
 from softcal.core.words.reason import Reason, reason
 from softcal.db.queues.order_queue import TAKEN_OVER_AFTER, OrderQueue
+from softcal.db.schema.deadline import is_silent
 from softcal.station.record.recording import StationRecording
 from softcal.station.tasks.at_rest import RestReading
 from softcal.station.tasks.service import StationService
@@ -157,7 +158,7 @@ class StationHost:
             return TAKEN_OVER_AFTER
         if is_alive(before.process) is False:
             return timedelta(0)
-        if datetime.now(UTC) - before.at <= TAKEN_OVER_AFTER:
+        if not is_silent(before.at, datetime.now(UTC), TAKEN_OVER_AFTER):
             raise InputError(reason("station.served", station=repr(self._station), process=before.process))
         end_s = time.monotonic() + MISSED_BEATS * BEAT_S
         while time.monotonic() < end_s:

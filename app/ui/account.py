@@ -4,6 +4,7 @@ A sign-in by PIN lives in this server's memory under a random token that the bro
 survives a reload and a link, and ends with the shift, the browser or the server.
 """
 
+import hashlib
 import os
 import secrets
 from dataclasses import dataclass
@@ -11,13 +12,15 @@ from datetime import UTC, datetime, timedelta
 
 import streamlit as st
 
-from softcal.app.ui.browser_memory import forget, recall, remember
-from softcal.app.ui.pins import Pauses, is_code, new_code
+from softcal.app.ui.browser_memory import recall, remember_secret
+from softcal.app.ui.pins import is_code, new_code
 from softcal.app.ui.server_memory import registry
-from softcal.core.errors import InputError, SignInRefused
+from softcal.core.errors import InputError
 from softcal.core.words.reason import Reason, reason
 from softcal.db.access.people import PERMISSIONS, may
+from softcal.db.access.tries import MAX_PAUSE, Tries, minutes_until
 from softcal.db.entries import ROLES, User
+from softcal.db.schema.deadline import has_passed, is_silent
 
 SHIFT = timedelta(hours=10)
 """A sign-in ends after this time, though Streamlit's cookie of a company account lives 30 days."""
@@ -35,13 +38,13 @@ class SignIn:
     until: datetime
 
 
-FIRST_ACCOUNT = "\0first account"
-"""Name under which wrong codes wait; nobody can be called so."""
+FIRST_ACCOUNT = "first account"
+"""Key under which wrong codes are counted."""
 
 
 @st.cache_resource(max_entries=1)
-def _pauses() -> Pauses:
-    return Pauses()
+def _wrong_codes() -> Tries:
+    return Tries()
 
 
 @st.cache_resource(max_entries=1)
@@ -55,12 +58,17 @@ def person() -> User:
     if role := role_of(claims, role_claim()):
         return User(_name_of(claims), role, True, 1)
     entry = _sign_ins().get(recall(SESSION))
-    if entry is not None and entry.until >= datetime.now(UTC):
+    if entry is not None and not has_passed(entry.until, datetime.now(UTC), SHIFT):
         # Asked anew each time: who was made inactive, or has another role since, is so at once.
         for user in registry().people.all():
             if user.name == entry.name and user.is_active:
                 return user
     return User("", "operator", True, 0)
+
+
+def machine_cookie(name: str) -> str:
+    """Return under which name a browser keeps that a person has signed in there before."""
+    return f"machine_{hashlib.sha256(name.encode()).hexdigest()[:12]}"
 
 
 def is_signed_in() -> bool:
@@ -70,21 +78,16 @@ def is_signed_in() -> bool:
 
 def sign_in(name: str, pin: str) -> User:
     """Sign a person in; InputError for a wrong name or PIN, or too early after one."""
-    pauses = _pauses()
-    pauses.check(name)
-    try:
-        user = registry().people.sign_in(name.strip(), pin)
-    except SignInRefused:
-        pauses.failed(name)
-        raise
-    pauses.succeeded(name)
+    name = name.strip()
+    user = registry().people.sign_in(name, pin, recall(machine_cookie(name)))
+    remember_secret(machine_cookie(name), registry().people.machine_token(name))
     token = secrets.token_urlsafe(24)
     now = datetime.now(UTC)
     known = _sign_ins()
-    for old in [key for key, entry in known.items() if entry.until < now]:
+    for old in [key for key, entry in known.items() if has_passed(entry.until, now, SHIFT)]:
         del known[old]
     known[token] = SignIn(user.name, now + SHIFT)
-    remember(SESSION, token)
+    remember_secret(SESSION, token)
     return user
 
 
@@ -94,9 +97,13 @@ def make_first_account(name: str, pin: str, code: str) -> User:
     Raises:
         InputError: the code is not what this server printed, a pause, or somebody was first.
     """
-    _pauses().check(FIRST_ACCOUNT)
-    if not is_code(code, first_code()):
-        _pauses().failed(FIRST_ACCOUNT)
+    now = datetime.now(UTC)
+    _, until = _wrong_codes().of(FIRST_ACCOUNT)
+    if not has_passed(until, now, MAX_PAUSE):
+        raise InputError(Reason("account.locked", {"minutes": minutes_until(until, now)}))
+    is_right = is_code(code, first_code())
+    _wrong_codes().note(FIRST_ACCOUNT, is_right, now)
+    if not is_right:
         raise InputError(Reason("account.no_code"))
     if registry().people.all():
         raise InputError(Reason("account.first_is_there"))
@@ -115,7 +122,7 @@ def first_code() -> str:
 def sign_out() -> None:
     """End the sign-in of this browser; the screen is the operator's again."""
     _sign_ins().pop(recall(SESSION), None)
-    forget(SESSION)
+    remember_secret(SESSION, "")
     if st.user.get("is_logged_in"):
         st.logout()
 
@@ -172,7 +179,9 @@ def role_of(claims: dict[str, object], claim: str) -> str | None:
 def is_of_this_shift(claims: dict[str, object], now: datetime) -> bool:
     """Whether an identity token is less than a shift old (`iat`; OpenID Connect Core 1.0, 2)."""
     issued_s = claims.get("iat")
-    return isinstance(issued_s, int | float) and now.timestamp() - issued_s < SHIFT.total_seconds()
+    if not isinstance(issued_s, int | float):
+        return False
+    return not is_silent(datetime.fromtimestamp(issued_s, UTC), now, SHIFT)
 
 
 def _claims() -> dict[str, object]:

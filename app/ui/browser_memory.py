@@ -9,11 +9,13 @@ import streamlit as st
 
 from softcal.app.line.facts import Screen
 from softcal.app.ui.callbacks import in_one_piece
+from softcal.app.ui.secret_cookies import HEADER, PATH, new_ticket
 
 STATION_VARIABLE = "SOFTCAL_STATION"
 """Environment variable: name of the station at this screen."""
 
 STATE, TAB = "browser-memory", "line-tab"
+SECRETS, TICKET = "browser-secrets", "browser-ticket"
 HTML = "<span hidden></span>\n"
 JS = """
 export default function ({ data, setTriggerValue }) {
@@ -21,6 +23,7 @@ export default function ({ data, setTriggerValue }) {
     const age = value === "" ? "; Max-Age=0" : ""
     document.cookie = `${name}=${encodeURIComponent(value)}; Path=/; SameSite=Strict${age}`
   }
+  if (data.ticket) fetch(data.path, { method: "POST", headers: { [data.header]: "1" }, body: data.ticket })
   if (!data.asks) return
   // What is still being read stands as a skeleton; so does the place of the rest, which is not waited for.
   const count = (where) => document.querySelectorAll(`${where} [data-testid=stSkeleton]`).length
@@ -49,9 +52,11 @@ def remember(name: str, value: str) -> None:
     st.session_state[STATE] = st.session_state.get(STATE, {}) | {name: value}
 
 
-def forget(name: str) -> None:
-    """Forget what was remembered under a name."""
-    remember(name, "")
+def remember_secret(name: str, value: str) -> None:
+    """Remember a text that no script of a page may read; "" forgets it."""
+    remember(name, value)
+    st.session_state[SECRETS] = st.session_state.get(SECRETS, {}) | {_cookie(name): value}
+    st.session_state[TICKET] = new_ticket(st.session_state[SECRETS])
 
 
 def screen(seen: int | None = None, until_s: float | None = None) -> Screen:
@@ -63,11 +68,14 @@ def screen(seen: int | None = None, until_s: float | None = None) -> Screen:
 def keep() -> None:
     """Tell the browser what to remember, and ask what it has drawn; once at the end of a run."""
     cookies = {_cookie(name): value for name, value in st.session_state.get(STATE, {}).items()}
+    told = {name: value for name, value in cookies.items() if name not in st.session_state.get(SECRETS, {})}
+    # A ticket is used once; drawn again with the same one, the browser asks in vain and keeps what it has.
+    ticket = {"ticket": st.session_state.get(TICKET, ""), "path": PATH, "header": HEADER}
     # Registered here because a component needs a running server; the same again changes nothing.
     draw = st.components.v2.component("softcal_memory", html=HTML, js=JS)
     asks = bool(st.session_state.get(IS_AWAITED)) and not st.session_state.get(HAS_DRAWN)
     draw(
-        data={"told": cookies, "asks": asks, "place": PLACE, "longest_ms": LONGEST_MS},
+        data={"told": told, "asks": asks, "place": PLACE, "longest_ms": LONGEST_MS, **ticket},
         key="browser-memory-component",
         on_drawn_change=in_one_piece(_has_drawn),
     )

@@ -17,6 +17,7 @@ from pathlib import Path
 from softcal.app.bootstrap import registry_url
 from softcal.app.output import say
 from softcal.app.ui.guard import HOSTS_VARIABLE
+from softcal.app.ui.uploads import remove_server_folder
 from softcal.core.errors import InputError
 
 FIRST_PORT, PORTS = 8501, 50
@@ -91,6 +92,7 @@ def serve(options: UiOptions) -> int:
     finally:
         server.terminate()
         server.wait()
+        remove_server_folder(server.pid)
 
 
 def _free_port(address: str) -> int:

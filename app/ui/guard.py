@@ -9,21 +9,34 @@ import ipaddress
 import os
 import re
 import socket
+from base64 import b64encode
 from collections.abc import Iterable
+from hashlib import sha256
+from pathlib import Path
 
+import streamlit
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 HOSTS_VARIABLE = "SOFTCAL_HOSTS"
 """Environment variable: other names of this server, with commas between."""
 
 CLOSED = ("/_stcore/metrics", "/_stcore/script-health-check")
+
+
+def inline_hashes(html: str) -> str:
+    """Return the hashes of the scripts that stand in a page (CSP Level 3, 6.7.3.3), with spaces between."""
+    scripts = re.findall(r"<script>(.*?)</script>", html, re.DOTALL)
+    return " ".join(f"'sha256-{b64encode(sha256(text.encode()).digest()).decode()}'" for text in scripts)
+
+
+INDEX = Path(streamlit.__file__).with_name("static") / "index.html"
 POLICY = (
-    "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob: data:; "
+    f"default-src 'self'; script-src 'self' {inline_hashes(INDEX.read_text(encoding='utf-8'))} blob:; "
     "style-src 'self' 'unsafe-inline'; "
     "img-src 'self' data: blob:; font-src 'self' data:; worker-src 'self' blob:; connect-src 'self' data: blob:; "
     "media-src 'self' data: blob:; object-src 'none'; base-uri 'self'; form-action 'self'; frame-ancestors 'none'"
 )
-"""Streamlit's scripts build functions and styles at run time; nothing leaves this machine."""
+"""Streamlit writes styles at run time, and makes modules of blobs; nothing leaves this machine."""
 
 HEADERS = (
     (b"content-security-policy", POLICY.encode()),
@@ -37,6 +50,9 @@ REFUSAL = (
     b"This server is not known under this name. Open it by its address in numbers, "
     b"or start `softcal ui` with --host NAME."
 )
+
+
+ELSEWHERE = b"Only a page of this server may ask for this."
 
 
 def own_names(more: Iterable[str]) -> frozenset[str]:
@@ -58,6 +74,20 @@ def is_own(host: str, names: frozenset[str]) -> bool:
     return True
 
 
+def is_own_page(scope: Scope, host: str) -> bool:
+    """Whether a page of this server asks, by the Origin that browsers send (RFC 6454): its host and its port.
+
+    What changes nothing may be asked from anywhere; a program that is no browser sends none.
+    """
+    headers = {name: value.decode("latin-1").lower() for name, value in scope["headers"]}
+    origin: str | None = headers.get(b"origin")
+    if origin is None or (scope["type"] == "http" and scope["method"] in ("GET", "HEAD", "OPTIONS")):
+        return True
+    # A proxy names the host that the browser knows.
+    known: str = headers.get(b"x-forwarded-host", host.lower()).split(",")[0].strip()
+    return origin.partition("://")[2] == known
+
+
 class Guard:
     """ASGI middleware around the application."""
 
@@ -73,6 +103,8 @@ class Guard:
         hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
         if len(hosts) != 1 or not is_own(hosts[0], self._names):
             await _refuse(scope, receive, send, 421, REFUSAL)
+        elif not is_own_page(scope, hosts[0]):
+            await _refuse(scope, receive, send, 403, ELSEWHERE)
         elif scope["path"].rstrip("/").endswith(CLOSED):
             await _refuse(scope, receive, send, 404, b"")
         else:

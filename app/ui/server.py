@@ -8,6 +8,7 @@ from functools import wraps
 from pathlib import Path
 
 from softcal.app.ui.pages import PAGES
+from softcal.app.ui.uploads import server_folder
 
 WEB_APP = Path(__file__).with_name("web_app.py")
 DRAWN_WITH = (
@@ -51,6 +52,7 @@ def main(flags: list[str]) -> None:
         importlib.import_module(name)
     from streamlit.web import cli
 
+    server_folder()
     # Streamlit collects garbage after every run of a page: without this it looks through all modules each time, 0.13 s.
     gc.collect()
     gc.freeze()

@@ -6,9 +6,14 @@ import streamlit as st
 from starlette.middleware import Middleware
 from starlette.routing import Route
 
+from softcal.app.ui import secret_cookies, stop_key
 from softcal.app.ui.guard import Guard
-from softcal.app.ui.stop_key import PATH, stop
 
 app = st.App(
-    Path(__file__).with_name("main.py"), routes=[Route(PATH, stop, methods=["POST"])], middleware=[Middleware(Guard)]
+    Path(__file__).with_name("main.py"),
+    routes=[
+        Route(stop_key.PATH, stop_key.stop, methods=["POST"]),
+        Route(secret_cookies.PATH, secret_cookies.give, methods=["POST"]),
+    ],
+    middleware=[Middleware(Guard)],
 )

@@ -8,6 +8,7 @@ from softcal.app.views.lot import LotView
 from softcal.core.orders import StationState
 from softcal.db.queues.order_queue import STATION_SILENT_AFTER
 from softcal.db.registry import Registry
+from softcal.db.schema.deadline import is_silent
 
 DUE_WITHIN = timedelta(days=30)
 FORGOTTEN_AFTER = timedelta(days=7)
@@ -39,7 +40,8 @@ def plant_alerts(registry: Registry, now: datetime) -> list[Alert]:
             found.append(Alert("golden", {"station": run.station, "serial": run.serial, "at": run.made_at}, True))
     for beat in registry.order_queue.stations():
         # Who said goodbye is not missed.
-        if beat.state is not StationState.OFF and STATION_SILENT_AFTER < now - beat.at < FORGOTTEN_AFTER:
+        is_missed = is_silent(beat.at, now, STATION_SILENT_AFTER) and now - beat.at < FORGOTTEN_AFTER
+        if beat.state is not StationState.OFF and is_missed:
             found.append(Alert("station", {"station": beat.station, "at": beat.at}))
     # Of each load cell the newest certificate counts.
     issued = sorted(registry.stations.certificates(), key=lambda entry: entry.issued_on)

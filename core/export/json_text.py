@@ -1,5 +1,6 @@
 """The lossless JSON twin of the device files, and back into the same bytes."""
 
+import hashlib
 import json
 from collections.abc import Mapping
 from typing import Any
@@ -101,6 +102,25 @@ def unit_from_values(values: Mapping[str, Any]) -> UnitFile:
         )
     except (KeyError, TypeError, ValueError) as error:
         raise _refusal(error) from error
+
+
+def sealed(values: Mapping[str, object]) -> dict[str, object]:
+    """Return values with their own SHA-256, as a file carries them."""
+    return {**values, "sha256": _sha256(values)}
+
+
+def is_proven(values: Mapping[str, Any]) -> bool:
+    """Whether values carry their SHA-256 (`InputError`: they are not what it is of)."""
+    if "sha256" not in values:
+        return False
+    if values["sha256"] != _sha256({name: value for name, value in values.items() if name != "sha256"}):
+        raise InputError("it is not what was exported: its values are not those of its sha256; export it again")
+    return True
+
+
+def _sha256(values: Mapping[str, object]) -> str:
+    text = json.dumps(values, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _check_schema(values: Mapping[str, Any], schema: str) -> None:

@@ -385,7 +385,6 @@ account.first_is_there: there is an account already; sign in, or ask whoever has
 account.may_not: {role} may not do this; sign in as {roles}; nothing was changed
 account.pins_differ: the two PINs differ; type the same one twice
 account.pin_easy: this PIN is among the first that anybody would guess; choose another one
-account.wait: too many wrong tries; wait {seconds} s
 account.no_name: a person needs a name
 account.role: role {role} is none of {known}
 account.pin_short: a PIN is made of digits only, at least {digits} of them

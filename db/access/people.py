@@ -1,17 +1,22 @@
 """People with a role and a PIN. PINs are kept as Argon2id hashes and never leave this module."""
 
 import hashlib
+import hmac
+import secrets
+import threading
 from contextlib import suppress
-from datetime import timedelta
-from functools import cache
+from datetime import datetime
+from functools import cache, cached_property
 from typing import TYPE_CHECKING
 
 from sqlalchemy import RowMapping, func, insert, select, update
 
 from softcal.core.errors import ChangedMeanwhile, InputError, SignInRefused
 from softcal.core.words.reason import Reason
+from softcal.db.access.tries import MAX_PAUSE, Tries, minutes_until, pause_after
 from softcal.db.entries import ROLES, User
 from softcal.db.schema.database import Database
+from softcal.db.schema.deadline import has_passed
 from softcal.db.schema.tables import users
 from softcal.db.truth.registry_base import RegistryBase
 
@@ -19,9 +24,10 @@ if TYPE_CHECKING:
     from argon2 import PasswordHasher
 
 SHORTEST_PIN = 4
-MOST_FAILURES = 5
-LOCKED_FOR = timedelta(minutes=5)
-"""A four-digit PIN would fall to 10,000 guesses; after five wrong ones there is a pause."""
+MACHINE_TOKEN_LENGTH = 200
+VERIFY_WITHIN_S = 10.0
+VERIFYING = threading.BoundedSemaphore(1)
+"""One PIN at a time is checked in a process: each takes a core and 64 MiB for a tenth of a second, for whoever asks."""
 
 PERMISSIONS = {
     "operator": frozenset({"calibrate", "look"}),
@@ -93,33 +99,89 @@ class People(RegistryBase):
         with self.database.reading():
             return [user_of(self.database, row) for row in self.database.rows(select(users).order_by(users.c.name))]
 
-    def sign_in(self, name: str, pin: str) -> User:
-        """Return the person (`InputError`: wrong name or PIN, not active, or a pause after wrong ones)."""
-        from argon2.exceptions import InvalidHashError, VerificationError
+    def sign_in(self, name: str, pin: str, machine: str = "") -> User:
+        """Return the person (`InputError`: wrong name or PIN, not active, or a pause after wrong ones).
 
-        with self.database.writing():
-            row = self.database.row(select(users).where(users.c.name == name))
-            now = self.settings.clock()
-            is_locked = row is not None and row["locked_until"] is not None and row["locked_until"] > now
-            # The hash is checked even for an unknown name, so that the time it takes says nothing.
-            is_right = False
-            with suppress(VerificationError, InvalidHashError):
-                is_right = _hasher().verify(row["pin_hash"] if row else _nobody(), pin)
-            if row is not None and not is_locked:
-                failures = 0 if is_right else row["failures"] + 1
-                pause = now + LOCKED_FOR if failures >= MOST_FAILURES else None
-                values = {"failures": 0 if pause else failures, "locked_until": pause}
-                self.database.change(update(users).where(users.c.name == name).values(**values))
-                if pause:
-                    self._tell("lock", "users", (name,), name, after={"until": pause})
-            user = None if row is None else user_of(self.database, row)
-        if is_locked:
-            raise SignInRefused(Reason("account.locked", {"minutes": LOCKED_FOR.seconds // 60}))
-        if user is None or not is_right:
+        With the `machine_token` of an earlier sign-in, wrong tries are counted for that machine alone: who guesses
+        elsewhere does not lock the owner out there. A PIN is checked outside any transaction.
+        """
+        if not VERIFYING.acquire(timeout=VERIFY_WITHIN_S):
+            raise SignInRefused(Reason("account.locked", {"minutes": 1}))
+        try:
+            return self._sign_in(name, pin, machine)
+        finally:
+            VERIFYING.release()
+
+    def machine_token(self, name: str) -> str:
+        """Return what the machine of a person who has just signed in may keep (`InputError`: there is no such person).
+
+        It says that this machine was there before, and nothing else; it ends with the PIN.
+        """
+        row = self.database.row(select(users).where(users.c.name == name))
+        if row is None:
             raise SignInRefused(Reason("account.wrong_pin"))
+        nonce = secrets.token_hex(16)
+        return f"{nonce}.{_machine_sha256(row, nonce)}"
+
+    def _sign_in(self, name: str, pin: str, machine: str) -> User:
+        now, named = self.settings.clock(), select(users).where(users.c.name == name)
+        row = self.database.row(named)
+        in_memory = _memory_key(row, name, machine)
+        failures, until = self._tries.of(in_memory)
+        if row is not None and not in_memory:
+            failures, until = row["failures"], row["locked_until"]
+        if not has_passed(until, now, MAX_PAUSE):
+            raise SignInRefused(Reason("account.locked", {"minutes": minutes_until(until, now)}))
+        is_right = _is_pin(row, pin)
+        if in_memory:
+            self._tries.note(in_memory, is_right, now)
+        elif is_right and failures:
+            self.database.change(update(users).where(users.c.name == name).values(failures=0, locked_until=None))
+        elif not is_right:
+            self._note_failure(name, now)
+        if row is None or not is_right:
+            raise SignInRefused(Reason("account.wrong_pin"))
+        user = user_of(self.database, row)
         if not user.is_active:
             raise SignInRefused(Reason("account.inactive"))
         return user
+
+    def _note_failure(self, name: str, now: datetime) -> None:
+        """Count in a transaction of its own what another process may count, too."""
+        mine = users.c.name == name
+        with self.database.writing():
+            self.database.change(update(users).where(mine).values(failures=users.c.failures + 1))
+            failures = int(self.database.value(select(users.c.failures).where(mine)))
+            if pause := pause_after(failures):
+                self.database.change(update(users).where(mine).values(locked_until=now + pause))
+                self._tell("lock", "users", (name,), name, after={"until": now + pause})
+
+    @cached_property
+    def _tries(self) -> Tries:
+        return Tries()
+
+
+def _is_pin(row: RowMapping | None, pin: str) -> bool:
+    """Whether a PIN is right; the hash is checked for nobody, too, so that the time it takes says nothing."""
+    from argon2.exceptions import InvalidHashError, VerificationError
+
+    with suppress(VerificationError, InvalidHashError):
+        return _hasher().verify(row["pin_hash"] if row else _nobody(), pin) and row is not None
+    return False
+
+
+def _memory_key(row: RowMapping | None, name: str, machine: str) -> str:
+    """Return under which key tries are counted in memory; "" where the account itself counts them."""
+    if row is None:
+        return f"nobody {name[:120]}"
+    nonce, _, given = machine[:MACHINE_TOKEN_LENGTH].partition(".")
+    is_known = hmac.compare_digest(given.encode(), _machine_sha256(row, nonce).encode())
+    return f"machine {nonce}" if is_known else ""
+
+
+def _machine_sha256(row: RowMapping, nonce: str) -> str:
+    # The hash of a PIN is as secret as a key, and new with every PIN.
+    return hmac.new(row["pin_hash"].encode(), f"{row['name']}\n{nonce}".encode(), "sha256").hexdigest()
 
 
 def permissions(user: User) -> frozenset[str]:

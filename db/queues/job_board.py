@@ -11,12 +11,13 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import RowMapping, Select, insert, select, update
+from sqlalchemy import RowMapping, Select, func, insert, select, update
 
 from softcal.core.errors import InputError, NoSuchJob
 from softcal.core.orders import ACTIVE, RunState
 from softcal.db.schema.arrays import get_arrays, put_arrays
 from softcal.db.schema.database import given
+from softcal.db.schema.deadline import MAX_CLOCK_ERROR, is_silent
 from softcal.db.schema.tables import jobs
 from softcal.db.truth.registry_base import RegistryBase
 
@@ -29,8 +30,15 @@ JOB_SILENT_AFTER = timedelta(seconds=15)
 START_WITHIN = timedelta(seconds=90)
 """A process that has not taken its job by then never will; imports take seconds when busy."""
 
+MAX_WAITING = 16
+"""Jobs of programs that wait at most: who asks for more is told to ask later."""
+
 BRIEF = [jobs.c[name] for name in ("job_id", "kind", "request", "actor", "created", "state", "fraction", "message",
                                    "is_cancel_wanted", "beaten_at")]  # fmt: skip
+
+
+class QueueFull(InputError):
+    """So many jobs wait that no other one is taken."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +74,7 @@ class Job:
     def is_lost(self, now: datetime) -> bool:
         """Whether its process has died, or was never there."""
         patience = START_WITHIN if self.state is RunState.QUEUED else JOB_SILENT_AFTER
-        return self.state.is_active and now - self.beaten_at > patience
+        return self.state.is_active and is_silent(self.beaten_at, now, patience)
 
 
 class JobBoard(RegistryBase):
@@ -81,6 +89,16 @@ class JobBoard(RegistryBase):
             if self.database.row(select(jobs.c.job_id).where(jobs.c.job_id == job_id)) is None:
                 self.database.change(insert(jobs).values(**values, **fresh, is_cancel_wanted=False, beaten_at=now))
         return job_id
+
+    def place_bounded(self, kind: str, request: Mapping[str, Any], actor: str, job_id: str | None = None) -> str:
+        """Ask as `place` does (`QueueFull`: `MAX_WAITING` jobs wait already)."""
+        now = self.settings.clock()
+        in_time = jobs.c.beaten_at.between(now - START_WITHIN, now + MAX_CLOCK_ERROR)
+        waiting = select(func.count()).where(jobs.c.state == RunState.QUEUED, in_time)
+        with self.database.writing():
+            if (count := self.database.value(waiting)) >= MAX_WAITING:
+                raise QueueFull(f"{count} jobs wait, {MAX_WAITING} may; ask again later; nothing was done")
+            return self.place(kind, request, actor, job_id)
 
     def take(self, job_id: str) -> Job:
         """Mark a queued job running and return it (`InputError`: none waits under this id)."""
@@ -133,10 +151,10 @@ class JobBoard(RegistryBase):
         row = self.database.row(select(jobs).where(jobs.c.job_id == job_id))
         return None if row is None else _job(row)
 
-    def jobs(self, kind: str | None = None, count: int = 20) -> list[Job]:
-        """Return the newest jobs, newest first, without traces and results."""
+    def jobs(self, kind: str | None = None, count: int = 20, before: int = 0) -> list[Job]:
+        """Return `count` jobs behind the newest `before`, newest first, without traces and results."""
         query: Select[Any] = select(*BRIEF).where(*given((jobs.c.kind, kind)))
-        newest = query.order_by(jobs.c.created.desc(), jobs.c.job_id).limit(count)
+        newest = query.order_by(jobs.c.created.desc(), jobs.c.job_id).limit(count).offset(before)
         return [_job(row) for row in self.database.rows(newest)]
 
     def arrays(self, job: Job) -> Arrays:

@@ -16,6 +16,7 @@ from softcal.core.errors import InputError, NoSuchOrder, StationBusy
 from softcal.core.orders import ACTIVE, Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.words.reason import Reason, packed, reason, to_kept
 from softcal.db.schema.database import given
+from softcal.db.schema.deadline import is_silent
 from softcal.db.schema.tables import heartbeats, line_places, orders, run_signals
 from softcal.db.truth.registry_base import RegistryBase
 
@@ -101,10 +102,11 @@ class OrderQueue(RegistryBase):
                 raise NoSuchOrder(reason("name.no_order", order=repr(order_id)))
             return _progress(row, self._signal(order_id))
 
-    def runs(self, station: str | None = None, count: int = 50) -> list[tuple[Order, Progress]]:
-        """Return the newest orders with their progress, newest first, without the live signal."""
-        query = select(orders).where(*given((o.station, station))).order_by(o.created.desc(), o.order_id).limit(count)
-        return [(_order(row), _progress(row, Signal())) for row in self.database.rows(query)]
+    def runs(self, station: str | None = None, count: int = 50, before: int = 0) -> list[tuple[Order, Progress]]:
+        """Return `count` orders behind the newest `before` with their progress, newest first, without the signal."""
+        query = select(orders).where(*given((o.station, station))).order_by(o.created.desc(), o.order_id)
+        rows = self.database.rows(query.limit(count).offset(before))
+        return [(_order(row), _progress(row, Signal())) for row in rows]
 
     def pressed(self, lot_id: str) -> list[Pressed]:
         """Return who pressed which units of a lot where, in time order, without broken runs."""
@@ -154,7 +156,7 @@ class OrderQueue(RegistryBase):
                 if not self.database.insert_new(insert(heartbeats).values(**values)):
                     raise InputError(reason("station.taken", station=repr(heartbeat.station)))
                 return
-            is_alive = heartbeat.at - known["at"] <= after
+            is_alive = not is_silent(known["at"], heartbeat.at, after)
             if is_alive and known["process"] != heartbeat.process and known["state"] != StationState.OFF:
                 raise InputError(reason("station.served", station=repr(heartbeat.station), process=known["process"]))
             self.database.change(update(heartbeats).where(where).values(**values))
@@ -171,7 +173,7 @@ class OrderQueue(RegistryBase):
     def is_answering(self, station: str) -> bool:
         """Whether a station gave a sign of life in the last seconds."""
         last = self.heartbeat(station)
-        return last is not None and self.settings.clock() - last.at <= STATION_SILENT_AFTER
+        return last is not None and not is_silent(last.at, self.settings.clock(), STATION_SILENT_AFTER)
 
     def _set(self, order_ids: Sequence[str], **values: object) -> None:
         mine = update(orders).where(o.order_id.in_(order_ids))

@@ -13,6 +13,7 @@ from sqlalchemy import insert, or_, select, update
 
 from softcal.core.errors import InputError
 from softcal.db.entries import AuditRow
+from softcal.db.schema.deadline import passed
 from softcal.db.schema.tables import deliveries
 from softcal.db.truth import history
 from softcal.db.truth.registry_base import RegistryBase
@@ -77,7 +78,7 @@ class Outbox(RegistryBase):
         `holder` names the process and no other one. A hold that ended before `now` is free.
         """
         c = deliveries.c
-        is_free = or_(c.holder.is_(None), c.holder == holder, c.held_until <= now)
+        is_free = or_(c.holder.is_(None), c.holder == holder, passed(c.held_until, now, until - now))
         mine = c.destination == destination
         take = update(deliveries).where(mine, is_free).values(holder=holder, held_until=until)
         with self.database.writing(in_turn=False):

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from datetime import timedelta
 from typing import Any
 
-from sqlalchemy import Select, and_, delete, func, or_, select, text, update
+from sqlalchemy import Select, and_, delete, func, select, text, update
 
 from softcal.db.schema.database import given, parts
+from softcal.db.schema.deadline import passed
 from softcal.db.schema.tables import work_items
 from softcal.db.truth.registry_base import RegistryBase
 
@@ -61,7 +62,7 @@ class WorkQueue(RegistryBase):
         fresh = {**named, **FREE, "attempts": 0, "changed_at": now}
         rows = [{**fresh, "serial": serial, "input_sha256": sha256} for serial, sha256 in inputs.items()]
         others = (c.lot_id == work.lot_id, c.kind == work.kind, c.work_set != work.name)
-        alive = select(c.work_set).where(*others, c.state == "claimed", c.lease_until >= now)
+        alive = select(c.work_set).where(*others, c.state == "claimed", ~passed(c.lease_until, now, LONGEST_LEASE))
         with self.database.writing():
             self.database.change(delete(work_items).where(*others, c.work_set.not_in(alive)))
         # A dialect takes a tenth of a second to load: who only reads needs neither.
@@ -93,9 +94,7 @@ class WorkQueue(RegistryBase):
                 self.database.change(text("SET LOCAL random_page_cost = 1.1"))
             taken = self._free(work, count, c.state == "queued")
             if len(taken) < count:
-                # No lease runs for so long: it was written by a clock that is ahead, or by nobody.
-                is_no_lease = or_(c.lease_until.is_(None), c.lease_until > now + LONGEST_LEASE)
-                expired = and_(c.state == "claimed", or_(c.lease_until < now, is_no_lease))
+                expired = and_(c.state == "claimed", passed(c.lease_until, now, LONGEST_LEASE))
                 taken += self._free(work, count - len(taken), expired)
             given_up = [item.id for item in taken if item.attempts >= MOST_ATTEMPTS]
             mine = [item for item in taken if item.attempts < MOST_ATTEMPTS]

@@ -122,15 +122,18 @@ class UnitErrors(NamedTuple):
 class LotPages(RegistryBase):
     """What stands of many units at once: pages, counts, errors, without reading all of a lot."""
 
-    def unit_page(self, lot_id: str, wanted: UnitFilter, page: int = 1, size: int = 50) -> UnitPage:
-        """Return one page (1, 2, ...) of a lot's target units with their newest result (`InputError`: no such lot)."""
+    def unit_page(self, lot_id: str, wanted: UnitFilter, *, size: int = 50, before: int = 0) -> UnitPage:
+        """Return the `size` target units of a lot behind the first `before`, each with its newest result.
+
+        `InputError`: no such lot.
+        """
         with self.database.reading():
             self._lot_row(lot_id)
             standing = StandingQuery(self.database, lot_id)
             table = standing.table(role="target")
             condition: ColumnElement[bool] = and_(True, *wanted.conditions(table))
             order = wanted.order(table)
-            query = select(table).where(condition).order_by(*order).limit(size).offset((page - 1) * size)
+            query = select(table).where(condition).order_by(*order).limit(size).offset(before)
             total = self.database.value(select(func.count()).select_from(table).where(condition))
             entries = [standing.entry(row) for row in self.database.rows(query)]
         return UnitPage(tuple(entries), int(total))

@@ -417,9 +417,10 @@ def panel(line: Line, page: Page) -> Page:
 def jobs_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Jobs are done where they are asked for, before the page goes on."""
 
-    def launch(job_id: str) -> None:
+    def launch(job_id: str, on_end: Callable[[], None] = lambda: None) -> None:
         with open_chosen_registry(None) as registry:
             run_job(registry, job_id, on_cancel=lambda: None)
+        on_end()
 
     monkeypatch.setattr(job_process, "launch", launch)
 

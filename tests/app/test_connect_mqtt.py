@@ -17,7 +17,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 
 from softcal.app.connect.events import events_after
 from softcal.app.connect.forwarder import Destination, Forwarder, NotDelivered
-from softcal.app.connect.mqtt import estimate_json, open_mqtt, publish_estimates, state_messages
+from softcal.app.connect.mqtt import estimate_json, open_mqtt, publish_estimates, standing_messages, state_messages
 from softcal.app.connect.settings import MqttSettings
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
@@ -137,8 +137,8 @@ def subscriber(broker: Broker) -> Iterator[Subscriber]:
 
 def publisher(registry: Registry, settings: MqttSettings) -> Forwarder:
     """A publisher for whose clock every delay is over when it looks again."""
-    states, hours = partial(state_messages, registry), count()
-    destination = Destination(settings, partial(open_mqtt, settings, states))
+    states, standing, hours = partial(state_messages, registry), partial(standing_messages, registry, settings), count()
+    destination = Destination(settings, partial(open_mqtt, settings, states, standing))
     return Forwarder(registry, destination, lambda: datetime.now(UTC) + timedelta(hours=next(hours)))
 
 
@@ -187,6 +187,37 @@ def test_who_comes_later_finds_the_newest_verdict_of_each_unit(registry, broker)
     found = {topic: json.loads(text)["data"]["verdict"] for topic, text, is_kept in late.got if is_kept}
     place = "softcal/lots/lot%201%2B/units"
     assert found == {f"{place}/U0/verdict": "fail", f"{place}/U1/verdict": "retest", f"{place}/U2/verdict": "fail"}
+
+
+def test_a_destination_that_is_new_finds_the_verdicts_and_alerts_from_before_and_no_older_ones(registry, broker):
+    told = {"kind": "golden", "lot": None, "values": {"station": "line-1"}, "is_urgent": True, "text": {"en": "x"}}
+    judge(registry, 0, 3)
+    registry.calibrations.refuse("lot 1+", "U1", "retest", (plain("press again"),))
+    for alert in ("line-1", "line-2"):
+        told["values"] = {"station": alert}
+        registry.trail.add("raise", "alerts", ("golden", "", alert), told)
+    registry.trail.add("clear", "alerts", ("golden", "", "line-2"), told)
+    early = Subscriber(broker, "softcal/events")
+    for number in range(2):  # The second time it is not new, and what happened meanwhile is not overwritten.
+        with publisher(registry, settings_of(broker, begin="now")) as forwarder:
+            while forwarder.step():
+                pass
+            registry.calibrations.refuse("lot 1+", "U2", "retest", (plain(f"once more {number}"),))
+            while forwarder.step():
+                pass
+    late = Subscriber(broker, "softcal/#")
+    wait_until(lambda: len([1 for topic, _, _ in late.got if "units" in topic]) == 3, "three retained verdicts")
+    late.end()
+    found = {
+        topic: json.loads(text) for topic, text, is_kept in late.got if is_kept and text not in ("online", "offline")
+    }
+    place = "softcal/lots/lot%201%2B/units"
+    verdicts = {topic: event["data"]["verdict"] for topic, event in found.items() if "units" in topic}
+    assert verdicts == {f"{place}/U{k}/verdict": verdict for k, verdict in enumerate(("fail", "retest", "retest"))}
+    assert [topic for topic in found if "alerts" in topic] == ["softcal/alerts/golden/-/line-1"]
+    # What happened before is no event: those who act on events must not act on it.
+    early.end()
+    assert len(early.got) == 2
 
 
 def test_the_state_of_a_station_is_kept_and_changes_are_published_once(registry, broker, subscriber):

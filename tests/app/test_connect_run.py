@@ -23,9 +23,9 @@ from softcal.app.cli.main import main
 from softcal.app.connect import alert_watch
 from softcal.app.connect.alert_watch import AlertWatch, open_alerts
 from softcal.app.connect.events import events_after
-from softcal.app.connect.rest import ServingOptions
 from softcal.app.connect.run import run_connect
 from softcal.app.connect.settings import ConnectSettings, OpcUaSettings, read_settings
+from softcal.app.rest.server import ServingOptions
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.words.reason import plain

@@ -17,7 +17,7 @@ from aiosmtpd.smtp import AuthResult, LoginPassword
 from standardwebhooks.webhooks import Webhook, WebhookVerificationError
 
 from softcal.app.connect.events import events_after
-from softcal.app.connect.forwarder import LEASE_S, Destination, Forwarder
+from softcal.app.connect.forwarder import LEASE_S, Destination, Forwarder, status_json
 from softcal.app.connect.mail import line_of, mail_of, open_mail
 from softcal.app.connect.settings import MailSettings, WebhookSettings
 from softcal.app.connect.webhook import new_secret, open_webhook
@@ -212,6 +212,32 @@ def test_what_a_process_held_that_was_killed_is_free_after_the_lease(registry, u
         assert got == serials[:4]
         second.step()
     assert got == serials
+
+
+@pytest.mark.parametrize("jump", [-timedelta(days=1), timedelta(days=1)])
+def test_a_clock_that_is_set_stops_no_destination_and_status_says_so(registry, receiver, webhook, jump):
+    clock = Clock()
+    judge(registry, 1, 3)
+    receiver.answer = lambda number: 503
+    # It failed, is served by a process that is killed, and then the clock is set.
+    dead = Forwarder(registry, webhook, clock)
+    assert not dead.step()
+    assert status_json(registry, clock.now)[0]["served_by"] == dead.holder
+    clock.now += jump
+    (status,) = status_json(registry, clock.now)
+    assert status["served_by"] is None and status["next_try"] is None
+    assert ("clock" in status["error"]) == (jump < timedelta(0))
+    receiver.answer = lambda number: 204
+    with Forwarder(registry, webhook, clock) as forwarder:
+        while forwarder.step():
+            pass
+        # Nor does one that goes on living lose its hold for a day.
+        clock.now += jump
+        judge(registry, 4, 1)
+        while forwarder.step():
+            pass
+        assert status_json(registry, clock.now)[0]["served_by"] == forwarder.holder
+    assert status_json(registry, clock.now)[0]["sent"] == 4
 
 
 def test_a_process_that_lost_its_lease_while_it_sent_moves_nothing_back(registry, url, webhook):

@@ -49,7 +49,7 @@ ELSEWHERE = {
     "| psql": "tests/db/test_grants.py",
     "softcal quality capability": "tests/app/test_registry_command.py",
     "softcal quality golden": "tests/app/test_registry_command.py",
-    "softcal api serve": "tests/app/test_connect_rest.py",
+    "softcal api serve": "tests/app/test_rest.py",
     "softcal api token withdraw": "tests/app/test_connect_run.py",
     "softcal connect check": "tests/app/test_connect_run.py, test_connect_mqtt.py",
     "softcal connect run": "tests/app/test_connect_run.py, test_connect_mqtt.py",
@@ -58,7 +58,7 @@ ELSEWHERE = {
 
 OTHER_PROGRAMS = {
     r"cp |mkdir ": "tests/app/test_tutorial.py",
-    r"curl ": "tests/app/test_connect_rest.py",
+    r"curl ": "tests/app/test_rest.py",
     r"docker compose ": "tests/house/test_deploy.py",
     r"logger ": "tests/app/test_connect_mqtt.py",
     r"openssl genpkey ": "tests/app/test_docs_commands.py",

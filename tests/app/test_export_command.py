@@ -479,6 +479,48 @@ def test_inspect_shows_a_file_and_runs_its_self_tests(
     assert json.loads(capsys.readouterr().out) == blob
 
 
+@pytest.mark.parametrize("stem", ["unit-A1", "network"])
+def test_a_json_twin_is_shown_as_proven_only_while_it_is_what_was_exported(run, tmp_path, capsys, stem):
+    run("--serial", "A1", "--format", "json")
+    (file,) = (tmp_path / "out").glob(f"{stem}*.json")
+    capsys.readouterr()
+    values = json.loads(file.read_text())
+    assert main(["inspect", str(file)]) == 0
+    assert "not proven" not in capsys.readouterr().out
+    bare = tmp_path / "bare.json"
+    bare.write_text(json.dumps({name: value for name, value in values.items() if name != "sha256"}))
+    assert main(["inspect", str(bare)]) == 0
+    shown = capsys.readouterr().out
+    assert "not proven" in shown and "passed" not in shown
+    # Every number, text and flag of it counts.
+    for path in sorted(leaves(values), key=str)[:: max(1, len(leaves(values)) // 40)]:
+        edited = json.loads(file.read_text())
+        place = edited
+        for part in path[:-1]:
+            place = place[part]
+        old = place[path[-1]]
+        place[path[-1]] = (old + 1) if isinstance(old, int | float) else f"{old}x"
+        bare.write_text(json.dumps(edited))
+        assert main(["inspect", str(bare)]) == 2, path
+        assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def leaves(value: object, path: tuple = ()) -> list[tuple]:
+    """Where the single values of a JSON value stand."""
+    if isinstance(value, dict | list):
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        return [leaf for key, item in items for leaf in leaves(item, (*path, key))]
+    return [path]
+
+
+@pytest.mark.parametrize("content", ["[" * 100_000, '{"a":' * 100_000, "[" * 5000 + "]" * 5000])
+def test_json_that_is_nested_without_end_is_bad_input(tmp_path, capsys, content):
+    (tmp_path / "deep.json").write_text(content)
+    assert main(["inspect", str(tmp_path / "deep.json")]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "deep.json" in line and "defect" not in line
+
+
 def test_inspect_refuses_what_is_no_calibration_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for content in (b"", b"hello", b"[]", b"{}", b"SSCF", bytes(300)):
         (tmp_path / "junk.ssc").write_bytes(content)

@@ -30,12 +30,12 @@ def asked(address: tuple[str, int], path: str, host: str) -> tuple[int, dict[str
     return answer.status, {name.lower(): value for name, value in answer.getheaders()}
 
 
-def handshake(address: tuple[str, int], host: str) -> str:
-    """Return the first line of the answer to a WebSocket handshake under a host's name."""
+def handshake(address: tuple[str, int], host: str, origin: str | None = None) -> str:
+    """Return the first line of the answer to a WebSocket handshake under a host's name, from a page of `origin`."""
     key = base64.b64encode(os.urandom(16)).decode()
     request = (
         f"GET /_stcore/stream HTTP/1.1\r\nHost: {host}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-        f"Sec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\nOrigin: http://{host}\r\n\r\n"
+        f"Sec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\nOrigin: {origin or f'http://{host}'}\r\n\r\n"
     )
     with socket.create_connection(address, timeout=30) as wire:
         wire.sendall(request.encode())
@@ -54,12 +54,18 @@ def test_a_web_socket_under_a_foreign_name_is_refused(address):
     assert " 101 " in f"{handshake(address, f'127.0.0.1:{address[1]}')} "
 
 
+@pytest.mark.parametrize("origin", ["http://127.0.0.1:1", "http://localhost", "http://evil.example", "null"])
+def test_a_web_socket_of_another_page_is_refused_be_it_of_this_machine(address, origin):
+    assert " 403 " in f"{handshake(address, f'127.0.0.1:{address[1]}', origin)} "
+
+
 def test_metrics_are_closed_and_no_page_may_be_framed_or_fetch_elsewhere(address):
     assert asked(address, "/_stcore/metrics", "127.0.0.1")[0] == 404
     _, headers = asked(address, "/", "127.0.0.1")
     assert headers["x-frame-options"] == "DENY" and headers["x-content-type-options"] == "nosniff"
     policy = dict(part.strip().split(" ", 1) for part in headers["content-security-policy"].split(";"))
     assert policy["frame-ancestors"] == "'none'" and policy["object-src"] == "'none'"
+    assert not {"'unsafe-inline'", "'unsafe-eval'", "data:"} & set(policy["script-src"].split())
     assert "http" not in policy["connect-src"] and "*" not in headers["content-security-policy"]
 
 

@@ -8,8 +8,7 @@ from softcal.app.texts.catalogue import catalogue, text
 from softcal.app.ui import account as identity
 from softcal.app.ui import browser_memory
 from softcal.app.ui.pages import PAGES, pages_for
-from softcal.app.ui.pins import FREE_FAILURES, Pauses
-from softcal.core.errors import InputError
+from softcal.db.access.tries import MOST_FAILURES
 from softcal.db.connection import open_registry
 from softcal.db.entries import User
 
@@ -87,14 +86,14 @@ def test_the_first_person_may_open_every_page_and_has_the_rights_of_the_role_aft
 
 
 def test_nobody_becomes_the_first_person_without_the_code(new_registry, show) -> None:
-    identity._pauses.clear()
+    identity._wrong_codes.clear()
     screen = show(new_registry, "sign_in", role=None)
-    for _ in range(FREE_FAILURES + 1):
+    for _ in range(MOST_FAILURES):
         assert first_person(screen, "0000-000").error
     # Even the right code has to wait now.
     assert first_person(screen, identity.first_code()).error
     assert people_of(new_registry) == []
-    identity._pauses.clear()
+    identity._wrong_codes.clear()
 
 
 @pytest.mark.parametrize(
@@ -103,26 +102,6 @@ def test_nobody_becomes_the_first_person_without_the_code(new_registry, show) ->
 def test_a_pin_that_was_mistyped_or_is_soon_guessed_makes_nobody(new_registry, show, pin, again) -> None:
     screen = first_person(show(new_registry, "sign_in", role=None), identity.first_code(), pin, again)
     assert len(screen.error) == 1 and people_of(new_registry) == []
-
-
-@pytest.mark.parametrize("name", ["kim", "nobody has this name"])
-def test_guessing_waits_longer_each_time_whether_the_name_exists_or_not(name) -> None:
-    now = [datetime(2026, 3, 2, tzinfo=UTC)]
-    pauses, waits = Pauses(lambda: now[0]), []
-    for _ in range(FREE_FAILURES + 9):
-        pauses.failed(name.upper())
-        began = now[0]
-        while True:
-            try:
-                pauses.check(name)
-                break
-            except InputError:
-                now[0] += timedelta(seconds=1)
-        waits.append((now[0] - began).total_seconds())
-    assert waits == [0] * FREE_FAILURES + [2, 4, 8, 16, 32, 64, 128, 256, 300]
-    pauses.succeeded(name)
-    pauses.failed(name)
-    pauses.check(name)
 
 
 def test_a_wrong_pin_is_refused(calibrated, show, add_everybody) -> None:

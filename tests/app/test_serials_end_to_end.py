@@ -16,9 +16,9 @@ from fastapi.testclient import TestClient
 
 from softcal.app.cli.main import main
 from softcal.app.connect.events import path_part
-from softcal.app.connect.rest import rest_app
 from softcal.app.export.check import check_folder
 from softcal.app.files.lot_folder import open_lot_folder
+from softcal.app.rest.server import rest_app
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import said
 from softcal.core.errors import InputError
@@ -159,7 +159,7 @@ def test_rest_takes_a_serial_of_any_script(korean: str, tmp_path: Path, add_ever
                 part = path_part(unicodedata.normalize(form, serial))
                 assert part.isascii() and not set("/+#") & set(part)  # Of a path, of an MQTT topic.
                 assert client.get(f"/v1/lots/small/units/{part}").json()["serial"] == serial
-            answer = client.get(f"/v1/lots/small/units/{part}/files/json")
+            answer = client.post(f"/v1/lots/small/units/{part}/files/json")
             assert answer.status_code == 200
             name = answer.headers["content-disposition"].partition('filename="')[2].removesuffix('-json.zip"')
             assert unescape_serial(name) == serial

@@ -1,12 +1,18 @@
 """People sign in with a PIN that nobody can read, and guessing does not pay."""
 
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
 
 import pytest
 from sqlalchemy import select
 
 from softcal.core.errors import InputError
-from softcal.db.access.people import LOCKED_FOR, MOST_FAILURES, PERMISSIONS, may
+from softcal.core.lot import Lot
+from softcal.db.access import people
+from softcal.db.access.people import PERMISSIONS, may
+from softcal.db.access.tries import LOCKED_FOR, MOST_FAILURES
 from softcal.db.connection import open_registry
 from softcal.db.schema.tables import users
 from softcal.db.truth.registry_base import RegistrySettings
@@ -50,6 +56,105 @@ def test_guessing_leads_to_a_pause_even_for_the_right_pin(registry_url):
             registry.people.sign_in("kim", "2580")
         now[0] += LOCKED_FOR + timedelta(seconds=1)
         assert registry.people.sign_in("kim", "2580").name == "kim"
+
+
+def waits_of(registry, now: list[datetime], name: str, tries: int) -> list[float]:
+    """Seconds that each wrong try had to wait before it was taken."""
+    waits, waited_s = [], 0.0
+    while len(waits) < tries:
+        with pytest.raises(InputError) as refused:
+            registry.people.sign_in(name, "0000")
+        if refused.value.reason.code == "account.locked":
+            now[0] += timedelta(seconds=60)
+            waited_s += 60
+        else:
+            waits.append(waited_s)
+            waited_s = 0.0
+    return waits
+
+
+def test_each_pause_is_longer_and_the_same_for_a_name_that_nobody_has(registry_url):
+    now = [datetime(2026, 5, 4, tzinfo=UTC)]
+    with open_registry(registry_url, RegistrySettings(clock=lambda: now[0])) as registry:
+        registry.people.set("kim", "operator", "2580", actor="admin")
+        known = waits_of(registry, now, "kim", 10)
+        unknown = waits_of(registry, now, "lee", 10)
+    grown = [wait for wait in known if wait]
+    assert known == unknown and grown == sorted(set(grown)) and len(grown) > 2 and grown[-1] > 3600
+
+
+def test_a_guess_holds_no_writer(registry_url, monkeypatch):
+    class Slow:
+        def hash(self, pin: str) -> str:
+            return "hash"
+
+        def verify(self, known: str, pin: str) -> bool:
+            checking.set()
+            assert go_on.wait(30)
+            return False
+
+    checking, go_on = threading.Event(), threading.Event()
+    with open_registry(registry_url) as registry, ThreadPoolExecutor(1) as pool:
+        registry.people.set("kim", "operator", "2580", actor="admin")
+        monkeypatch.setattr(people, "_hasher", Slow)
+        for name in ("kim", "nobody"):
+            checking.clear()
+            go_on.clear()
+            guess = pool.submit(registry.people.sign_in, name, "0000")
+            assert checking.wait(30)
+            begun_s = time.monotonic()
+            registry.lots.add(Lot(f"while {name}", "S0", 50.0))
+            took_s = time.monotonic() - begun_s
+            go_on.set()
+            with pytest.raises(InputError):
+                guess.result(30)
+            assert took_s < 3
+
+
+def test_who_guesses_from_elsewhere_does_not_lock_the_owner_out_at_a_known_machine(registry):
+    registry.people.set("quinn", "quality", "7391", actor="admin")
+    registry.people.sign_in("quinn", "7391")
+    machine = registry.people.machine_token("quinn")
+    for _ in range(50):
+        with pytest.raises(InputError):
+            registry.people.sign_in("quinn", "0000")
+    with pytest.raises(InputError):
+        registry.people.sign_in("quinn", "7391")
+    assert registry.people.sign_in("quinn", "7391", machine).name == "quinn"
+    # What was guessed elsewhere is still being paced.
+    with pytest.raises(InputError):
+        registry.people.sign_in("quinn", "7391")
+
+
+def test_a_known_machine_is_paced_by_itself_and_known_for_one_account_and_pin(registry):
+    first = registry.people.set("quinn", "quality", "7391", actor="admin")
+    registry.people.set("kim", "operator", "2580", actor="admin")
+    machine = registry.people.machine_token("quinn")
+    for _ in range(MOST_FAILURES):
+        with pytest.raises(InputError):
+            registry.people.sign_in("quinn", "0000", machine)
+    with pytest.raises(InputError):
+        registry.people.sign_in("quinn", "7391", machine)
+    # Wrong tries there lock nobody elsewhere.
+    assert registry.people.sign_in("quinn", "7391").name == "quinn"
+    other = registry.people.machine_token("quinn")
+    for _ in range(MOST_FAILURES):
+        with pytest.raises(InputError):
+            registry.people.sign_in("kim", "0000", other)
+    with pytest.raises(InputError):
+        registry.people.sign_in("kim", "2580", other)
+    registry.people.set("quinn", "quality", "8642", actor="admin", version=first.version)
+    for _ in range(MOST_FAILURES):
+        with pytest.raises(InputError):
+            registry.people.sign_in("quinn", "0000")
+    with pytest.raises(InputError):
+        registry.people.sign_in("quinn", "8642", other)
+
+
+@pytest.mark.parametrize("machine", ["", ".", "a.b", "x" * 10_000, "\0.é"])
+def test_a_token_of_a_machine_that_is_none_is_no_error(registry, machine):
+    registry.people.set("kim", "operator", "2580", actor="admin")
+    assert registry.people.sign_in("kim", "2580", machine).name == "kim"
 
 
 def test_two_editors_do_not_overwrite_each_other(registry):

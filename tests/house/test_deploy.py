@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from softcal.app.cli.main import command_parser
-from softcal.app.connect.rest import ServingOptions
+from softcal.app.rest.server import ServingOptions
 from softcal.core.errors import InputError
 
 ROOT = Path(__file__).parents[2]

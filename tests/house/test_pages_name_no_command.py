@@ -23,6 +23,7 @@ AT_A_TERMINAL = {
     "app/gap/simulator.py": "simulators, which a command names",
     "app/use": "streams, which a command follows",
     "app/connect": "programs that speak to a registry; a command serves them",
+    "app/rest": "programs that ask a registry; a command serves them",
     "app/line/rig.py": "which station a command means; a page always names one",
     "app/line/serve.py": "the command that serves a station",
     "app/tables": "how a table is laid out, which a command declares; a page shows the same sentence",

@@ -2,7 +2,6 @@
 
 import re
 import shutil
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +11,7 @@ import streamlit as st
 from softcal.app.files.importing import Columns
 from softcal.app.tables.read import READERS, read_table
 from softcal.app.ui.desk import in_words, say
+from softcal.app.ui.uploads import new_upload_folder
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -36,10 +36,15 @@ def dropped_files(field: str = NEW_LOT) -> list[Path]:
     # A field that was forgotten is another one afterwards, so that it is empty.
     key = f"{field}-files-{st.session_state.get(f'{field}-forgotten', 0)}"
     dropped = st.file_uploader(say("new_lot.files"), type=kinds, accept_multiple_files=True, key=key)
-    folder = Path(st.session_state.setdefault(_folder(field), tempfile.mkdtemp(prefix="softcal-upload-")))
+    if not dropped:
+        return []
+    # A default would be made at every run, whether it is needed or not.
+    if _folder(field) not in st.session_state:
+        st.session_state[_folder(field)] = str(new_upload_folder())
+    folder = Path(st.session_state[_folder(field)])
     folder.mkdir(exist_ok=True)
     wanted: dict[str, Path] = {}
-    for file in dropped or []:
+    for file in dropped:
         # A browser may send any name: only its last part is one here.
         name = re.sub(r"[\x00-\x1f/\\]", "_", Path(file.name).name) or "file"
         path = folder / name
@@ -47,6 +52,8 @@ def dropped_files(field: str = NEW_LOT) -> list[Path]:
             path.write_bytes(file.getvalue())
             st.session_state[str(path)] = file.file_id
         wanted[name] = path
+    for left in set(folder.iterdir()) - set(wanted.values()):
+        left.unlink()
     return [wanted[name] for name in sorted(wanted)]
 
 

@@ -38,11 +38,13 @@ def unit_table(lot: Lot, serials: Serials) -> None:
     is_falling = sort in ("predicted_rmse", "after_rmse", "made_at")
     wanted = UnitFilter(tuple(verdicts), str(text or "").strip(), sort, is_falling, serials)
     place = f"units-page-{lot.id}"
-    page = registry().pages.unit_page(lot.id, wanted, int(st.session_state.get(place, 1)), SIZE)
+    page = registry().pages.unit_page(
+        lot.id, wanted, size=SIZE, before=SIZE * (int(st.session_state.get(place, 1)) - 1)
+    )
     if page.total and not page.units:
         # The filter leaves fewer pages than the one that was looked at.
         st.session_state[place] = 1
-        page = registry().pages.unit_page(lot.id, wanted, 1, SIZE)
+        page = registry().pages.unit_page(lot.id, wanted, size=SIZE)
     units = page.units
     if not units:
         st.caption(say("lot.table.none"))

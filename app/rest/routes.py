@@ -3,11 +3,11 @@
 import hashlib
 import io
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from importlib.metadata import version
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_origin
 from unicodedata import normalize
 
 from fastapi import APIRouter, Depends, Header, Path, Query, Request, Response
@@ -15,20 +15,19 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from pydantic import AfterValidator
 from starlette.exceptions import HTTPException
 
-from softcal.app.connect import rest_models as answers
 from softcal.app.connect.alert_watch import open_alerts
 from softcal.app.connect.events import CHANGE, KINDS, events_after
 from softcal.app.connect.stations import order_json, stations_json
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.export.certificates.laboratory import kept_laboratory
 from softcal.app.export.formats import writer_of
-from softcal.app.jobs import process
+from softcal.app.jobs.runner import JobRunner
 from softcal.app.registry.listing import history_json, unit_json
+from softcal.app.rest import v1 as answers
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import told
 from softcal.core.errors import InputError, NoSuchUnit
 from softcal.core.lot import Lot, escape_serial
-from softcal.core.orders import RunState
 from softcal.core.unit.verdict import Release
 from softcal.db.access.people import PERMISSIONS, may, permissions
 from softcal.db.entries import User
@@ -42,11 +41,29 @@ MOST = 500
 
 PARQUET = "application/vnd.apache.parquet"
 BEARER = HTTPBearer(auto_error=False, description="a token of `softcal api token create`")
-SIGN_IN = {"WWW-Authenticate": "Bearer"}
 NAME = r"^[^\x00-\x1f\x7f/]{1,64}$"
 LotId = Annotated[str, Path(pattern=NAME, description="id of a lot")]
 Serial = Annotated[str, Path(pattern=NAME, description="serial of a unit"), AfterValidator(partial(normalize, "NFC"))]
 Limit = Annotated[int, Query(ge=1, le=MOST, description="rows of one answer")]
+After = Annotated[str, Query(max_length=2000, description="`next` of the last answer; nothing begins")]
+
+
+def _rows_before(after: str) -> int:
+    """Return how many rows come before a page (`InputError`: no answer gave this cursor)."""
+    if after and not (after.isascii() and after.isdigit() and len(after) < 10):
+        raise InputError(f"cursor {after[:60]!r}: give what the last answer named `next`, or nothing for the beginning")
+    return int(after or 0)
+
+
+def _page(rows: Sequence[Any], after: str, limit: int, *, is_cut: bool = False) -> tuple[list[Any], str | None]:
+    """Return the rows of a page and the cursor of the next one, None at the end.
+
+    `is_cut`: `rows` begin with the page and hold one more row at most.
+    """
+    before = _rows_before(after)
+    shown = list(rows[:limit] if is_cut else rows[before : before + limit])
+    has_more = len(rows) > (limit if is_cut else before + limit)
+    return shown, str(before + limit) if has_more else None
 
 
 def _registry(request: Request) -> Registry:
@@ -54,16 +71,17 @@ def _registry(request: Request) -> Registry:
     return registry
 
 
+def _runner(request: Request) -> JobRunner:
+    runner: JobRunner = request.app.state.jobs
+    return runner
+
+
 Known = Annotated[Registry, Depends(_registry)]
 
 
-def _user(registry: Known, given: Annotated[HTTPAuthorizationCredentials | None, Depends(BEARER)]) -> User:
-    if given is None:
-        raise HTTPException(401, "sign in with a token: `Authorization: Bearer TOKEN`", SIGN_IN)
-    try:
-        return registry.tokens.user_of(given.credentials)
-    except InputError as error:
-        raise HTTPException(401, str(error), SIGN_IN) from error
+def _user(request: Request, _: Annotated[HTTPAuthorizationCredentials | None, Depends(BEARER)]) -> User:
+    user: User = request.state.user
+    return user
 
 
 SignedIn = Annotated[User, Depends(_user)]
@@ -91,7 +109,19 @@ def _gives(media_type: str, what: str) -> dict[int | str, dict[str, Any]]:
     return {200: {"content": {media_type: {}}, "description": what}}
 
 
-routes = APIRouter()
+def _known_query(request: Request) -> None:
+    """Refuse a query that the path does not know, or that was given twice: it would be passed over in silence."""
+    fields = {field.alias: field.field_info.annotation for field in request.scope["route"].dependant.query_params}
+    given = [name for name, _ in request.query_params.multi_items()]
+    for name in given:
+        if name not in fields:
+            known = f"known: {', '.join(fields)}" if fields else "this path knows none"
+            raise HTTPException(422, f"query.{name[:64]}: is unknown; {known}")
+        if given.count(name) > 1 and get_origin(fields[name]) is not list:
+            raise HTTPException(422, f"query.{name}: was given {given.count(name)} times; once was expected")
+
+
+routes = APIRouter(dependencies=[Depends(_known_query)])
 
 
 @routes.get("/me", response_model=answers.AccountAnswer, tags=["account"])
@@ -101,13 +131,11 @@ def me(user: SignedIn) -> dict[str, Any]:
     return known | {"version": version("softcal")}
 
 
-@routes.get("/lots", response_model=answers.LotPageAnswer, tags=["lots"])
-def lots(registry: Known, _: Looking, after: str = "", limit: Limit = 50) -> dict[str, Any]:
+@routes.get("/lots", response_model=answers.LotPageAnswer, responses=_may_fail(400), tags=["lots"])
+def lots(registry: Known, _: Looking, after: After = "", limit: Limit = 50) -> dict[str, Any]:
     """List the lots by id."""
-    behind = [lot_id for lot_id in registry.lots.ids() if lot_id > after]
-    shown = behind[:limit]
-    lots = [_lot_json(registry, registry.lots.get(lot_id)) for lot_id in shown]
-    return {"lots": lots, "next": shown[-1] if len(behind) > limit else None}
+    shown, following = _page(registry.lots.ids(), after, limit)
+    return {"lots": [_lot_json(registry, registry.lots.get(lot_id)) for lot_id in shown], "next": following}
 
 
 @routes.get("/lots/{lot}", response_model=answers.LotAnswer, responses=_may_fail(404), tags=["lots"])
@@ -125,7 +153,7 @@ def release(registry: Known, _: Looking, lot: LotId) -> dict[str, Any]:
     return {"lot": lot, "release": None if standing.decided is None else standing.to_json()}
 
 
-@routes.get("/lots/{lot}/units", response_model=answers.UnitPageAnswer, responses=_may_fail(404), tags=["units"])
+@routes.get("/lots/{lot}/units", response_model=answers.UnitPageAnswer, responses=_may_fail(400, 404), tags=["units"])
 def units(
     registry: Known,
     _: Looking,
@@ -134,12 +162,13 @@ def units(
     text: Annotated[str, Query(pattern=r"^[^\x00]*$", description="serials that hold this text")] = "",
     sort: Literal["severity", "serial", "verdict", "made_at", "family", "predicted_rmse"] = "serial",
     descending: bool = False,
-    page: Annotated[int, Query(ge=1, le=10**6)] = 1,
+    after: After = "",
     limit: Limit = 50,
 ) -> dict[str, Any]:
     """List the target units of a lot with their verdicts, filtered and sorted."""
-    rows = registry.pages.unit_page(lot, UnitFilter(tuple(verdict), text, sort, descending), page, limit)
-    following = page + 1 if page * limit < rows.total else None
+    before, wanted = _rows_before(after), UnitFilter(tuple(verdict), text, sort, descending)
+    rows = registry.pages.unit_page(lot, wanted, size=limit, before=before)
+    following = str(before + limit) if before + limit < rows.total else None
     return {"units": [unit_json(unit) for unit in rows.units], "total": rows.total, "next": following}
 
 
@@ -152,17 +181,19 @@ def unit_of_lot(registry: Known, _: Looking, lot: LotId, serial: Serial) -> dict
 @routes.get(
     "/lots/{lot}/units/{serial}/revisions",
     response_model=answers.RevisionsAnswer,
-    responses=_may_fail(404),
+    responses=_may_fail(400, 404),
     tags=["units"],
 )
-def revisions(registry: Known, _: Looking, lot: LotId, serial: Serial) -> dict[str, Any]:
+def revisions(
+    registry: Known, _: Looking, lot: LotId, serial: Serial, after: After = "", limit: Limit = 100
+) -> dict[str, Any]:
     """Tell every calibration of a unit, and which one is in use."""
     _unit(registry, lot, serial)
-    history = [history_json(stored) for stored in registry.calibrations.history(serial, lot)]
-    return {"lot": lot, "serial": serial, "revisions": history}
+    shown, following = _page(registry.calibrations.history(serial, lot), after, limit)
+    return {"lot": lot, "serial": serial, "revisions": [history_json(one) for one in shown], "next": following}
 
 
-@routes.get(
+@routes.post(
     "/lots/{lot}/units/{serial}/files/{format}",
     response_class=Response,
     responses=_gives("application/zip", "its files as one archive") | _may_fail(400, 404, 409),
@@ -176,7 +207,7 @@ def files(
     format: Annotated[str, Path(pattern=r"^[A-Za-z0-9_-]{1,32}$", description="json, c, blob, hex, onnx, pdf, dcc")],
     conditional: Annotated[bool, Query(description="conditional units have their files, too")] = False,
 ) -> Response:
-    """Give the calibration files of a unit with their manifest; a unit that is not released is refused (409)."""
+    """Export the files of a unit, which the audit trail keeps; a unit that is not released is refused (409)."""
     _unit(registry, lot, serial)
     release = Release.CONDITIONAL if conditional else Release.PASS
     options = ExportOptions(release=release, lot_id=lot, laboratory=kept_laboratory())
@@ -206,17 +237,25 @@ def results(registry: Known, _: Looking, lot: LotId) -> Response:
     return Response(content, 200, media_type=PARQUET)
 
 
-@routes.get("/units/{serial}", response_model=answers.UnitsAnswer, responses=_may_fail(404), tags=["units"])
-def unit(registry: Known, _: Looking, serial: Serial) -> dict[str, Any]:
-    """Tell of a serial in every lot it stands in."""
-    return {"units": [unit_json(unit) for unit in registry.lots.units(serial=serial)]}
+@routes.get("/units", response_model=answers.UnitsAnswer, responses=_may_fail(400, 404), tags=["units"])
+def units_of_serial(
+    registry: Known,
+    _: Looking,
+    serial: Annotated[str, Query(pattern=NAME, description="serial"), AfterValidator(partial(normalize, "NFC"))],
+    after: After = "",
+    limit: Limit = 50,
+) -> dict[str, Any]:
+    """Tell of a serial in every lot it stands in: a unit is known by lot and serial."""
+    shown, following = _page(registry.lots.units(serial=serial), after, limit)
+    return {"units": [unit_json(unit) for unit in shown], "next": following}
 
 
 @routes.post(
-    "/jobs", response_model=answers.JobAnswer, status_code=202, responses=_may_fail(400, 404, 409), tags=["jobs"]
+    "/jobs", response_model=answers.JobAnswer, status_code=202, responses=_may_fail(400, 404, 409, 429), tags=["jobs"]
 )
 def start(
     registry: Known,
+    runner: Annotated[JobRunner, Depends(_runner)],
     user: Calibrating,
     wanted: answers.JobRequest,
     response: Response,
@@ -233,18 +272,19 @@ def start(
     known = None if job_id is None else board.find(job_id)
     if known is not None and (known.kind, known.request) != (wanted.kind, request):
         raise HTTPException(409, "this Idempotency-Key was given for another request; give a new one; nothing was done")
-    placed = known.job_id if known is not None else board.place(wanted.kind, request, user.name, job_id)
+    placed = known.job_id if known is not None else board.place_bounded(wanted.kind, request, user.name, job_id)
+    runner.submit(placed)
     job = board.job(placed)
-    if known is None or (job.state is RunState.QUEUED and job.is_lost(datetime.now(UTC))):
-        process.launch(placed)
     response.headers["location"] = f"/v1/jobs/{placed}"
     return _job_json(job)
 
 
-@routes.get("/jobs", response_model=answers.JobsAnswer, tags=["jobs"])
-def jobs(registry: Known, _: Looking, limit: Limit = 50) -> dict[str, Any]:
-    """List the newest jobs."""
-    return {"jobs": [_job_json(job) for job in registry.job_board.jobs(count=limit)]}
+@routes.get("/jobs", response_model=answers.JobsAnswer, responses=_may_fail(400), tags=["jobs"])
+def jobs(registry: Known, _: Looking, after: After = "", limit: Limit = 50) -> dict[str, Any]:
+    """List the jobs, the newest first."""
+    rows = registry.job_board.jobs(count=limit + 1, before=_rows_before(after))
+    shown, following = _page(rows, after, limit, is_cut=True)
+    return {"jobs": [_job_json(job) for job in shown], "next": following}
 
 
 JobId = Annotated[str, Path(pattern=r"^[0-9a-f]{32}$")]
@@ -266,25 +306,32 @@ def cancel(registry: Known, _: Calibrating, job_id: JobId) -> dict[str, Any]:
     return _job_json(registry.job_board.job(job_id))
 
 
-@routes.get("/stations", response_model=answers.StationsAnswer, tags=["stations"])
-def stations(registry: Known, _: Looking) -> dict[str, Any]:
+@routes.get("/stations", response_model=answers.StationsAnswer, responses=_may_fail(400), tags=["stations"])
+def stations(registry: Known, _: Looking, after: After = "", limit: Limit = 50) -> dict[str, Any]:
     """List the stations. Nothing here moves one: only the person at its line does."""
-    return {"stations": stations_json(registry)}
+    shown, following = _page(stations_json(registry), after, limit)
+    return {"stations": shown, "next": following}
 
 
-@routes.get("/orders", response_model=answers.OrdersAnswer, tags=["stations"])
+@routes.get("/orders", response_model=answers.OrdersAnswer, responses=_may_fail(400), tags=["stations"])
 def orders(
-    registry: Known, _: Looking, station: Annotated[str | None, Query(pattern=r"^[^\x00]*$")] = None, limit: Limit = 50
+    registry: Known,
+    _: Looking,
+    station: Annotated[str | None, Query(pattern=r"^[^\x00]*$")] = None,
+    after: After = "",
+    limit: Limit = 50,
 ) -> dict[str, Any]:
-    """List the newest orders to stations and how far they are."""
-    return {"orders": [order_json(*run) for run in registry.order_queue.runs(station, limit)]}
+    """List the orders to stations and how far they are, the newest first."""
+    rows = registry.order_queue.runs(station, limit + 1, _rows_before(after))
+    shown, following = _page(rows, after, limit, is_cut=True)
+    return {"orders": [order_json(*run) for run in shown], "next": following}
 
 
 @routes.get("/events", response_model=answers.EventsAnswer, responses=_may_fail(400), tags=["events"])
 def events(
     registry: Known,
     user: Looking,
-    after: Annotated[str, Query(max_length=2000, description="`next` of the last answer; nothing begins")] = "",
+    after: After = "",
     kind: Annotated[list[Literal["verdict", "alert", "change"]], Query()] = ["verdict", "alert"],  # noqa: B006
     limit: Limit = 100,
 ) -> dict[str, Any]:
@@ -299,10 +346,11 @@ def events(
     }
 
 
-@routes.get("/alerts", response_model=answers.AlertsAnswer, tags=["events"])
-def alerts(registry: Known, _: Looking) -> dict[str, Any]:
+@routes.get("/alerts", response_model=answers.AlertsAnswer, responses=_may_fail(400), tags=["events"])
+def alerts(registry: Known, _: Looking, after: After = "", limit: Limit = 50) -> dict[str, Any]:
     """List the alerts that are open; `softcal connect run` finds them."""
-    return {"alerts": list(open_alerts(registry).values())}
+    shown, following = _page(list(open_alerts(registry).values()), after, limit)
+    return {"alerts": shown, "next": following}
 
 
 def _lot_json(registry: Registry, lot: Lot) -> dict[str, Any]:

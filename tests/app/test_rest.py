@@ -7,6 +7,7 @@ import re
 import shlex
 import zipfile
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 
 import httpx2
@@ -16,11 +17,12 @@ from fastapi.testclient import TestClient
 
 from softcal.app.batch.results import RESULTS
 from softcal.app.cli.main import main
-from softcal.app.connect.rest import openapi_document, rest_app
-from softcal.app.connect.rest_models import UnitAnswer
-from softcal.app.connect.rest_routes import MOST
 from softcal.app.registry.listing import unit_json
+from softcal.app.rest.routes import MOST
+from softcal.app.rest.server import openapi_document, rest_app
+from softcal.app.rest.v1 import UnitAnswer
 from softcal.core.lot import Lot
+from softcal.core.orders import Heartbeat, Order, OrderKind, StationState
 from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.entries import UnitEntry
@@ -63,16 +65,16 @@ def listed(url: str, tmp_path: Path) -> list[dict[str, object]]:
 
 def test_units_are_what_the_command_says_page_by_page(client, calibrated, tmp_path):
     assert [found["lot"] for found in client.get("/v1/lots").json()["lots"]] == ["small"]
-    wanted, found, page = listed(calibrated, tmp_path), [], 1
-    while page:
-        answer = client.get("/v1/lots/small/units", params={"limit": 2, "page": page}).json()
+    wanted, found, after = listed(calibrated, tmp_path), [], ""
+    while after is not None:
+        answer = client.get("/v1/lots/small/units", params={"limit": 3, "after": after}).json()
         assert answer["total"] == len(wanted)
         found += answer["units"]
-        page = answer["next"]
+        after = answer["next"]
     assert found == wanted
     one = wanted[0]["serial"]
     assert client.get(f"/v1/lots/small/units/{one}").json() == wanted[0]
-    assert client.get(f"/v1/units/{one}").json() == {"units": [wanted[0]]}
+    assert client.get(f"/v1/units?serial={one}").json() == {"units": [wanted[0]], "next": None}
 
 
 def test_a_filter_lets_through_what_it_names(client, calibrated, tmp_path):
@@ -87,22 +89,52 @@ def test_revisions_are_what_the_command_says(client, calibrated, tmp_path):
     assert main(["registry", "history", "--serial", "A1", "--registry", calibrated, "--json", path]) == 0
     said = json.loads(Path(path).read_text())
     answer = client.get("/v1/lots/small/units/A1/revisions").json()
-    assert {"schema": said["schema"], **answer} == said
+    assert {"schema": said["schema"], **answer} == said | {"next": None}
 
 
-def test_lots_come_a_page_at_a_time(client, registry):
-    for number in range(5):
+@pytest.mark.parametrize("limit", [1, 2, 5, 6, 7])
+def test_every_list_comes_a_page_at_a_time_by_the_same_cursor(client, registry, limit):
+    told = {"kind": "station", "lot": None, "values": {}, "is_urgent": True, "text": {"en": "x"}}
+    for number in range(6):
         registry.lots.add(Lot(f"X{number}", "S0", 50.0))
-    found, after = [], ""
-    while after is not None:
-        answer = client.get("/v1/lots", params={"limit": 2, "after": after}).json()
-        found += [lot["lot"] for lot in answer["lots"]]
-        after = answer["next"]
-    assert found == registry.lots.ids() and len(found) == 6
+        registry.job_board.place("train", {}, "Erin")
+        registry.calibrations.refuse(f"X{number}", "A1", "fail", (plain("dead"),))
+        registry.order_queue.place(Order(f"{number}", f"line-{number}", OrderKind.CHECK))
+        registry.order_queue.beat(Heartbeat(f"line-{number}", StationState.OFF, datetime.now(UTC)))
+        registry.trail.add("raise", "alerts", ("station", "", f"line-{number}"), told)
+    for path in ("lots", "units?serial=A1", "jobs", "orders", "stations", "alerts", "lots/small/units"):
+        name = path.rpartition("/")[2].partition("?")[0]
+        (whole, end), found, after = page_of(client, path, name, "", MOST), [], ""
+        while after is not None:
+            rows, after = page_of(client, path, name, after, limit)
+            assert len(rows) <= limit
+            found += rows
+        assert found == whole and end is None and len(whole) >= 4, path
+    assert client.get("/v1/lots?after=nonsense").status_code == 400
+
+
+def page_of(client, path: str, name: str, after: str, limit: int) -> tuple[list, str | None]:
+    asked = "&" if "?" in path else "?"
+    answer = client.get(f"/v1/{path}{asked}limit={limit}&after={after}").json()
+    return answer[name], answer["next"]
+
+
+def test_no_question_writes_anything(client, registry):
+    operations = openapi_document(rest_app(registry))["paths"]
+    known = {"{lot}": "small", "{serial}": "A1", "{job_id}": start_job(registry)}
+    before = registry.outbox.end()
+    for path in [path for path, methods in operations.items() if "get" in methods]:
+        for name, value in known.items():
+            path = path.replace(name, value)
+        answer = client.get(path, params={"serial": "A1"} if path == "/v1/units" else None)
+        assert answer.status_code == 200, (path, answer.text)
+    assert registry.outbox.end() == before
+    # A unit has no name without its lot.
+    assert not [path for path in operations if "{serial}" in path and not path.startswith("/v1/lots/{lot}/units/")]
 
 
 def test_files_are_those_of_the_export_and_who_took_them_is_kept(client, registry, calibrated, tmp_path):
-    answer = client.get("/v1/lots/small/units/A1/files/blob")
+    answer = client.post("/v1/lots/small/units/A1/files/blob")
     assert answer.status_code == 200, answer.text
     with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
         given = {name: archive.read(name) for name in archive.namelist()}
@@ -114,7 +146,7 @@ def test_files_are_those_of_the_export_and_who_took_them_is_kept(client, registr
 
 def test_files_of_a_unit_that_is_no_longer_released_are_refused_with_the_reason(client, registry):
     registry.calibrations.refuse("small", "A1", "fail", (plain("its cable broke"),))
-    answer = client.get("/v1/lots/small/units/A1/files/blob")
+    answer = client.post("/v1/lots/small/units/A1/files/blob")
     assert (answer.status_code, answer.headers["content-type"]) == (409, "application/problem+json")
     assert "its cable broke" in answer.json()["detail"]
 
@@ -142,7 +174,7 @@ def test_a_job_calibrates_and_the_same_key_is_the_same_job(client):
 
 def test_a_key_belongs_to_one_request_and_one_account(client, client_of, registry, monkeypatch):
     launched = []
-    monkeypatch.setattr("softcal.app.jobs.process.launch", launched.append)
+    monkeypatch.setattr("softcal.app.jobs.process.launch", lambda job_id, _: launched.append(job_id))
     registry.lots.add(Lot("other", "S0", 50.0))
     key = {"Idempotency-Key": "k"}
     mine = client.post("/v1/jobs", json={"lot": "small"}, headers=key).json()["job_id"]
@@ -202,7 +234,7 @@ def test_who_does_not_sign_in_sees_nothing(registry):
     [
         ("/v1/lots/none", 404, "none"),
         ("/v1/lots/none/units", 404, "none"),
-        ("/v1/units/none", 404, "none"),
+        ("/v1/units?serial=none", 404, "none"),
         (f"/v1/jobs/{'0' * 32}", 404, "0" * 32),
         ("/v1/events?after=nonsense", 400, "cursor"),
         ("/v1/lots?limit=0", 422, "query.limit"),
@@ -246,7 +278,7 @@ def test_no_request_that_a_fuzzer_finds_is_a_defect(registry, require, monkeypat
     from schemathesis import GenerationMode, checks
     from schemathesis.specs.openapi import checks as of_openapi
 
-    monkeypatch.setattr("softcal.app.jobs.process.launch", lambda job_id: None)
+    monkeypatch.setattr("softcal.app.jobs.process.launch", lambda job_id, on_end: None)
     token = registry.tokens.add("Erin", "fuzz", 1)[1]
     known = {"lot": registry.lots.ids()[0], "serial": "A1", "format": "json", "job_id": start_job(registry)}
     schema = schemathesis.openapi.from_asgi("/openapi.json", rest_app(registry))
@@ -311,7 +343,8 @@ def test_every_request_of_the_page_is_answered(client):
         body = words[words.index("-d") + 1].replace("lot-1", "small") if "-d" in words else None
         (address,) = [word for word in words if word.startswith("http://")]
         path = address.removeprefix("http://127.0.0.1:8600").replace("lot-1", "small")
-        answer = client.request("POST" if body else "GET", path, content=body, headers=headers)
+        is_sent = body or words[words.index("-X") + 1 :][:1] == ["POST"] if "-X" in words else body
+        answer = client.request("POST" if is_sent else "GET", path, content=body, headers=headers)
         assert answer.status_code in (200, 202), (address, answer.text)
 
 

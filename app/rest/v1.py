@@ -4,8 +4,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from softcal.core.orders import OrderKind, RunState
+
 Instant = Annotated[str, Field(json_schema_extra={"format": "date-time"})]
 Verdicts = Literal["pass", "conditional", "fail", "retest"]
+Roles = Literal["operator", "engineer", "quality"]
+Permissions = Literal["audit", "calibrate", "look", "override", "people", "release", "rollback", "set_limit", "set_up"]
+JobKinds = Literal["archive", "calibrate", "compare", "demo", "diagnose", "station_check", "train"]
+StationStates = Literal["starting", "off", "closed", "ready", "running", "stopped", "silent"]
+EventTypes = Literal["softcal.verdict", "softcal.alert.raised", "softcal.alert.cleared", "softcal.change"]
 
 
 class _Answer(BaseModel):
@@ -26,8 +33,8 @@ class AccountAnswer(_Answer):
     """Whose token this is, and what the role allows."""
 
     account: str
-    role: str
-    permissions: list[str]
+    role: Roles
+    permissions: list[Permissions]
     version: str = Field(description="version of softcal")
 
 
@@ -45,11 +52,14 @@ class LotAnswer(_Answer):
     counts: dict[str, int]
 
 
-class LotPageAnswer(_Answer):
-    """Some lots; `next` is what to give as `after`, null at the end."""
+class _Page(_Answer):
+    next: str | None = Field(description="what to give as `after` for the next page; null at the end")
+
+
+class LotPageAnswer(_Page):
+    """Some lots."""
 
     lots: list[LotAnswer]
-    next: str | None
 
 
 class ReleaseAnswer(_Answer):
@@ -79,26 +89,53 @@ class UnitAnswer(_Answer):
     is_stale: bool
 
 
-class UnitPageAnswer(_Answer):
-    """Some units; `total` is how many the filter lets through, `next` the number of the next page, null at the end."""
+class UnitPageAnswer(_Page):
+    """Some units; `total` is how many the filter lets through."""
 
     units: list[UnitAnswer]
     total: int
-    next: int | None
 
 
-class UnitsAnswer(_Answer):
+class UnitsAnswer(_Page):
     """A serial in every lot it stands in."""
 
     units: list[UnitAnswer]
 
 
-class RevisionsAnswer(_Answer):
+class RevisionAnswer(_Answer):
+    """One calibration of a unit; errors in the reference unit of the lot, `evidence` by name."""
+
+    lot_id: str
+    serial: str
+    revision: int
+    made_at: Instant
+    actor: str
+    reason: str
+    rolled_back_to: int | None
+    origin: str
+    is_current: bool
+    is_conflict: bool
+    network_id: str
+    family: str
+    map_sha256: str
+    verdict: Verdicts
+    reasons: list[str]
+    predicted_rmse: float | None
+    before_rmse: float | None
+    after_rmse: float | None
+    own_rmse: float | None
+    fit_s: float | None
+    input_sha256: str
+    recording_sha256: str
+    evidence: dict[str, float | str | None]
+
+
+class RevisionsAnswer(_Page):
     """Every calibration of a unit, as `softcal registry history --json` says it."""
 
     lot: str
     serial: str
-    revisions: list[dict[str, Any]]
+    revisions: list[RevisionAnswer]
 
 
 class JobRequest(_Answer):
@@ -112,11 +149,11 @@ class JobAnswer(_Answer):
     """A job and how far it is. `is_lost`: its process gives no sign of life."""
 
     job_id: str
-    kind: str
+    kind: JobKinds
     request: dict[str, Any]
     actor: str
     created: Instant
-    state: Literal["queued", "running", "done", "error", "cancelled"]
+    state: RunState
     fraction: float
     message: str
     is_cancel_wanted: bool
@@ -124,7 +161,7 @@ class JobAnswer(_Answer):
     result: dict[str, Any]
 
 
-class JobsAnswer(_Answer):
+class JobsAnswer(_Page):
     """The newest jobs, newest first; `result` is empty here."""
 
     jobs: list[JobAnswer]
@@ -134,17 +171,17 @@ class StationAnswer(_Answer):
     """A station: its state (`silent` without a sign of life), the unit it presses and the last one it judged."""
 
     station: str
-    state: str
+    state: StationStates
     at: Instant
     reasons: list[str]
     serial: str | None
     last_serial: str | None
-    last_verdict: str | None
+    last_verdict: Verdicts | None
     lot: str | None
     counts: dict[str, int]
 
 
-class StationsAnswer(_Answer):
+class StationsAnswer(_Page):
     """All stations by name."""
 
     stations: list[StationAnswer]
@@ -155,20 +192,20 @@ class OrderAnswer(_Answer):
 
     order_id: str
     station: str
-    kind: str
+    kind: OrderKind
     serial: str | None
     lot: str | None
     actor: str
     created: Instant | None
-    state: str
+    state: RunState
     phase: str
     fraction: float
     code: str
     message: str
-    verdict: str | None
+    verdict: Verdicts | None
 
 
-class OrdersAnswer(_Answer):
+class OrdersAnswer(_Page):
     """The newest orders, newest first."""
 
     orders: list[OrderAnswer]
@@ -180,7 +217,7 @@ class EventAnswer(_Answer):
     specversion: Literal["1.0"]
     id: str
     source: str
-    type: str
+    type: EventTypes
     time: Instant
     subject: str
     datacontenttype: str
@@ -195,7 +232,18 @@ class EventsAnswer(_Answer):
     is_end: bool
 
 
-class AlertsAnswer(_Answer):
-    """The alerts that are open, with their sentence in every language."""
+class AlertAnswer(_Answer):
+    """An alert: its kind, what it is about (`values`), and its sentence by language."""
 
-    alerts: list[dict[str, Any]]
+    kind: str
+    lot: str | None
+    is_urgent: bool
+    values: dict[str, Any]
+    text: dict[str, str]
+    since: Instant
+
+
+class AlertsAnswer(_Page):
+    """The alerts that are open."""
+
+    alerts: list[AlertAnswer]

@@ -81,6 +81,9 @@ def client_text(document: Schema) -> str:
         ordered |= {name: left.pop(name) for name in ready}
     types: list[str] = []
     for name, schema in ordered.items():
+        if "enum" in schema:
+            types.append(f"\n{name} = {_type(schema)}\n")
+            continue
         types += [f"\nclass {name}(TypedDict):", f'    """{_sentence(schema.get("description", name))}"""\n']
         for key, value in schema["properties"].items():
             said = _type(value)
@@ -117,7 +120,7 @@ def _method(method: str, path: str, operation: Schema) -> Iterator[str]:
     """Yield the lines of one method: words of the path, the body, all else by its name."""
     parameters = operation.get("parameters", [])
     words = [one["name"] for one in parameters if one["in"] == "path"]
-    named = [one for one in parameters if one["in"] != "path"]
+    named = [one for one in parameters if one["in"] != "path" and one["name"] != "If-None-Match"]
     body = operation.get("requestBody", {}).get("content", {}).get("application/json")
     answer = next(found for code, found in operation["responses"].items() if code.startswith("2"))
     kind, content = next(iter(answer["content"].items()))

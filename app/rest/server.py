@@ -13,31 +13,29 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.openapi.utils import get_openapi
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
-from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from softcal.app.bootstrap import REGISTRY_VARIABLE, open_chosen_registry, registry_url
-from softcal.app.connect.rest_models import ProblemAnswer
-from softcal.app.connect.rest_routes import routes
 from softcal.app.connect.settings import is_here
+from softcal.app.jobs.runner import JobRunner
 from softcal.app.logs import log_crash
-from softcal.core.errors import InputError, NotInRegistry, RegistryBusy, RegistryError, SoftcalError, UnitRefused
+from softcal.app.rest.front import MAX_HEAD, BoundedProtocol, Front
+from softcal.app.rest.problem import PROBLEM, TITLES, problem
+from softcal.app.rest.routes import routes
+from softcal.app.rest.v1 import ProblemAnswer
+from softcal.core.errors import InputError, NotInRegistry, RegistryError, SoftcalError, UnitRefused
+from softcal.db.queues.job_board import QueueFull
 from softcal.db.registry import Registry
 
-PROBLEM = "application/problem+json"
-RETRY_AFTER_S = 5
-TITLES = {
-    400: "Bad request",
-    401: "Not signed in",
-    403: "Not allowed",
-    404: "Not found",
-    405: "Method not allowed",
-    409: "Conflict",
-    422: "Invalid request",
-    500: "Defect",
-    503: "Registry away",
-}
-EVERYWHERE = (401, 403, 422, 503)
+EVERYWHERE = (400, 401, 403, 408, 413, 422, 503)
 """Errors that any answer may be."""
+
+IF_NONE_MATCH = {
+    "name": "If-None-Match",
+    "in": "header",
+    "required": False,
+    "description": "`ETag` of an answer that the asker has",
+    "schema": {"type": "string", "maxLength": 1000},
+}
 
 DESCRIPTION = """Units, verdicts, files, lots, jobs, stations and events of a softcal registry.
 
@@ -56,8 +54,8 @@ def rest_app(registry: Registry, hosts: Sequence[str] = ("127.0.0.1", "localhost
         redoc_url=None,
         responses={status: {"model": ProblemAnswer, "description": TITLES[status]} for status in EVERYWHERE},
     )
-    app.state.registry = registry
-    app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(hosts), www_redirect=False)
+    app.state.registry, app.state.jobs = registry, JobRunner(registry)
+    app.add_middleware(Front, user_of=registry.tokens.user_of, hosts=hosts)
     app.include_router(routes, prefix="/v1")
     for kind in (SoftcalError, RequestValidationError, HTTPException, Exception):
         app.add_exception_handler(kind, _answer)
@@ -76,6 +74,9 @@ def openapi_document(app: FastAPI) -> dict[str, Any]:
     if app.openapi_schema is None:
         made = get_openapi(title=app.title, version=app.version, description=app.description, routes=app.routes)
         for path in made["paths"].values():
+            if "get" in path:
+                path["get"].setdefault("parameters", []).append(IF_NONE_MATCH)
+                path["get"]["responses"]["304"] = {"description": "the asker has this answer already"}
             for operation in path.values():
                 for status, answer in operation["responses"].items():
                     if status[0] in "45" and "application/json" in answer.get("content", {}):
@@ -84,17 +85,11 @@ def openapi_document(app: FastAPI) -> dict[str, Any]:
     return app.openapi_schema
 
 
-def problem(status: int, detail: str, headers: Any = None) -> JSONResponse:
-    """Return an error as RFC 9457 writes it."""
-    answer = ProblemAnswer(title=TITLES.get(status, "Error"), status=status, detail=detail)
-    return JSONResponse(answer.model_dump(), status, headers, PROBLEM)
-
-
 def _answer(_: Request, error: Exception) -> JSONResponse:
     """Return a request's error as one line; what softcal raises on purpose is no defect."""
     match error:
-        case RegistryBusy():
-            return problem(503, str(error), {"retry-after": str(RETRY_AFTER_S)})
+        case QueueFull():
+            return problem(429, str(error))
         case RegistryError():
             return problem(503, str(error))
         case UnitRefused():
@@ -152,12 +147,16 @@ def serve_api(options: ServingOptions, on_first_write: Callable[[str], None]) ->
     with open_chosen_registry(url) as registry:
         registry.database.on_first_write = lambda: on_first_write(url)
         app = rest_app(registry, ("127.0.0.1", "localhost", options.host, *options.names))
+        app.state.jobs.adopt()
         config = uvicorn.Config(
             app,
             options.host,
             options.port,
             log_level="warning",
             server_header=False,
+            http=BoundedProtocol,
+            ws="none",
+            h11_max_incomplete_event_size=MAX_HEAD,
             ssl_certfile=options.cert_file,
             ssl_keyfile=options.key_file,
         )

@@ -1,0 +1,221 @@
+"""What stands before the REST routes: which hosts, whose token, how long a head and a body may be and may take.
+
+One ASGI layer that refuses before a byte of a body is read, and the protocol that lets half-sent heads go. What it
+refuses it refuses as every other error: one line of `application/problem+json`.
+"""
+
+import asyncio
+import hashlib
+import time
+from collections.abc import Callable, Sequence
+
+import h11
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect
+from starlette.responses import Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from softcal.app.rest.problem import SIGN_IN, Headers, problem
+from softcal.core.errors import InputError, RegistryError
+from softcal.db.entries import User
+
+MAX_BODY = 64 * 1024
+"""Bytes of a request's body; no request of softcal needs a tenth of it."""
+
+MAX_HEAD = 16 * 1024
+"""Bytes of a request's head."""
+
+HEAD_S, BODY_S = 10.0, 10.0
+"""A head, counted from the connection or the last answer, and a body have to be there within that time."""
+
+MAX_CONNECTIONS = 256
+"""With more, the one that has waited longest for its head is closed: who says nothing shuts nobody out."""
+
+OPEN = ("/health", "/openapi.json")
+"""What needs no token."""
+
+
+class Front:
+    """ASGI middleware: host, token, size of the body, and ETag of an answer.
+
+    Args:
+        user_of: returns the account of a token (`InputError`: it is none that holds).
+        hosts: names under which this server may be asked, without port.
+    """
+
+    def __init__(self, app: ASGIApp, user_of: Callable[[str], User], hosts: Sequence[str]) -> None:
+        self._app, self._user_of, self._hosts = app, user_of, frozenset(host.lower() for host in hosts)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Refuse, or hand on with the account in `state.user`, the whole body, and an ETag for what comes back."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        headers = Headers(scope)
+        refusal = self._refusal(headers) or await self._sign_in(scope, headers)
+        if refusal is None:
+            try:
+                body = await _read_body(receive, headers)
+            except _Refused as refused:
+                refusal = refused.answer
+            except ClientDisconnect:
+                return
+            else:
+                answer = _Answer(send, headers.one("if-none-match")) if scope["method"] == "GET" else None
+                await self._app(scope, _replay(body, receive), send if answer is None else answer.take)
+                return
+        # The body stays where it is: a connection that went on would have to read it.
+        refusal.headers["connection"] = "close"
+        await refusal(scope, receive, send)
+
+    def _refusal(self, headers: Headers) -> Response | None:
+        hosts = headers.all("host")
+        if len(hosts) != 1 or _name_of(hosts[0]) not in self._hosts:
+            return problem(400, "this server is not known under this name; start it with --name, or ask it by its own")
+        if headers.size() > MAX_HEAD:
+            return problem(431, f"a head of at most {MAX_HEAD // 1024} KiB was expected; nothing was done")
+        return None
+
+    async def _sign_in(self, scope: Scope, headers: Headers) -> Response | None:
+        if scope["path"] in OPEN or not scope["path"].startswith("/v1/"):
+            return None
+        kind, _, secret = headers.one("authorization").partition(" ")
+        if kind.lower() != "bearer" or not secret:
+            return problem(401, "sign in with a token: `Authorization: Bearer TOKEN`", SIGN_IN)
+        try:
+            scope.setdefault("state", {})["user"] = await run_in_threadpool(self._user_of, secret.strip())
+        except InputError as error:
+            return problem(401, str(error), SIGN_IN)
+        except RegistryError as error:
+            return problem(503, str(error))
+        return None
+
+
+def _name_of(host: str) -> str:
+    name, colon, port = host.rpartition(":")
+    return (name if colon and port.isdigit() else host).lower().strip("[]")
+
+
+class _Refused(Exception):
+    def __init__(self, status: int, detail: str) -> None:
+        super().__init__(detail)
+        self.answer = problem(status, f"{detail}; nothing was done")
+
+
+async def _read_body(receive: Receive, headers: Headers) -> bytes:
+    """Return the body; one that is too long or too slow is `_Refused`, half of one is never handed on."""
+    length, body = headers.one("content-length"), bytearray()
+    announced = int(length) if length.isdigit() else 0
+    try:
+        async with asyncio.timeout(BODY_S):
+            while max(announced, len(body)) <= MAX_BODY:
+                message = await receive()
+                if message["type"] == "http.disconnect":
+                    raise ClientDisconnect
+                body += message.get("body", b"")
+                if not message.get("more_body") and len(body) <= MAX_BODY:
+                    return bytes(body)
+    except TimeoutError as error:
+        raise _Refused(408, f"the body did not come within {BODY_S:g} s") from error
+    raise _Refused(413, f"a body of at most {MAX_BODY // 1024} KiB was expected")
+
+
+def _replay(body: bytes, receive: Receive) -> Receive:
+    parts = [body]
+
+    async def read() -> Message:
+        return {"type": "http.request", "body": parts.pop(), "more_body": False} if parts else await receive()
+
+    return read
+
+
+class _Answer:
+    """Holds an answer until it is whole, then sends it with its ETag, or 304 where the asker has it already."""
+
+    def __init__(self, send: Send, known: str) -> None:
+        self._send, self._known, self._body = send, known, bytearray()
+        self._start: Message = {}
+
+    async def take(self, message: Message) -> None:
+        if message["type"] == "http.response.start":
+            self._start = {**message, "headers": list(message.get("headers", ()))}
+            return
+        self._body += message.get("body", b"")
+        if message.get("more_body"):
+            return
+        if self._start["status"] == 200:
+            etag = f'"{hashlib.sha256(self._body).hexdigest()[:32]}"'
+            # What is said of a unit may change at any time, and is for who may read it.
+            self._start["headers"] += [(b"etag", etag.encode()), (b"cache-control", b"private, no-cache")]
+            if is_known(etag, self._known):
+                kept = (b"etag", b"cache-control")
+                headers = [(name, value) for name, value in self._start["headers"] if name in kept]
+                self._start, self._body = {**self._start, "status": 304, "headers": headers}, bytearray()
+        await self._send(self._start)
+        await self._send({"type": "http.response.body", "body": bytes(self._body)})
+
+
+def is_known(etag: str, known: str) -> bool:
+    """Whether If-None-Match names a tag (RFC 9110, 13.1.2: a list, weak or strong, or `*`)."""
+    tags = {tag.strip().removeprefix("W/") for tag in known.split(",")}
+    return "*" in tags or etag in tags
+
+
+class BoundedProtocol(H11Protocol):
+    """HTTP/1.1 whose heads have to be whole in time; uvicorn itself waits for them for ever."""
+
+    begun_s = 0.0
+    _head_timer: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin to wait for the first head; where the house is full the oldest waiting connection goes."""
+        super().connection_made(transport)
+        self._await_head()
+        if len(self.connections) > MAX_CONNECTIONS:
+            waiting = [one for one in self.connections if isinstance(one, BoundedProtocol) and one.is_waiting]
+            oldest = min(waiting, key=lambda one: one.begun_s)
+            # It is among the connections until the loop comes to it; it must not be chosen twice.
+            oldest._end_wait()
+            oldest.transport.abort()
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether no head is there yet."""
+        return self._head_timer is not None
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget the wait."""
+        self._end_wait()
+        super().connection_lost(exc)
+
+    def handle_events(self) -> None:
+        """End the wait once a head is whole."""
+        super().handle_events()
+        if self.cycle is not None and not self.cycle.response_complete:
+            self._end_wait()
+
+    def on_response_complete(self) -> None:
+        """Begin to wait for the next head."""
+        if not self.transport.is_closing():
+            self._await_head()
+        super().on_response_complete()
+
+    def send_400_response(self, msg: str) -> None:
+        """Refuse what is no HTTP, as every other error."""
+        answer = problem(400, f"a request of HTTP/1.1 with a head of at most {MAX_HEAD // 1024} KiB was expected")
+        headers = [*answer.raw_headers, (b"connection", b"close")]
+        start = h11.Response(status_code=400, headers=headers, reason=b"Bad Request")
+        for event in (start, h11.Data(data=bytes(answer.body)), h11.EndOfMessage()):
+            self.transport.write(self.conn.send(event) or b"")
+        self.transport.close()
+
+    def _await_head(self) -> None:
+        self._end_wait()
+        self.begun_s = time.monotonic()
+        self._head_timer = self.loop.call_later(HEAD_S, self.transport.abort)
+
+    def _end_wait(self) -> None:
+        if self._head_timer is not None:
+            self._head_timer.cancel()
+            self._head_timer = None
