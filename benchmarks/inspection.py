@@ -36,10 +36,13 @@ def outputs() -> Iterator[tuple[str, Array, Array | None, float]]:
         yield "eGaIn", table["output_V"].to_numpy(), table["force_N"].to_numpy(), 50.0
     for name in ("calibration", "validation_1"):
         table = pd.read_parquet(DATA / f"insole_lot/{name}.parquet")
-        for taxel in [column for column in table.columns if column.startswith("taxel")]:
-            yield "insole", table[taxel].to_numpy(float), None, 48.9
+        pressure = table["pressure_bar"].to_numpy(float)
+        for number, taxel in enumerate(column for column in table.columns if column.startswith("taxel")):
+            # All lie under one pressure: every eighth tells what the others do.
+            yield "insole", table[taxel].to_numpy(float), None if number % 8 else pressure, 48.9
     for path in sorted((DATA / "nylon_drift").glob("*.parquet")):
-        yield "nylon", pd.read_parquet(path)["output_R_over_R0"].to_numpy(float), None, 10.0
+        table = pd.read_parquet(path)
+        yield "nylon", table["output_R_over_R0"].to_numpy(float), table["strain_norm"].to_numpy(float), 10.0
     for path in sorted((DATA / "skin_places").glob("*.parquet")):
         table = pd.read_parquet(path)
         yield "skin", table["output_V"].to_numpy(), table["force_N"].to_numpy(), 50.0
@@ -48,7 +51,7 @@ def outputs() -> Iterator[tuple[str, Array, Array | None, float]]:
 def inspected(output: Array, reference: Array | None, rate_Hz: float) -> InspectedRecording:
     """Build a recording of evenly spaced samples."""
     t_s = np.arange(len(output)) / rate_Hz
-    return build_recording("unit", t_s, output, sample_rate_Hz=rate_Hz, reference=reference)
+    return build_recording("unit", t_s, output, sample_rate_Hz=rate_Hz, reference=reference, config=InspectionConfig())
 
 
 def invalid(result: InspectedRecording, samples: int) -> Mask:
@@ -122,11 +125,12 @@ def measure(seed: int, is_quick: bool) -> tuple[Shares, dict[tuple[str, str], li
     for name, output, force, rate_Hz in outputs():
         if is_quick and name == "insole" and rng.random() < 0.8:
             continue
-        plain = inspected(output, force, rate_Hz)
+        plain = inspected(output, None, rate_Hz)
         shares.add((name, "as measured"), np.zeros(len(output), dtype=bool), invalid(plain, len(output)))
         plant_spikes(shares, name, output, rate_Hz, rng)
         if force is None:
             continue
+        plain = inspected(output, force, rate_Hz)
         references[name, "as measured: lag, held or tare"][0] += 1
         references[name, "as measured: lag, held or tare"][1] += len(plain.inspection.of_kind("lag", "held", "tare"))
         for fault, kind, spoilt, reference, row in reference_faults(output, force, rate_Hz):

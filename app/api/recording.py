@@ -16,11 +16,13 @@ from softcal.core.inspection.inspection import Inspection
 from softcal.core.inspection.words import check_reference, summarise
 from softcal.core.lot import check_serial
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.unit.method import Method
 
 if TYPE_CHECKING:
     import pandas as pd
     import plotly.graph_objects as go
 
+COLUMNS = ("t_s", "output", "stage_mm", "reference")
 RATE = "a positive number of samples a second"
 
 
@@ -48,6 +50,7 @@ class Recording:
         output_unit, reference_unit: physical units.
         stage_mm: (n,) stage position in mm, positive when it compresses, where the station knows it. Source and units
             that carry it are compared at equal stage histories.
+        lines: (n,) line of its file of each sample, which remarks then name; `read` sets them.
 
     Raises:
         InputError: lengths differ, a value is no number, time goes back, or neither rate nor time is given.
@@ -61,6 +64,7 @@ class Recording:
     output_unit: str = "V"
     reference_unit: str = "N"
     stage_mm: Any = None
+    lines: Any = None
 
     def __post_init__(self) -> None:
         # Whatever is wrong with it is reported here, not at the first use.
@@ -85,6 +89,8 @@ class Recording:
         if rate_Hz is None:
             raise InputError("neither sample_rate_Hz nor t_s says when samples were taken; give one of them")
         typed["sample_rate_Hz"] = rate_Hz
+        if self.lines is not None:
+            typed["lines"] = column("lines", self.lines).astype(np.int64)
         for name, value in typed.items():
             object.__setattr__(self, name, value)
         _ = self.labelled if self.reference is not None else self.unlabelled
@@ -133,7 +139,7 @@ class Recording:
             raise InputError(f"a step of {step} would change the sample rate or the direction of time; leave it out")
         stop = max(start, stop)
         columns: dict[str, Any] = {name: values[start:stop] for name, values in self._columns.items()}
-        return replace(self, **columns)
+        return replace(self, lines=None if self.lines is None else self.lines[start:stop], **columns)
 
     def between(self, start_s: float, stop_s: float) -> "Recording":
         """Return the stretch between two time stamps in s, both included.
@@ -162,7 +168,7 @@ class Recording:
 
     @property
     def _columns(self) -> dict[str, Array]:
-        columns = {name: getattr(self, name) for name in ("t_s", "output", "stage_mm", "reference")}
+        columns = {name: getattr(self, name) for name in COLUMNS}
         return {name: values for name, values in columns.items() if values is not None}
 
     @cached_property
@@ -183,6 +189,8 @@ class Recording:
             output_unit=self.output_unit,
             stage_mm=self.stage_mm,
             reference=reference,
+            lines=self.lines,
+            config=Method().inspection,
         )
 
     @property
@@ -203,7 +211,7 @@ class Recording:
         >>> softcal.Recording([0.50, 0.52, 0.55] * 10, sample_rate_Hz=50).remarks
         []
         """
-        return [str(remark) for remark in summarise(self.inspection)]
+        return [str(remark) for remark in summarise(self.inspection, self.lines)]
 
     @property
     def rows(self) -> Any:

@@ -12,6 +12,7 @@ from softcal.app.files.unused_parts import no_reference_column
 from softcal.app.registry.same_recordings import same_recordings_with
 from softcal.app.tables.options import DETECT, TableOptions
 from softcal.core.errors import InputError
+from softcal.core.inspection.comparison import compare_with_source
 from softcal.core.lot import Lot
 from softcal.core.quality.same_recording import Pressed, same_recordings
 from softcal.core.recording import LabelledRecording, OutputRecording
@@ -35,12 +36,14 @@ def unused_of_audits(
     audits: Sequence[AuditFile],
     registry: Registry | None = None,
     others: Iterable[OutputRecording | LabelledRecording] = (),
+    source: LabelledRecording | None = None,
 ) -> tuple[tuple[NotUsed, ...], tuple[Reason, ...]]:
     """Return the audits that are not taken, and the remarks on those that are.
 
     Args:
         registry: with whose recordings the audits are compared, too.
         others: recordings of the lot that they are compared with.
+        source: whose unit of measure and sign they should have.
     """
     refused = [
         NotUsed("audit", one.serial, one.refusal, one.file) if one.serial else NotUsed("file", one.file, one.refusal)
@@ -50,7 +53,8 @@ def unused_of_audits(
     taken = [one.recording for one in audits if one.recording is not None]
     pressed = [Pressed(one.serial, lot.id, one.output_sha256) for one in (*taken, *others)]
     remarks = same_recordings(pressed) if registry is None else same_recordings_with(registry, pressed)
-    return tuple(refused), remarks
+    compared = () if source is None else compare_with_source(source, taken)
+    return tuple(refused), (*compared, *remarks)
 
 
 def look_at_audits(

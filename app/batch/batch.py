@@ -10,6 +10,7 @@ from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
 from softcal.app.batch.release import judge_lot
 from softcal.app.batch.report import BatchReport, unused_audits
 from softcal.app.batch.train import train_or_find
+from softcal.app.batch.unit_work import ReadFile
 from softcal.app.files.lot_folder import LotFolder
 from softcal.app.files.recording_file import naming
 from softcal.app.files.unused_parts import unused_columns
@@ -37,8 +38,9 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     start_s = time.perf_counter()
     # Known loads that somebody names outrank those that lie in the folder.
     config = replace(config, anchors=config.anchors or folder.read_anchors())
-    source = folder.read_source()
-    sources, actor, lot_id = [source, *folder.read_more_sources()], config.actor, folder.lot.id
+    looked = folder.inspect_sources().values()
+    sources, actor, lot_id = [one.labelled(folder.lot.reference_unit) for one in looked], config.actor, folder.lot.id
+    source, read = sources[0], [ReadFile.from_recording(one, one.remarks) for one in looked]
     trained = [train_or_find(folder.lot, one, registry, config.network, actor, watch.on_epoch) for one in sources]
     models = [make_source_model(one, found.network) for one, found in zip(sources, trained, strict=True)]
     lot, run = registry.lots.get(lot_id), folder.read_golden()
@@ -66,8 +68,18 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     audit = update_lot(registry, lot_id, actor)
     judge_leaning(registry, lot_id, actor)
     units = tuple(work.told(list(folder.unit_paths)).values())
-    remarks = (*same_recordings_of(registry, lot_id), *([] if units else [Reason("lot.no_units")]))
+    read += sorted(work.files, key=lambda file: file.path)
+    names = {file.path: file.path.relative_to(folder.root).as_posix() for file in read}
+    layouts = {names[file.path]: file.layout for file in read}
+    of_files = [f"{names[file.path]}: {remark}" for file in read for remark in file.remarks]
+    remarks: list[Reason | str] = [
+        *of_files,
+        *same_recordings_of(registry, lot_id),
+        *([] if units else [Reason("lot.no_units")]),
+    ]
     unread = unused_columns(folder.root, folder.unit_paths, folder.names)
     not_used = (*folder.not_used, *unread, *unused_audits(folder.audit_paths, units))
     seconds = time.perf_counter() - start_s
-    return BatchReport(lot_id, trained[0], units, seconds, audit, config.release, decided, not_used, remarks)
+    return BatchReport(
+        lot_id, trained[0], units, seconds, audit, config.release, decided, not_used, tuple(remarks), layouts
+    )

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from softcal.app.batch.known import config_of, stated_sources
 from softcal.app.bootstrap import data_folder
-from softcal.app.files.importing import ImportPlan, LookedAt, import_lot, look_through
+from softcal.app.files.importing import ImportPlan, LookedAt, compare_audits, import_lot, look_through
 from softcal.app.files.lot_folder import FOLDER_OF, LotFolder, open_lot_folder, write_lot_toml
 from softcal.app.files.not_used import NotUsed
 from softcal.app.files.recording_file import replace_recording
@@ -64,7 +64,8 @@ def expect(plan: ImportPlan, registry: Registry) -> ExpectedLot:
     tables = [(look.path, look.serial, look.unit) for look in looks if look.unit is not None]
     audits, not_used = unused_of_import(plan, tables)
     pressed = [Pressed(serial, plan.lot.id, unit.recording.output_sha256) for _, serial, unit in tables]
-    return ExpectedLot(units, tuple(audits), not_used, same_recordings_with(registry, pressed))
+    compared = compare_audits(plan, {serial: unit for _, serial, unit in tables})
+    return ExpectedLot(units, tuple(audits), not_used, (*compared, *same_recordings_with(registry, pressed)))
 
 
 def _expected(look: LookedAt, source: LookedAt | None, plan: ImportPlan) -> Expected:

@@ -24,7 +24,16 @@ from softcal.app.batch.engine import EngineChoice, WorkerLost, run_all
 from softcal.app.batch.guard import PassingRefusal, each_alone, lost
 from softcal.app.batch.known import KeptFacts, keep_result, put_back
 from softcal.app.batch.report import UnitResult
-from softcal.app.batch.unit_work import Chunk, ChunkOutcome, FileContent, SharedWork, UnitOutcome, UnitTask, work_on
+from softcal.app.batch.unit_work import (
+    Chunk,
+    ChunkOutcome,
+    FileContent,
+    ReadFile,
+    SharedWork,
+    UnitOutcome,
+    UnitTask,
+    work_on,
+)
 from softcal.app.files.lot_folder import LotFolder
 from softcal.app.files.regular import read_regular
 from softcal.app.logs import note
@@ -113,6 +122,7 @@ class LotWork:
         self._new: set[str] = set()
         self._ended: set[str] = set()
         self._unit_s: float | None = None
+        self.files: list[ReadFile] = []
 
     def run(self) -> None:
         """Work until every unit has a result, whoever made it."""
@@ -272,6 +282,7 @@ class LotWork:
     def _keep(self, claims: Claims, outcome: ChunkOutcome) -> list[UnitResult]:
         if outcome.work_s and outcome.units:
             self._unit_s = outcome.work_s / len(outcome.units)
+        self.files += [file for unit in outcome.units for file in unit.files]
 
         def kept() -> dict[str, UnitResult]:
             with self._registry.transaction():

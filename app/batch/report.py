@@ -1,7 +1,7 @@
 """What a batch says when it is done: a row per unit, for people and as JSON for programs."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from softcal.app.batch.audit import LotAudit, audit_json, audit_line
@@ -43,7 +43,8 @@ class UnitResult:
 class BatchReport:
     """What a batch did: `audit` is where a planned audit of the lot stands, `release` which
     verdicts release files, `decided` what audits say about the lot's other units, `not_used` what of
-    the folder was not used, `remarks` what is odd and no error.
+    the folder was not used, `remarks` what is odd and no error, `layouts` how each file that was read
+    now is laid out, "" where it has the plain form.
     """
 
     lot_id: str
@@ -54,7 +55,8 @@ class BatchReport:
     release: Release = Release.PASS
     decided: LotRelease | None = None
     not_used: tuple[NotUsed, ...] = ()
-    remarks: tuple[Reason, ...] = ()
+    remarks: tuple[Reason | str, ...] = ()
+    layouts: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -120,6 +122,7 @@ def report_json(report: BatchReport) -> dict[str, object]:
         "audits": sum(unit.is_audited for unit in report.units),
         "not_used": [item.to_json() for item in report.not_used],
         "remarks": [str(remark) for remark in report.remarks],
+        "layouts": dict(report.layouts),
     }
 
 

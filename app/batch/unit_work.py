@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from softcal.app.batch.calibrating import LotFacts, Refusal, Result, UnitInputs, calibrate_unit
-from softcal.app.files.recording_file import PLAIN, ColumnNames, read_labelled, read_recording
+from softcal.app.files.recording_file import PLAIN, ColumnNames, FileRecording, inspect_recording
 from softcal.core.errors import InputError
+from softcal.core.inspection.comparison import compare_recordings
 from softcal.core.lot import Lot
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.verdict import Verdict
@@ -45,15 +46,30 @@ class SharedWork:
     names: ColumnNames = PLAIN
 
 
+@dataclass(frozen=True)
+class ReadFile:
+    """How a file was read: its layout in one line, "" where it has the plain form, and remarks."""
+
+    path: Path
+    layout: str
+    remarks: tuple[str, ...]
+
+    @classmethod
+    def from_recording(cls, file: FileRecording, remarks: tuple[str, ...] | None = None) -> "ReadFile":
+        """Return how a recording was read; of a unit the reasons tell what its samples show."""
+        return cls(file.table.path, file.table.layout, file.reading_remarks if remarks is None else remarks)
+
+
 @dataclass(frozen=True, eq=False)
 class UnitOutcome:
-    """What became of one unit, with the recordings to keep."""
+    """What became of one unit, with the recordings to keep, and how its files were read."""
 
     task_id: int
     serial: str
     result: Result
     recording: OutputRecording | None = None
     audit: LabelledRecording | None = None
+    files: tuple[ReadFile, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,22 +100,33 @@ def work_on(shared: SharedWork, chunk: Chunk) -> ChunkOutcome:
 
 def _work_on_unit(shared: SharedWork, task: UnitTask) -> UnitOutcome:
     lot, names, file, audit = shared.lot, shared.names, task.recording, task.audit
+    units, config = (lot.output_unit, lot.reference_unit), shared.facts.source.method.inspection
     try:
         if file is None:
             raise InputError(task.problem)
-        recording = read_recording(file.path, task.serial, lot.sample_rate_Hz, lot.output_unit, file.content, names)
+        unit = inspect_recording(file.path, task.serial, lot.sample_rate_Hz, units, file.content, names, config=config)
     except InputError as error:
         refusal = Refusal(Verdict.RETEST, reason("unreadable", error=str(error)))
         return UnitOutcome(task.item_id, task.serial, refusal)
-    facts = task.facts
+    facts, recording, files = task.facts, unit.recording, [ReadFile.from_recording(unit)]
     if audit is not None:
-        units = lot.output_unit, lot.reference_unit
         try:
-            read = read_labelled(audit.path, task.serial, lot.sample_rate_Hz, units, audit.content, names)
-            facts = replace(facts, audit=read)
+            read = inspect_recording(
+                audit.path,
+                task.serial,
+                lot.sample_rate_Hz,
+                units,
+                audit.content,
+                names,
+                with_reference=True,
+                config=config,
+            )
+            facts = replace(facts, audit=read.labelled(lot.reference_unit))
+            beside = compare_recordings(shared.facts.source.source, read.labelled(lot.reference_unit))
+            files.append(ReadFile.from_recording(read, (*read.reading_remarks, *map(str, beside))))
         except InputError as error:
             facts = replace(facts, unread_audit=str(error))
     result = calibrate_unit(shared.facts, recording, facts, task.known)
     # Only what came as a file is new to the registry.
     new_audit = None if audit is None or facts.unread_audit else facts.audit
-    return UnitOutcome(task.item_id, task.serial, result, recording, new_audit)
+    return UnitOutcome(task.item_id, task.serial, result, recording, new_audit, tuple(files))

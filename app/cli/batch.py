@@ -13,6 +13,7 @@ from softcal.app.cli.options import (
     batch_watch,
     network_config,
     registry_of,
+    say_layouts,
     say_unused,
 )
 from softcal.app.output import print_reasons, print_sentence, print_table, say, write_json
@@ -82,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
     from softcal.core.unit.verdict import Release
 
     folder = open_lot_folder(options.lot)
-    for remark in (*folder.remarks, *folder.source_remarks()):
+    for remark in folder.remarks:
         say(f"note: {remark}")
     lack = None if options.no_own else lacking("torch", "no own calibration is trained for comparison")
     anchors = {} if options.anchors is None else read_anchors(options.anchors, folder.unit_paths)
@@ -112,6 +113,7 @@ def run(options: argparse.Namespace) -> int:
             mapped = [u.serial for u in report.units if u.made is not None]
             explain_units(registry, mapped, options.plots, report.lot_id)
             say(f"{options.plots}: figures of {len(mapped)} units")
+    say_layouts(report.layouts)
     print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
     for subject, reasons in reasons_by_verdict(report.units):
         print_reasons(subject, reasons)

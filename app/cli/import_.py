@@ -15,7 +15,7 @@ from softcal.app.cli.options import (
     answer,
     converted,
     positive,
-    say_layout,
+    say_layouts,
     say_unused,
     table_options,
     unused_json,
@@ -133,11 +133,8 @@ def _report(options: argparse.Namespace, plan: "ImportPlan", imported: "Imported
     """Report what was made, how the files were read, and what was not used."""
     from softcal.app.files.unused_parts import unread_files
 
-    lot, by_layout = plan.lot, dict[str, list[str]]()
-    for name, layout in imported.layouts.items():
-        by_layout.setdefault(layout, []).append(name)
-    for layout, names in by_layout.items():
-        say_layout(names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more", layout)
+    lot = plan.lot
+    say_layouts(imported.layouts)
     units = f"{len(imported.units)} target units"
     say(f"{options.out}: lot {lot.id!r}, source {', '.join(options.source)}, {units}, {lot.sample_rate_Hz:g} Hz")
     not_used = (*(item for path in options.files for item in unread_files(path)), *imported.not_used)

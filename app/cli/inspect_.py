@@ -8,6 +8,7 @@ from softcal.app.output import print_table, write_json
 EXAMPLES = """examples:
   softcal inspect logger.csv --output-column output_V --reference-column force_N
   softcal inspect my-lot/source/A1.csv --json -
+  softcal inspect my-lot/audit/A2.csv --source my-lot/source/A1.csv
   softcal inspect files/unit-A1.ssc --network files/network-0123456789abcdef.ssc
 
 Of a table: how it was read, its rate, gaps, samples that cannot be with line and value, jumps, and what is wrong with
@@ -23,6 +24,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--network", **FILE, help="the network file, to run a unit's self-tests")
     add_columns(parser)
     parser.add_argument("--reference-column", metavar="NAME", help="column of the reference; default: reference")
+    parser.add_argument("--source", **FILE, help="the source's table: what differs in unit of measure or sign is named")
     add_shared(parser, "json", "csv")
 
 
@@ -37,22 +39,26 @@ def run(options: argparse.Namespace) -> None:
 def _show_table(options: argparse.Namespace) -> None:
     from softcal.app.files.inspected_table import (
         FINDINGS_HEADER,
+        compare_files,
         finding_rows,
         inspect_file,
         inspection_json,
         summary_rows,
     )
 
-    file = inspect_file(options.file, column_names(options), options.reference_column)
-    write_json(options.json, inspection_json(file))
+    names, reference = column_names(options), options.reference_column
+    file = inspect_file(options.file, names, reference)
+    source = None if options.source is None else inspect_file(options.source, names, reference)
+    beside = [] if source is None else compare_files(source, file)
+    write_json(options.json, inspection_json(file, beside))
     findings = finding_rows(file)
     if options.csv:
         print_table(FINDINGS_HEADER, findings)
     elif options.json != "-":
         print_table(("what", "value"), summary_rows(file))
-        for *_, text in findings:
+        for text in (*(text for *_, text in findings), *beside):
             print(f"- {text}")
-        if not findings:
+        if not findings and not beside:
             print("nothing is wrong with it that can be seen without its unit")
 
 

@@ -359,7 +359,7 @@ def _bring(options: argparse.Namespace) -> int:
     from softcal.app.files.importing import Columns, tables_of
     from softcal.app.files.lot_folder import open_lot_folder
     from softcal.app.files.unused_parts import unread_files
-    from softcal.app.registry.lot_recordings import target_serials
+    from softcal.app.registry.lot_recordings import source_of_lot, target_serials
 
     columns, table = (
         Columns(options.output_column, options.reference_column, options.time_column),
@@ -372,14 +372,14 @@ def _bring(options: argparse.Namespace) -> int:
         lot = opened.lot
         _check_rate(options.sample_rate, lot.sample_rate_Hz)
         looked = look_at_audits(lot, opened.unit_paths.keys(), files, columns, table)
-        refusals, remarks = unused_of_audits(lot, looked, others=opened.readable_audits())
+        refusals, remarks = unused_of_audits(lot, looked, others=opened.readable_audits(), source=opened.read_source())
         replaced, then = write_audits(folder, looked), f"next: softcal batch {options.lot}"
     else:
         with registry_of(options) as registry:
             lot = registry.lots.get(options.lot)
             _check_rate(options.sample_rate, lot.sample_rate_Hz)
             looked = look_at_audits(lot, target_serials(registry, lot.id), files, columns, table)
-            refusals, remarks = unused_of_audits(lot, looked, registry)
+            refusals, remarks = unused_of_audits(lot, looked, registry, source=source_of_lot(registry, lot))
             store_audits(registry, lot.id, looked)
             judge_again(registry, [lot.id])
     for audit in looked:

@@ -157,6 +157,15 @@ def say_layout(name: str, layout: str, remarks: Sequence[str] = ()) -> None:
             say(f"{name}: {line}")
 
 
+def say_layouts(layouts: Mapping[str, str]) -> None:
+    """Report how files were read, a line for each layout but the plain one."""
+    by_layout: dict[str, list[str]] = {}
+    for name, layout in layouts.items():
+        by_layout.setdefault(layout, []).append(name)
+    for layout, names in by_layout.items():
+        say_layout(names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more", layout)
+
+
 def column_names(options: argparse.Namespace) -> "ColumnNames":
     """Return the columns that the options name."""
     from softcal.app.files.recording_file import PLAIN, ColumnNames

@@ -3,6 +3,7 @@
 import fnmatch
 import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -15,15 +16,18 @@ from softcal.app.files.recording_file import (
     ColumnNames,
     FileRecording,
     build_from_table,
+    read_timed,
     read_times,
     write_rows,
 )
 from softcal.app.files.unused_parts import unused_of_import
 from softcal.app.tables.options import DETECT, TableOptions
-from softcal.app.tables.read import READERS, read_table
+from softcal.app.tables.read import READERS
 from softcal.app.tables.table import Table
-from softcal.app.tables.timestamps import INDEX, is_time_heading, median_rate_Hz
+from softcal.app.tables.time_column import is_clock_heading, is_date_heading
+from softcal.app.tables.timestamps import median_rate_Hz
 from softcal.core.errors import InputError
+from softcal.core.inspection.comparison import compare_with_source
 from softcal.core.lot import Lot, check_serial, file_stem, serial_key
 from softcal.core.quality.same_recording import Pressed, same_recordings
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
@@ -57,7 +61,7 @@ class Columns:
     def is_requested(self, name: str) -> bool:
         """Whether a column of this name is needed; others are not read where possible."""
         if name in (self.reference, self.time, self.stage) or (
-            self.time is None and (is_time_heading(name) or name == INDEX)
+            is_clock_heading(name) if self.time is None else is_date_heading(name)
         ):
             return True
         return self.is_output(name)
@@ -187,15 +191,29 @@ def import_lot(plan: ImportPlan, folder: Path) -> ImportedLot:
             if plan.audit and audit is not None:
                 write_rows(part / "audit" / f"{serial}.csv", audit, plan.audit_rows)
     audits, not_used = unused_of_import(plan, tables)
+    compared = compare_audits(plan, units)
     layouts = {path.name: unit.file.table.layout for path, _, unit in tables}
     of_files = dict.fromkeys(f"{path.name}: {remark}" for path, _, unit in tables for remark in unit.file.remarks)
     targets = tuple(serial for serial in units if serial not in plan.sources)
     pressed = [Pressed(serial, plan.lot.id, unit.recording.output_sha256) for serial, unit in units.items()]
-    remarks: list[Reason | str] = [*of_files, *same_recordings(pressed)]
+    remarks: list[Reason | str] = [*of_files, *compared, *same_recordings(pressed)]
     remarks += [] if targets else [Reason("lot.no_units")]
     reference = units[plan.lot.source].reference
     full_range = 0.0 if reference is None else float(np.ptp(reference))
     return ImportedLot(targets, tuple(audits), full_range, layouts, (*unnamed, *not_used), tuple(remarks))
+
+
+def compare_audits(plan: ImportPlan, units: Mapping[str, ImportedUnit]) -> tuple[Reason, ...]:
+    """Return what tells that an audit is in another unit of measure than the source, or of the other sign."""
+    source, unit = units.get(plan.lot.source), plan.lot.reference_unit
+    labelled: dict[str, LabelledRecording] = {}
+    for serial, one in units.items():
+        # A reference that can label nothing is refused where it is used.
+        with suppress(InputError):
+            if one.audit is not None or one is source:
+                labelled[serial] = one.labelled(unit)
+    known = labelled.pop(plan.lot.source, None)
+    return () if known is None else compare_with_source(known, labelled.values())
 
 
 def _named_units(plan: ImportPlan) -> tuple[list[tuple[Path, str, ImportedUnit]], list[NotUsed]]:
@@ -279,13 +297,13 @@ def _read(plan: ImportPlan) -> Iterator[tuple[Path, str, "ImportedUnit | InputEr
     others = (columns.reference, columns.stage)
     for k, path in enumerate(plan.files):
         try:
-            table = read_table(path, plan.table, is_requested=columns.is_requested)
-            names = columns.names(columns.output, plan.table)
+            names = replace(columns.names(columns.output, plan.table), rate_Hz=plan.lot.sample_rate_Hz)
+            table, names = read_timed(path, names, columns.is_requested)
             t_s, remarks = read_times(table, names, plan.lot.sample_rate_Hz)
             outputs = [columns.output]
             if columns.is_wide:
-                time = columns.time or next(filter(is_time_heading, table.names), None)
-                shown = [column.name for column in table.columns if column.name not in (*others, time, INDEX)]
+                taken = (*others, names.time)
+                shown = [c.name for c in table.columns if c.name not in taken and not is_clock_heading(c.name)]
                 outputs = list(filter(columns.is_output, shown))
                 if not outputs:
                     raise InputError(f"{path}: no column matches {columns.output!r}")
@@ -326,8 +344,8 @@ def shown_rate_Hz(path: Path, columns: Columns, table: TableOptions = DETECT) ->
     Raises:
         InputError: there is no such column, it never advances, or nothing states its unit.
     """
-    read = read_table(path, table, is_requested=columns.is_requested)
-    t_s, _ = read_times(read, columns.names(columns.output, table), None)
+    read, names = read_timed(path, columns.names(columns.output, table), columns.is_requested)
+    t_s, _ = read_times(read, names, None)
     rate_Hz = median_rate_Hz(t_s)
     if not np.isfinite(rate_Hz):
         raise InputError(

@@ -1,5 +1,6 @@
 """What `softcal inspect` shows of a table: its layout, its time, and every finding of the look at its recording."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,8 +8,13 @@ import numpy as np
 
 from softcal.app.files.recording_file import ColumnNames, FileRecording, inspect_recording
 from softcal.app.tables.read import read_table
+from softcal.core.inspection.comparison import compare_recordings
 from softcal.core.inspection.inspection import InspectionFinding
 from softcal.core.inspection.words import finding_reason
+from softcal.core.unit.findings import contradictions
+from softcal.core.unit.health import output_limits
+from softcal.core.unit.method import Method
+from softcal.core.words.reason import Reason
 
 FINDINGS_HEADER = ("line", "t_s", "column", "finding", "value", "times or share", "rows", "what it shows")
 
@@ -42,6 +48,7 @@ def summary_rows(file: FileRecording) -> list[tuple[str, object]]:
         ("time", f"{recording.t_s[0]:.6g} to {recording.t_s[-1]:.6g} s"),
         *ranges,
         ("gaps", _gaps(inspection.of_kind("gap"))),
+        ("pauses", _gaps(inspection.of_kind("pause"), "at rest")),
         ("left out", masked or "none"),
         ("rows that fill a window", f"{inspection.window_share:.1%}"),
     ]
@@ -52,8 +59,27 @@ def finding_rows(file: FileRecording) -> list[tuple[object, ...]]:
     return [tuple(values.values()) for values in _findings(file)]
 
 
-def inspection_json(file: FileRecording) -> dict[str, object]:
-    """Return what a table holds as the JSON of `softcal inspect --json` (schema `softcal.inspection/1`)."""
+def compare_files(source: FileRecording, file: FileRecording) -> list[str]:
+    """Return what a recording shows beside the source's: another unit of measure, sign or place of its output.
+
+    Raises:
+        InputError: the source has no reference, or its reference can label nothing.
+    """
+    known = source.labelled("N")
+    method, output = Method(), file.recording
+    limits = output_limits(output, known.unlabelled, known.direction > 0, method.health)
+    against: list[Reason] = [one.reason for one in contradictions(known.unlabelled, output, limits, method)]
+    if file.inspected.reference is not None:
+        against += compare_recordings(known, file.labelled("N"))
+    return list(map(str, against))
+
+
+def inspection_json(file: FileRecording, beside: Sequence[str] = ()) -> dict[str, object]:
+    """Return what a table holds as the JSON of `softcal inspect --json` (schema `softcal.inspection/1`).
+
+    Args:
+        beside: what it shows beside the source's recording.
+    """
     inspection = file.inspected.inspection
     return {
         "schema": "softcal.inspection/1",
@@ -66,6 +92,7 @@ def inspection_json(file: FileRecording) -> dict[str, object]:
         "masked": inspection.masked.counts,
         "window_share": inspection.window_share,
         "findings": _findings(file),
+        "beside_source": list(beside),
     }
 
 
@@ -98,7 +125,8 @@ def _range(file: FileRecording, name: str) -> str:
     return f"{values.min():.6g} to {values.max():.6g}"
 
 
-def _gaps(gaps: tuple[InspectionFinding, ...]) -> str:
+def _gaps(gaps: tuple[InspectionFinding, ...], what: str = "") -> str:
     missing = sum(gap.amount for gap in gaps)
     longest = max((gap.value for gap in gaps), default=0.0)
-    return f"{len(gaps)}, longest {longest:.2f} s, samples missing {missing:.0f}" if gaps else "none"
+    what = what or f"samples missing {missing:.0f}"
+    return f"{len(gaps)}, longest {longest:.2f} s, {what}" if gaps else "none"

@@ -100,15 +100,14 @@ class LotFolder:
     def read_source(self) -> LabelledRecording:
         return self._labelled(self.source_path, self.lot.source)
 
+    def inspect_sources(self) -> dict[str, FileRecording]:
+        """Read and inspect the recordings of the sources, by serial, the lot's own source first."""
+        paths = {self.lot.source: self.source_path, **self.more_source_paths}
+        return {serial: self._inspect(path, serial) for serial, path in paths.items()}
+
     def source_remarks(self) -> list[str]:
         """Return what the look at the recordings of the sources shows, one line each with file and line."""
-        paths = {self.lot.source: self.source_path, **self.more_source_paths}
-        files = {path.name: self._inspect(path, serial) for serial, path in paths.items()}
-        return [f"{name}: {remark}" for name, file in files.items() for remark in file.remarks]
-
-    def read_more_sources(self) -> list[LabelledRecording]:
-        """Read the labelled recordings of further sources, in the order of `lot.toml`."""
-        return [self._labelled(path, serial) for serial, path in self.more_source_paths.items()]
+        return [f"{one.table.path.name}: {remark}" for one in self.inspect_sources().values() for remark in one.remarks]
 
     def check_name(self, row: str) -> None:
         """Raise `InputError` where a unit's file names no serial, or one that another file names, too."""

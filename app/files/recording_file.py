@@ -1,20 +1,32 @@
 """Recordings on disk: columns of a table into a recording that was inspected, and back."""
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from unicodedata import normalize
 
 import numpy as np
 
 from softcal.app.tables.options import DETECT, TableOptions
-from softcal.app.tables.read import PARQUET, read_table
+from softcal.app.tables.read import PARQUET, read_table, table_pieces
 from softcal.app.tables.table import Table
-from softcal.app.tables.timestamps import INDEX, Clock, find_time_column, is_time_heading, median_rate_Hz
+from softcal.app.tables.time_column import (
+    INDEX,
+    find_time_by_cells,
+    find_time_column,
+    is_clock_heading,
+    is_date_heading,
+    is_time_heading,
+)
+from softcal.app.tables.timestamps import Clock, median_rate_Hz
 from softcal.core.errors import InputError
 from softcal.core.inspection.build import InspectedRecording, build_recording
+from softcal.core.inspection.config import InspectionConfig
 from softcal.core.inspection.words import check_reference, summarise
 from softcal.core.recording import RATE_TOLERANCE, Array, Indices, LabelledRecording, OutputRecording
+from softcal.core.unit.method import Method
 
 STAGE = "stage_mm"
 NO_TIME = "there is no column of time such as 't_s'; name it with --time-column, or give the sample rate"
@@ -43,8 +55,11 @@ class ColumnNames:
         """Whether a column of this name is read."""
         if name in (self.output, self.time, self.stage) or (with_reference and name == self.reference):
             return True
-        return self.time is None and (is_time_heading(name) or name == INDEX)
+        return is_clock_heading(name) if self.time is None else is_date_heading(name)
 
+
+IN_FORCE = Method().inspection
+"""What is masked where no stored method says otherwise."""
 
 PLAIN = ColumnNames()
 """The columns of a lot folder's files."""
@@ -58,14 +73,19 @@ class FileRecording:
         columns: `t_s`, `output`, `reference` and `stage_mm` where there are such, each (n,) with NaN where a sample is
             missing.
         rows: (m,) row of the table of each sample of the recording.
-        remarks: what a person should know of the table, its time and its samples.
+        reading_remarks: what a person should know of how its table and its time were read.
     """
 
     table: Table
     inspected: InspectedRecording
     columns: Mapping[str, Array]
     rows: Indices
-    remarks: tuple[str, ...]
+    reading_remarks: tuple[str, ...]
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a person should know of the table, its time and its samples."""
+        return (*self.reading_remarks, *map(str, summarise(self.inspected.inspection, self.lines)))
 
     @property
     def t_s(self) -> Array:
@@ -111,6 +131,47 @@ def read_times(table: Table, names: ColumnNames, rate_Hz: float | None) -> tuple
     return clock.seconds(table, ", or give the sample rate"), clock.remarks
 
 
+def read_timed(
+    path: Path, names: ColumnNames, is_requested: Callable[[str], bool], content: bytes | None = None
+) -> tuple[Table, ColumnNames]:
+    """Read the requested columns of a table; where no heading is that of a time, the cells tell the column of it.
+
+    Returns:
+        The table, and the names with that of the time.
+
+    Raises:
+        InputError: the table cannot be read, or several columns may be the time.
+    """
+    table = read_table(path, names.table, content=content, is_requested=is_requested)
+    found, how = time_by_cells(table, names, is_requested, content)
+    if found is None:
+        return table, names
+    table = read_table(
+        path, names.table, content=content, is_requested=lambda name: name == found or is_requested(name)
+    )
+    return replace(table, remarks=(*table.remarks, how)), replace(names, time=found)
+
+
+def time_by_cells(
+    table: Table, names: ColumnNames, is_requested: Callable[[str], bool], content: bytes | None = None
+) -> tuple[str | None, str]:
+    """Return the column of time that no heading tells, and that it was taken; None where there is none, or no need."""
+    outputs = [column for column in table.columns if column.name == names.output and column.cells.dtype.kind == "f"]
+    if names.time is not None or any(is_time_heading(name) or name == INDEX for name in table.names) or not outputs:
+        return None, ""
+    requested = {names.output, names.reference, names.stage}
+    others = {name for name, count in Counter(table.names).items() if count == 1 and name not in requested}
+    if not others:
+        return None, ""
+    if content is None:
+        read = next(table_pieces(table.path, names.table, others.__contains__, len(table)))
+    else:
+        read = read_table(table.path, names.table, content=content, is_requested=others.__contains__)
+    with naming(table.path):
+        found, how = find_time_by_cells(read.columns, outputs[0].cells, names.rate_Hz)
+    return found, f"column {found!r} is taken as the time: {how}"
+
+
 def check_rate(path: Path, t_s: Array, rate_Hz: float) -> None:
     """Refuse a declared rate that is not that of the time stamps, with `InputError`."""
     shown_Hz = median_rate_Hz(t_s)
@@ -130,7 +191,8 @@ def clock_of(table: Table, names: ColumnNames, rate_Hz: float | None) -> Clock |
             name = find_time_column(others, table.columns)
         if name is None or _is_empty(table, name):
             return None
-    return Clock(name, names.table.time_format, rate_Hz)
+    dates = [other for other in table.names if is_date_heading(other) and other != name and table.has(other)]
+    return Clock(name, names.table.time_format, rate_Hz, date=dates[0] if len(dates) == 1 else None)
 
 
 def _is_empty(table: Table, name: str) -> bool:
@@ -147,28 +209,25 @@ def inspect_recording(
     names: ColumnNames = PLAIN,
     *,
     with_reference: bool = False,
+    config: InspectionConfig = IN_FORCE,
 ) -> FileRecording:
     """Read and inspect a recording; its reference is looked at only where it is asked for.
 
     Args:
         sample_rate_Hz: rate that the time stamps must have; None takes the declared one of `names`, else theirs.
+        config: what is masked; of the method that calibrates the unit.
 
     Raises:
         InputError: the table cannot be read, or is no recording.
     """
-    table = read_table(
-        path,
-        names.table,
-        content=content,
-        is_requested=lambda name: names.is_requested(name, with_reference=with_reference),
-    )
+    table, names = read_timed(path, names, partial(names.is_requested, with_reference=with_reference), content)
     table.column(names.output)
     t_s, remarks = read_times(table, names, names.rate_Hz)
     if names.rate_Hz and sample_rate_Hz:
         check_rate(path, t_s, names.rate_Hz)
     rate_Hz = sample_rate_Hz or names.rate_Hz
-    built = build_from_table(table, t_s, serial, rate_Hz, units, names, with_reference=with_reference)
-    return replace(built, remarks=(*built.remarks, *remarks))
+    built = build_from_table(table, t_s, serial, rate_Hz, units, names, with_reference=with_reference, config=config)
+    return replace(built, reading_remarks=(*built.reading_remarks, *remarks))
 
 
 def build_from_table(
@@ -180,6 +239,7 @@ def build_from_table(
     names: ColumnNames,
     *,
     with_reference: bool = False,
+    config: InspectionConfig = IN_FORCE,
 ) -> FileRecording:
     """Build an inspected recording out of columns of a table; rows without a time are none of it.
 
@@ -205,30 +265,29 @@ def build_from_table(
             stage_mm=None if stage_mm is None else stage_mm[timed],
             reference=None if reference is None else reference[timed],
             lines=table.lines[timed],
+            config=config,
         )
-    remarks += map(str, summarise(inspected.inspection, table.lines[timed]))
     columns = {"t_s": t_s, "output": output, "reference": reference, STAGE: stage_mm}
     present = {name: values for name, values in columns.items() if values is not None}
     return FileRecording(table, inspected, present, timed[inspected.rows], tuple(remarks))
 
 
 def read_columns(path: Path, names: ColumnNames, *, with_reference: bool) -> dict[str, Array]:
-    """Return `output` and, where the table has them, `t_s`, `reference` and `stage_mm`, each (n,).
+    """Return `output`, `lines` and, where the table has them, `t_s`, `reference` and `stage_mm`, each (n,).
 
     NaN stands where a value is missing; rows without a time are left out.
 
     Raises:
         InputError: the file is no table, or lacks a column.
     """
-    table = read_table(
-        path, names.table, is_requested=lambda name: names.is_requested(name, with_reference=with_reference)
-    )
+    table, names = read_timed(path, names, partial(names.is_requested, with_reference=with_reference))
     columns = {"output": table.numbers(names.output)}
     clock = clock_of(table, names, names.rate_Hz)
     if clock is not None:
         columns["t_s"] = clock.seconds(table)
     if with_reference:
         columns["reference"] = table.numbers(names.reference)
+    columns["lines"] = table.lines.astype(np.float64)
     if names.stage is not None and (names.stage != STAGE or table.has(STAGE)):
         columns[STAGE] = table.numbers(names.stage)
     timed = np.isfinite(columns.get("t_s", np.zeros(len(table))))
@@ -245,19 +304,6 @@ def read_recording(
 ) -> OutputRecording:
     """Read `t_s, output` (and `stage_mm` where there is one); no other column is looked at."""
     return inspect_recording(path, serial, sample_rate_Hz, (output_unit, ""), content, names).recording
-
-
-def read_labelled(
-    path: Path,
-    serial: str,
-    sample_rate_Hz: float | None,
-    units: tuple[str, str] = ("V", "N"),
-    content: bytes | None = None,
-    names: ColumnNames = PLAIN,
-) -> LabelledRecording:
-    """Read `t_s, output, reference`."""
-    file = inspect_recording(path, serial, sample_rate_Hz, units, content, names, with_reference=True)
-    return file.labelled(units[1])
 
 
 class naming:

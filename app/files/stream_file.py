@@ -2,14 +2,16 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from softcal.app.files.atomic import whole_file
-from softcal.app.files.recording_file import NO_TIME, PLAIN, ColumnNames, check_rate, clock_of
+from softcal.app.files.recording_file import NO_TIME, PLAIN, ColumnNames, check_rate, clock_of, time_by_cells
 from softcal.app.tables.read import PARQUET, TEXT, table_pieces
+from softcal.app.tables.text_layout import HEAD_LINES
 from softcal.app.tables.timestamps import Clock
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
@@ -51,7 +53,7 @@ class Stream:
         Raises:
             InputError: no such file or columns, a text for a number, time that goes back, or fewer rows than a window.
         """
-        rows, path, names = 0, self._path, self._names
+        rows, path, names = 0, self._path, self._named()
         clock: Clock | None = None
         for table in table_pieces(path, names.table, names.is_requested, PIECES_AT_ONCE * PIECE):
             if not rows:
@@ -76,6 +78,16 @@ class Stream:
             for start in range(0, len(output), PIECE):
                 yield t_s[start : start + PIECE], output[start : start + PIECE]
         self.remarks += [] if clock is None else clock.remarks
+
+    def _named(self) -> ColumnNames:
+        """Return the names of the columns with that of the time, which the first piece tells where no heading does."""
+        names = self._names
+        if names.time is not None:
+            return names
+        head = next(table_pieces(self._path, names.table, names.is_requested, HEAD_LINES))
+        found, how = time_by_cells(head, names, names.is_requested)
+        self.remarks += [how] if found else []
+        return names if found is None else replace(names, time=found)
 
 
 def count_rows(path: Path) -> int:

@@ -15,7 +15,7 @@ from softcal.app.files.recording_file import ColumnNames, read_times
 from softcal.app.gap.diagnose import NO_TERMS
 from softcal.app.tables.options import DETECT, TableOptions
 from softcal.app.tables.read import read_table
-from softcal.app.tables.timestamps import find_time_column
+from softcal.app.tables.time_column import find_time_column
 from softcal.core.errors import InputError
 from softcal.core.gap.data_mistake import DataMistake
 from softcal.core.gap.identifiability import Identifiability

@@ -1,6 +1,7 @@
 """Recordings of a lot that the registry keeps: sources of networks, and audits."""
 
 from softcal.core.errors import InputError
+from softcal.core.lot import Lot
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel, make_source_model
@@ -24,6 +25,13 @@ def source_recording(registry: Registry, network_id: str) -> LabelledRecording:
     if not isinstance(source, LabelledRecording):
         raise InputError(reason("run.bare_network", network=network_id[:12]))
     return source
+
+
+def source_of_lot(registry: Registry, lot: Lot) -> LabelledRecording | None:
+    """Return the newest recording of a lot's source with its reference; None where there is none."""
+    entries = [one for one in registry.recordings.of_lot(lot.id, lot.source) if one.kind == "source"]
+    recording = registry.recordings.get(entries[-1].sha256) if entries else None
+    return recording if isinstance(recording, LabelledRecording) else None
 
 
 def source_model(registry: Registry, network_id: str, method: Method) -> SourceModel:

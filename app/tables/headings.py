@@ -8,7 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from softcal.app.tables.numbers import Kind, cell_kind
+from softcal.app.tables.numbers import UNITS, Kind, cell_kind, unit_number
 from softcal.core.errors import InputError
 
 IsRequested = Callable[[str], bool] | None
@@ -17,14 +17,6 @@ MAX_PREAMBLE = 100
 """Lines of a preamble in which rows of numbers may stand."""
 
 BRACKETS = re.compile(r"[(\[{<](?P<unit>[^()\[\]{}<>]*)[)\]}>]\s*$")
-UNITS = frozenset(
-    "s sec secs second seconds ms msec us usec µs μs ns min mins minute minutes h hr v mv uv µv μv volt volts "
-    "n mn kn newton newtons kgf gf g kg lbf lb lbs ozf mm cm m um µm μm in inch pa kpa mpa hpa bar mbar psi hz khz "
-    "°c c °f k % %fs count counts lsb raw digit digits ohm ohms ω kω mω kohm mohm a ma ua µa f pf nf uf v/v mv/v "
-    "mm/s mm/min n/mm 1 - – — n/a none a.u. au ts rn smp avg max std tot no. hh:mm:ss hh:mm:ss.fff hh:mm:ss.ms "
-    "yyyy-mm-dd date time text".split()
-)
-"""Texts that a row of units is made of, in small letters."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +57,12 @@ def data_rows(rows: Sequence[Sequence[Any]], decimal: str = ".") -> tuple[list[i
     """
     Form = tuple[frozenset[int], frozenset[int]]
     forms: dict[int, tuple[int, Form]] = {}
-    for k, row in enumerate(rows):
-        kinds = [cell_kind(cell, decimal) for cell in row]
+    kinds_of = [[cell_kind(cell, decimal) for cell in row] for row in rows]
+    has_units = not any(kind in (Kind.NUMBER, Kind.STAMP) for kinds in kinds_of for kind in kinds)
+    if has_units:
+        # Every number has its unit behind it.
+        kinds_of = [[Kind.NUMBER if unit_number(cell, decimal) else cell_kind(cell) for cell in row] for row in rows]
+    for k, kinds in enumerate(kinds_of):
         if Kind.NUMBER in kinds or Kind.STAMP in kinds:
             width = max(n for n, kind in enumerate(kinds) if kind is not Kind.EMPTY) + 1
             places = [frozenset(n for n, kind in enumerate(kinds) if kind is one) for one in (Kind.TEXT, Kind.STAMP)]
@@ -82,7 +78,8 @@ def data_rows(rows: Sequence[Sequence[Any]], decimal: str = ".") -> tuple[list[i
     # Empty cells at the end of a row do not count, so that the widest of the frequent ones is the table's.
     width = max(w for w, count in widths.items() if count > 0.02 * sum(widths.values()))
     usual = widths.most_common(1)[0][0]
-    return [k for k, (w, form) in forms.items() if form in same and min(usual, width) <= w <= width], text, width
+    data = [k for k, (w, form) in forms.items() if form in same and min(usual, width) <= w <= width]
+    return data, frozenset(range(width)) if has_units else text, width
 
 
 def find_heading(

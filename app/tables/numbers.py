@@ -6,6 +6,7 @@ from datetime import date, datetime, time, timedelta
 from enum import Enum, auto
 from numbers import Real
 from typing import Any
+from unicodedata import normalize
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,28 @@ STAMP = re.compile(
 
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:(?P<mark>[,. '’\u00a0\u202f])\d{3})(?:(?P=mark)\d{3})*(?:[.,]\d+)?")
 """Digits in groups of three."""
+
+
+UNITS = frozenset(
+    "s sec secs second seconds ms msec us usec µs μs ns min mins minute minutes h hr v mv uv µv μv volt volts "
+    "n mn kn newton newtons kgf gf g kg lbf lb lbs ozf mm cm m um µm μm in inch pa kpa mpa hpa bar mbar psi hz khz "
+    "°c c °f k % %fs count counts lsb raw digit digits ohm ohms ω kω mω kohm mohm a ma ua µa f pf nf uf v/v mv/v "
+    "mm/s mm/min n/mm 1 - – — n/a none a.u. au ts rn smp avg max std tot no. hh:mm:ss hh:mm:ss.fff hh:mm:ss.ms "
+    "yyyy-mm-dd date time text".split()
+)
+"""Texts that a row of units is made of, in small letters."""
+
+UNIT_NUMBER = re.compile(
+    r"(?P<number>[^\sA-Za-zµμ°Ω%][^\sA-Za-zµμ°Ω%]*(?:[eE][+-]?\d+)?)\s*(?P<unit>[A-Za-zµμ°Ω%][A-Za-zµμ°Ω%/]*)"
+)
+"""A number with its unit behind it."""
+
+MAX_SUMMARY_ROWS = 12
+SUMMARY_WORDS = frozenset(
+    "mean average avg median std stdev sd min minimum max maximum sum total count range variance "
+    "mittelwert mittel moyenne media promedio 평균 최대 최소".split()
+)
+"""How rows of a summary below a table begin, in small letters."""
 
 
 class Kind(Enum):
@@ -64,6 +87,68 @@ def is_missing(text: str, missing: Sequence[str] = ()) -> bool:
     """Whether a text stands for a missing sample: nothing, NaN, beyond all numbers, or declared."""
     bare = text.strip()
     return not bare or bare in missing or (small := bare.lower()) in NOT_A_NUMBER or small in INFINITE
+
+
+def unit_number(cell: Any, decimal: str) -> tuple[str, str] | None:
+    """Return number and unit of a text such as `0.52 V`; None where it is none."""
+    match = UNIT_NUMBER.fullmatch(cell.strip()) if isinstance(cell, str) else None
+    if match is None or match["unit"].lower() not in UNITS or not NUMBER[decimal].fullmatch(match["number"]):
+        return None
+    return match["number"], match["unit"]
+
+
+def written_numbers(cells: NDArray[Any], decimal: str, missing: Sequence[str]) -> tuple[Array, str, str] | None:
+    """Return texts that are numbers in another way of writing, their unit, and what was taken off.
+
+    A minus of a text editor, digits of full width, `1.5D-3`, `="0.52"`; one unit behind every number; marks between
+    thousands where they can be nothing else. None where a cell is none of these, or two readings are possible.
+    """
+    texts = [None if cell is None or is_missing(str(cell), missing) else _plain(str(cell)) for cell in cells]
+    present = [text for text in texts if text is not None]
+    if not present:
+        return None
+    with_unit = [unit_number(text, decimal) for text in present]
+    units = {one[1] for one in with_unit if one}
+    unit, how = "", ""
+    if len(units) == 1 and None not in with_unit:
+        (unit,) = units
+        texts = [text if text is None else str(unit_number(text, decimal)[0]) for text in texts]  # type: ignore[index]
+        how = f"{unit!r} stands behind every number and was taken off"
+    elif mark := _thousands_mark(present, decimal):
+        texts = [text if text is None else text.replace(mark, "") for text in texts]
+        how = f"{mark!r} stands between thousands and was taken off"
+    elif _has_other_mark(present, decimal):
+        texts = [text if text is None else text.replace(_other(decimal), decimal) for text in texts]
+        how = f"its decimal mark is {_other(decimal)!r}, unlike that of other columns"
+    values = to_numbers(np.array(texts, dtype=object), decimal, missing)
+    return None if values is None else (values, unit, how)
+
+
+def _plain(text: str) -> str:
+    match = re.fullmatch(r'="(.*)"', text.strip())
+    text = normalize("NFKC", match[1] if match else text).strip().replace("\u2212", "-")
+    return re.sub(r"(?<=\d)[dD](?=[+-]\d+$)", "E", text)
+
+
+def _thousands_mark(texts: Sequence[str], decimal: str) -> str:
+    """Return the mark between thousands; "" where there is none, or where it may be a decimal mark."""
+    marked = [text for text in texts if not NUMBER[decimal].fullmatch(text)]
+    marks = {match["mark"] for text in marked if (match := THOUSANDS.fullmatch(text))}
+    if len(marks) != 1 or not all(THOUSANDS.fullmatch(text) for text in marked):
+        return ""
+    (mark,) = marks
+    is_certain = mark not in ",." or any(text.count(mark) > 1 or decimal in text for text in marked)
+    return mark if mark != decimal and is_certain else ""
+
+
+def _other(decimal: str) -> str:
+    return "," if decimal == "." else "."
+
+
+def _has_other_mark(texts: Sequence[str], decimal: str) -> bool:
+    """Whether all of a column has the other decimal mark, and none of it can be a mark between thousands alone."""
+    is_other = all(NUMBER[_other(decimal)].fullmatch(text) for text in texts)
+    return is_other and not all(THOUSANDS.fullmatch(text) for text in texts if _other(decimal) in text)
 
 
 def to_numbers(cells: NDArray[Any], decimal: str = ".", missing: Sequence[str] = ()) -> Array | None:
@@ -129,10 +214,14 @@ def shown(cell: object) -> str:
 def number_cure(cell: object, decimal: str = ".") -> str:
     """Return what to do about a cell that is no number."""
     text = str(cell).strip()
-    if NUMBER["," if decimal == "." else "."].fullmatch(text) and not isinstance(cell, bool):
+    other = _other(decimal)
+    if THOUSANDS.fullmatch(text) and NUMBER[other].fullmatch(text):
         return (
-            f"state the decimal mark with --decimal '{',' if decimal == '.' else '.'}', or write all numbers with one"
+            f"write numbers without marks between thousands; only if {other!r} is the decimal mark, give --decimal "
+            f"'{other}'"
         )
+    if NUMBER[other].fullmatch(text) and not isinstance(cell, bool):
+        return f"write it with a decimal {'point' if decimal == '.' else 'comma'} as the other numbers of its column"
     if THOUSANDS.fullmatch(text):
         return "write numbers without marks between thousands, or state the decimal mark with --decimal"
     return f"correct it, leave it empty, or give --missing {shown(text)} if it stands for a missing sample"

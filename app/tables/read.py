@@ -14,7 +14,7 @@ from softcal.app.tables.grid import grid_table
 from softcal.app.tables.hdf5 import read_hdf5
 from softcal.app.tables.headings import IsRequested
 from softcal.app.tables.matlab import read_matlab
-from softcal.app.tables.numbers import to_numbers
+from softcal.app.tables.numbers import to_numbers, written_numbers
 from softcal.app.tables.options import DETECT, TableOptions
 from softcal.app.tables.spreadsheet import read_excel
 from softcal.app.tables.table import Grid, Table
@@ -115,12 +115,19 @@ def _refusing(path: Path, content: bytes | None) -> Iterator[None]:
 
 def _typed(table: Table, options: TableOptions) -> Table:
     """Return the table with a column of numbers wherever every cell is one."""
-    columns = []
+    columns, remarks = [], list(table.remarks)
     for column in table.columns:
         cells = to_numbers(column.cells, table.decimal, options.missing)
+        written = None
+        if cells is None and column.cells.dtype == object:
+            written = written_numbers(column.cells, table.decimal, options.missing)
+        if written is not None:
+            cells, unit, how = written
+            column = replace(column, unit=column.unit or unit)
+            remarks += [f"column {column.name!r}: {how}"] if how else []
         if cells is None and options.missing and column.cells.dtype == object:
             absent = [isinstance(cell, str) and cell.strip() in options.missing for cell in column.cells]
             cells = column.cells.copy()
             cells[absent] = None
         columns.append(column if cells is None else replace(column, cells=cells))
-    return replace(table, columns=tuple(columns))
+    return replace(table, columns=tuple(columns), remarks=tuple(remarks))

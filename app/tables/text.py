@@ -14,7 +14,7 @@ import numpy as np
 from softcal.app.tables.arrays import refuse_large
 from softcal.app.tables.encoding import Encoding, detect_encoding
 from softcal.app.tables.headings import Heading, IsRequested
-from softcal.app.tables.numbers import Kind, cell_kind, texts_to_numbers, to_numbers
+from softcal.app.tables.numbers import MAX_SUMMARY_ROWS, SUMMARY_WORDS, Kind, cell_kind, texts_to_numbers, to_numbers
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.table import Column, Table
 from softcal.app.tables.text_layout import BLANKS, HEAD_LINES, REMARKS, TextLayout, detect_layout, split
@@ -23,6 +23,8 @@ from softcal.core.recording import Indices
 
 MAX_BYTES_PER_CELL = 25
 """More bytes no number takes as text, with what parts it from the next one."""
+
+ARROW = re.compile(r"(\d{1,2}:\d{2}:\d{2}[.,]\d+) -> ?(.*)")
 
 
 def read_text(file: BinaryIO, path: Path, options: TableOptions, is_requested: IsRequested) -> Table:
@@ -36,6 +38,7 @@ def read_text(file: BinaryIO, path: Path, options: TableOptions, is_requested: I
     file.seek(0)
     refuse_large(path, size // (MAX_BYTES_PER_CELL * encoding.bytes_per_character), options.max_cells)
     lines, remark = _without_zeros(_lines(file, encoding), path)
+    lines = _without_arrows(lines, _arrow_mark(lines))
     layout = detect_layout(lines, path, encoding, options, is_requested)
     if remark:
         layout = replace(layout, remarks=(*layout.remarks, remark))
@@ -49,6 +52,22 @@ def _lines(file: BinaryIO, encoding: Encoding) -> list[str]:
         return text.read().split("\n")
     finally:
         text.detach()
+
+
+def _arrow_mark(lines: Sequence[str]) -> str:
+    """Return what stands between cells behind `10:00:00.020 -> `, as Arduino's serial monitor writes; "" elsewhere."""
+    head = [line for line in lines[:HEAD_LINES] if line.strip()]
+    behind = [match[2] for line in head if (match := ARROW.fullmatch(line))]
+    if len(behind) <= len(head) / 2:
+        return ""
+    return next((mark for mark in "\t;," if mark in behind[-1]), ",")
+
+
+def _without_arrows(lines: list[str], mark: str) -> list[str]:
+    """Return lines with the time before an arrow as their first cell."""
+    if not mark:
+        return lines
+    return [f"{match[1]}{mark}{match[2]}" if (match := ARROW.fullmatch(line)) else line for line in lines]
 
 
 def _without_zeros(lines: list[str], path: Path) -> tuple[list[str], str]:
@@ -104,6 +123,7 @@ def _rows(
     delimiter, width = layout.delimiter, len(layout.heading.names)
     whole = "\n".join(texts)
     remarks = _drop_comments(texts, numbers, layout) if "#" in whole else []
+    remarks += _drop_headers(texts, numbers, layout)
     cells = None
     if '"' in whole:
         cells = [_unquoted(text, delimiter, number, path) for text, number in zip(texts, numbers, strict=True)]
@@ -115,7 +135,7 @@ def _rows(
         widths = [1] * len(texts) if delimiter == "" else [text.count(delimiter) + 1 for text in texts]
     refuse_large(path, sum(widths), options.max_cells)
     at = "\t" if delimiter == BLANKS else delimiter
-    if is_open and len(texts) > 1 and _is_cut(texts[-1], widths[-1], layout, at):
+    if is_open and len(texts) > 1 and _is_cut(texts[-1], widths[-1], layout, at, texts[:-1]):
         remarks.append(f"line {numbers[-1]} is cut off ({texts[-1].strip()[:40]!r}): what it lacks is missing")
         # The last number that was written may lack digits, too.
         row = split(texts[-1], at)[: min(width, widths[-1]) - 1]
@@ -157,6 +177,18 @@ def _drop_comments(texts: list[str], numbers: list[int], layout: TextLayout) -> 
     return [f"{len(comments)} lines that begin with # are comments"] if comments else []
 
 
+def _drop_headers(texts: list[str], numbers: list[int], layout: TextLayout) -> list[str]:
+    """Take lines that repeat the header out, and return a remark on each."""
+    names, at = layout.heading.names, layout.delimiter
+    if layout.heading.row is None or len(names) < 2:
+        return []
+    again = [k for k, text in enumerate(texts) if names[0] in text and tuple(split(text, at)) == names]
+    remarks = [f"line {numbers[k]} repeats the header and is left out" for k in again]
+    for k in reversed(again):
+        del texts[k], numbers[k]
+    return remarks
+
+
 def _fit(
     texts: list[str],
     cells: list[list[str]] | None,
@@ -194,10 +226,13 @@ def _unquoted(text: str, delimiter: str, line: int, path: Path) -> list[str]:
     return split(text, delimiter)
 
 
-def _is_cut(text: str, cells: int, layout: TextLayout, delimiter: str) -> bool:
-    """Whether the last row of a file was being written when the file ended."""
+def _is_cut(text: str, cells: int, layout: TextLayout, delimiter: str, others: Sequence[str]) -> bool:
+    """Whether the last row of a file was being written when the file ended; all `others` have a longer last number."""
     row = split(text, delimiter)
     if cells < len(layout.heading.names) and cell_kind(row[0], layout.decimal) in (Kind.NUMBER, Kind.STAMP):
+        return True
+    shortest = min((len(split(one, delimiter)[-1]) for one in others), default=0)
+    if cells == len(layout.heading.names) and 0 < len(row[-1]) < shortest:
         return True
     is_text_column = len(row) - 1 in layout.text_columns
     return (
@@ -228,7 +263,8 @@ def _end_of_data(
     texts: Sequence[str], numbers: Sequence[int], widths: Sequence[int], layout: TextLayout, delimiter: str
 ) -> int:
     """Return the number of rows without what follows the last row of data: empty cells, a footer, a row cut off."""
-    width, stop = len(layout.heading.names), len(texts)
+    stop = _before_summary(texts, len(texts), layout, delimiter)
+    width = len(layout.heading.names)
     text_columns = layout.text_columns
 
     def kinds(k: int) -> list[Kind]:
@@ -250,6 +286,16 @@ def _end_of_data(
         (row := kinds(k)) and row[0] is Kind.TEXT and 0 not in text_columns for k in range(breaks[0], stop)
     ):
         stop = breaks[0]
+    return stop
+
+
+def _before_summary(texts: Sequence[str], stop: int, layout: TextLayout, delimiter: str) -> int:
+    """Return the number of rows before those of a summary at the end: their first cell says of what."""
+    while stop and len(texts) - stop < MAX_SUMMARY_ROWS and 0 not in layout.text_columns:
+        word = re.match(r"[^\W\d_]*", split(texts[stop - 1], delimiter)[0].lower())
+        if word is None or word[0] not in SUMMARY_WORDS:
+            break
+        stop -= 1
     return stop
 
 
@@ -338,6 +384,8 @@ def _pieces(
     head = list(islice(text, max(HEAD_LINES, rows)))
     is_open = bool(head) and not head[-1].endswith("\n")
     head, remark = _without_zeros([line.rstrip("\n") for line in head], path)
+    arrow = _arrow_mark(head)
+    head = _without_arrows(head, arrow)
     layout = detect_layout(head, path, encoding, options, is_requested)
     if remark:
         layout = replace(layout, remarks=(*layout.remarks, remark))
@@ -356,4 +404,5 @@ def _pieces(
                 yield _table(piece, layout, path, options, is_requested)
         if is_last:
             return
-        offset, pending = offset + cut, [*pending[cut:], *(line.rstrip("\n") for line in more)]
+        following = _without_arrows([line.rstrip("\n") for line in more], arrow)
+        offset, pending = offset + cut, [*pending[cut:], *following]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from softcal.app.tables.encoding import Encoding
 from softcal.app.tables.headings import Heading, IsRequested, data_rows, find_heading, refuse_doubles
-from softcal.app.tables.numbers import THOUSANDS, Kind, cell_kind, shown
+from softcal.app.tables.numbers import THOUSANDS, Kind, cell_kind, shown, unit_number
 from softcal.app.tables.options import TableOptions
 from softcal.core.errors import InputError
 
@@ -66,7 +66,12 @@ def detect_layout(
     heading = find_heading(rows, numbers, path, decimal=decimal, declared=options.header_row, is_requested=is_requested)
     refuse_doubles(heading.names, path, is_requested)
     if heading.first >= len(rows) or not heading.names:
-        raise InputError(f"{path}: there is no row of data below the header")
+        raise InputError(
+            f"{path}: there is no row of data below the header; line {numbers[0]} reads {texts[0][:30]!r}: state "
+            "--delimiter, --decimal or --header-row"
+            if numbers
+            else f"{path}: there is no row of data in it"
+        )
     _refuse_unnamed(rows[heading.first :], numbers[heading.first], len(heading.names), delimiter, path)
     _, text_columns, _ = data_rows(rows[heading.first :], decimal)
     parts = [NAMES.get(delimiter, f"{delimiter!r} between cells")] if delimiter != "," else []
@@ -165,7 +170,8 @@ def _marks(texts: Sequence[str], more: Sequence[str], path: Path, options: Table
 def _score(rows: Sequence[Sequence[str]], decimal: str) -> float:
     """Return the rows that have the form of data, times the share of numbers in their cells."""
     data, _, _ = data_rows(rows, decimal)
-    kinds = [cell_kind(cell, decimal) for k in data for cell in rows[k]]
+    cells = [cell for k in data for cell in rows[k]]
+    kinds = [Kind.NUMBER if unit_number(cell, decimal) else cell_kind(cell, decimal) for cell in cells]
     filled = len(kinds) - kinds.count(Kind.EMPTY)
     return len(data) * (1 - kinds.count(Kind.TEXT) / filled) if filled else 0.0
 

@@ -11,94 +11,30 @@ from numpy.typing import NDArray
 
 from softcal.app.tables.numbers import Kind, cell_kind, shown
 from softcal.app.tables.table import Column, Table
+from softcal.app.tables.time_column import MIN_NEW_STAMPS, PER_SECOND, is_time_heading, stated_unit
 from softcal.core.errors import InputError
 from softcal.core.recording import RATE_TOLERANCE, Array
-
-PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "min": 1 / 60, "h": 1 / 3600}
-"""Units of time, and how many of them a second has."""
-
-UNIT_WORDS = {
-    "s": ("s", "sec", "secs", "second", "seconds", "sekunden"),
-    "ms": ("ms", "msec", "msecs", "millis", "millisecond", "milliseconds"),
-    "us": ("us", "µs", "μs", "usec", "usecs", "micros", "microsecond", "microseconds"),
-    "ns": ("ns", "nsec", "nanos", "nanosecond", "nanoseconds"),
-    "min": ("min", "mins", "minute", "minutes"),
-    "h": ("h", "hr", "hrs", "hour", "hours"),
-}
-UNIT_OF = {word: unit for unit, words in UNIT_WORDS.items() for word in words}
-BARE_UNITS = {word for unit in ("s", "ms", "us") for word in UNIT_WORDS[unit]} - {"s", "us"}
-"""Units that name a column of time alone; `min` is as often the minimum."""
-
-TIME_WORDS = {
-    ("t",), ("time",), ("timestamp",), ("timestamps",), ("time", "stamp"), ("stamp",), ("datetime",), ("date", "time"),
-    ("elapsed",),
-    ("elapsed", "time"), ("time", "elapsed"), ("test", "time"), ("run", "time"), ("relative", "time"), ("x", "value"),
-    ("zeit",), ("zeitstempel",), ("temps",), ("tiempo",), ("시간",), ("시각",), ("時間",), ("时间",), ("utc",),
-}  # fmt: skip
-"""Headings of a column of time, without its unit."""
 
 MIN_RATE_HZ, MAX_RATE_HZ = 0.5, 2e5
 """A soft sensor that is read less or more often is none: the column is not in seconds."""
 
-EPOCHS = {"s": (1e9, 4e9), "ms": (1e12, 4e12), "us": (1e15, 4e15), "ns": (1e18, 4e18)}
+EPOCHS = {"ticks": (1.26e17, 1.6e17), "s": (1e9, 4e9), "ms": (1e12, 4e12), "us": (1e15, 4e15), "ns": (1e18, 4e18)}
 """Numbers of these sizes count from 1970 in that unit: the years 2001 to 2096."""
 
 COUNTERS = (2**16, 2**32)
 """Where counters of ms and us begin again."""
 
-INDEX = "index"
-"""Name of the rows of a data frame, which may be dates."""
-
-MIN_NEW_STAMPS = 0.5
-"""Share of samples whose stamp is later than the one before; below it the clock is too coarse for them."""
-
 DAY_S = 86400.0
+SAMPLES = "samples"
+"""Unit of a column that counts them."""
+
 WITHIN_ONE_SAMPLE = 1.5
 """Largest step over the end of a counter, in median steps."""
 
+MAX_MIDNIGHT_GAP_S = 600.0
+"""Rows may be lost over midnight; a time of day that goes back by nearly a day can be nothing else."""
+
 CURE = "state its unit or pattern with --time-format (s, ms, us, ns, min, iso, excel or a strptime pattern)"
-
-
-def words_of(name: str) -> tuple[str, ...]:
-    """Return the words of a heading in small letters, without numbers and marks."""
-    return tuple(word for word in re.split(r"[^a-zµμ\u00c0-\u024f\uac00-\ud7a3\u4e00-\u9fff]+", name.lower()) if word)
-
-
-def stated_unit(column: Column) -> str | None:
-    """Return the unit of time that a heading or a row of units states; None where they state none."""
-    for text in (column.unit, column.name):
-        units = [UNIT_OF[word] for word in words_of(text) if word in UNIT_OF]
-        if units:
-            return units[-1]
-    return None
-
-
-def is_time_heading(name: str) -> bool:
-    """Whether a heading is that of a column of time."""
-    words = words_of(name)
-    bare = tuple(word for word in words if word not in UNIT_OF)
-    return bare in TIME_WORDS or (len(words) == 1 and words[0] in BARE_UNITS)
-
-
-def find_time_column(names: Sequence[str], columns: Sequence[Column] = ()) -> str | None:
-    """Return the heading of the column of time; None where there is none.
-
-    Args:
-        columns: cells of the table: an index of dates is a time, and a clock that stands still in most rows is none.
-
-    Raises:
-        InputError: several columns may be it.
-    """
-    if "t_s" in names:
-        return "t_s"
-    dates = {column.name for column in columns if column.name == INDEX and column.cells.dtype.kind in "mM"}
-    times = [name for name in names if is_time_heading(name) or name in dates]
-    if len(times) > 1:
-        still = {column.name for column in columns if np.mean(column.cells[1:] != column.cells[:-1]) < MIN_NEW_STAMPS}
-        times = [name for name in times if name not in still] or times
-    if len(times) > 1:
-        raise InputError(f"{' and '.join(map(repr, times[:4]))} may be the column of time; name it with --time-column")
-    return times[0] if times else None
 
 
 @dataclass
@@ -110,12 +46,14 @@ class Clock:
         time_format: declared unit or pattern; None detects it.
         rate_Hz: declared rate: of units that nobody states it tells the right one.
         is_absolute: keeps dates as seconds since 1970 instead of since the first sample.
+        date: heading of the column of dates beside times of day.
     """
 
     name: str
     time_format: str | None = None
     rate_Hz: float | None = None
     is_absolute: bool = False
+    date: str | None = None
     remarks: list[str] = field(default_factory=list)
     _unit: str | None = None
     _origin_ns: int | None = None
@@ -132,6 +70,10 @@ class Clock:
         cells, time_format = column.cells, self.time_format
         wraps: tuple[float, ...] = ()
         is_pattern = time_format is not None and time_format not in (*PER_SECOND, "iso", "excel")
+        if self.date is not None and _are_times_of_day(cells):
+            dated = self._with_dates(table, column, str(time_format) if is_pattern else None)
+            if dated is not None:
+                return self._forward(table, dated, (DAY_S,))
         if cells.dtype.kind in "mM":
             values = self._from_dates(cells)
         elif cells.dtype.kind == "O" and not is_pattern and _are_numbers(cells, table.decimal):
@@ -145,6 +87,35 @@ class Clock:
         else:
             values, wraps = self._from_numbers(table, column)
         return self._forward(table, values, wraps)
+
+    def _with_dates(self, table: Table, column: Column, pattern: str | None) -> Array | None:
+        """Return times of day with the dates beside them; None where the file has one text for a date that is none.
+
+        A date that stands in the first row alone holds for those below it.
+        """
+        dates = table.column(str(self.date)).cells
+        if dates.dtype.kind not in "OM":
+            return None
+        texts = np.array([None if cell is None or cell != cell else str(cell).strip() for cell in dates], dtype=object)
+        if dates.dtype.kind == "M" or any(isinstance(cell, date) for cell in dates):
+            texts = np.array([text and text[:10] for text in texts], dtype=object)
+        for row in range(1, len(texts)):
+            texts[row] = texts[row] or texts[row - 1]
+        cells = column.cells
+        times = np.array([None if cell is None or cell != cell else str(cell).strip() for cell in cells], dtype=object)
+        if pattern is not None and any(f"%{mark}" in pattern for mark in "dDjFxcsyYmbB"):
+            joined = [day and at and f"{day} {at}" for day, at in zip(texts, times, strict=True)]
+            return self._patterned(table, np.array(joined, dtype=object), pattern)
+        try:
+            days = Clock(str(self.date), is_absolute=True)._stamps(table, texts)
+        except InputError:
+            if len({text for text in texts if text}) > 1:
+                raise
+            return None
+        seconds = self._times_of_day(table, times) if pattern is None else self._patterned(table, times, pattern)
+        is_missing = np.isnan(days) | np.isnan(seconds)
+        counts = np.where(is_missing, 0, days).astype(np.int64) * 10**9
+        return self._elapsed(counts + np.round(np.where(is_missing, 0, seconds) * 1e9).astype(np.int64), is_missing)
 
     def _from_dates(self, cells: NDArray[Any]) -> Array:
         is_stamp = cells.dtype.kind == "M"
@@ -166,7 +137,7 @@ class Clock:
             return self._elapsed(
                 np.round(np.nan_to_num(values) * DAY_S * 1e6).astype(np.int64) * 1000, np.isnan(values)
             ), ()
-        per_second = PER_SECOND[self._unit]
+        per_second = float(self.rate_Hz or 1.0) if self._unit == SAMPLES else PER_SECOND[self._unit]
         wraps = tuple(counter / per_second for counter in COUNTERS) if self._unit in ("ms", "us") else ()
         return values / per_second, wraps
 
@@ -191,11 +162,14 @@ class Clock:
                     return unit
             if by_rate := self._unit_by_rate(step):
                 return by_rate
+            if self.rate_Hz is not None and step == 1 and not is_time_heading(self.name) and not np.any(present % 1):
+                return SAMPLES
         rate_Hz = 1 / step
         is_whole = bool(np.all(present == np.round(present)))
         agrees = self.rate_Hz is not None and abs(rate_Hz / self.rate_Hz - 1) <= RATE_TOLERANCE
         if not agrees and (rate_Hz < MIN_RATE_HZ or rate_Hz > MAX_RATE_HZ or (is_whole and rate_Hz <= 1)):
-            guess = "excel" if rate_Hz > MAX_RATE_HZ else "ms"
+            likely = [unit for unit, per in PER_SECOND.items() if MIN_RATE_HZ <= per / step <= MAX_RATE_HZ]
+            guess = "excel" if rate_Hz > MAX_RATE_HZ else " or ".join(likely[:2]) or "another unit"
             raise InputError(
                 f"{table.path}: column {self.name!r} ({present[0]:.12g}, {present[1]:.12g}, ...) shows "
                 f"{rate_Hz:g} Hz if "
@@ -327,9 +301,7 @@ class Clock:
             if int(month) > 12:
                 day, month = month, day
             seconds = f"{clock.strip()}" if clock else "00:00:00"
-            plain.append(
-                f"{'20' if len(year) == 2 else ''}{year}-{int(month):02}-{int(day):02} {seconds.replace(',', '.')}"
-            )
+            plain.append(f"{'20' if len(year) == 2 else ''}{year}-{int(month):02}-{int(day):02} {_pointed(seconds)}")
         return self._parsed(table, texts, np.array(rows), np.array(plain, dtype=object), "mixed")
 
     def _patterned(self, table: Table, texts: NDArray[Any], pattern: str) -> Array:
@@ -380,9 +352,11 @@ class Clock:
         typical = float(np.median(positive)) if len(positive) else 0.0
         for k in np.flatnonzero(steps < 0):
             row, step = int(rows[k]), float(steps[k])
-            largest = WITHIN_ONE_SAMPLE * typical
             # Just before the end of the counter, then just behind its beginning
-            is_new = [0 <= raw[row] <= largest and 0 < step + wrap <= largest for wrap in wraps]
+            largest = [MAX_MIDNIGHT_GAP_S if wrap == DAY_S else WITHIN_ONE_SAMPLE * typical for wrap in wraps]
+            is_new = [
+                0 <= raw[row] <= most and 0 < step + wrap <= most for wrap, most in zip(wraps, largest, strict=True)
+            ]
             whole = [wrap for wrap, is_whole in zip(wraps, is_new, strict=True) if is_whole]
             if not whole:
                 raise InputError(
@@ -403,7 +377,7 @@ CLOCK_TIME = re.compile(r"(\d{1,3}):(\d{2})(?::(\d{2}))?(?:[.,:](\d+))? ?([AaPp]
 YEAR_FIRST = re.compile(r"\d{4}-?\d{2}")
 ZONE = re.compile(r"(?:Z|[+-]\d{2}:?\d{2})$")
 DAY_MONTH = re.compile(
-    r"(\d{1,2})([-/.])(\d{1,2})[-/.](\d{4}|\d{2})(?:[ T]+(\d{1,2}:\d{2}(?::\d{2}(?:[.,]\d+)?)?(?: ?[AaPp][Mm])?))?"
+    r"(\d{1,2})([-/.])(\d{1,2})[-/.](\d{4}|\d{2})(?:[ T]+(\d{1,2}:\d{2}(?::\d{2}(?:[.,:]\d+)?)?(?: ?[AaPp][Mm])?))?"
 )
 
 
@@ -411,6 +385,19 @@ def _are_numbers(cells: NDArray[Any], decimal: str) -> bool:
     """Whether most cells are numbers."""
     kinds = [kind for cell in cells if (kind := cell_kind(cell, decimal)) is not Kind.EMPTY]
     return kinds.count(Kind.NUMBER) > len(kinds) / 2
+
+
+def _are_times_of_day(cells: NDArray[Any]) -> bool:
+    """Whether most cells are times of day."""
+    if cells.dtype.kind != "O":
+        return False
+    present = [cell for cell in cells if cell is not None and cell == cell]
+    return sum(bool(CLOCK_TIME.fullmatch(str(cell).strip())) for cell in present) > len(present) / 2
+
+
+def _pointed(clock: str) -> str:
+    """Return a time of day with a point before the parts of its second."""
+    return re.sub(r"^(\d+:\d+:\d+)[:,]", r"\1.", clock)
 
 
 def _iso_like(text: str) -> str:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import InputError
+from softcal.core.inspection.config import InspectionConfig
 from softcal.core.inspection.inspection import Inspection
 from softcal.core.inspection.samples import inspect_samples
 from softcal.core.recording import Array, Indices, OutputRecording, check_times, typed_column
@@ -36,6 +37,7 @@ def build_recording(
     stage_mm: Array | None = None,
     reference: Array | None = None,
     lines: Indices | None = None,
+    config: InspectionConfig,
 ) -> InspectedRecording:
     """Inspect the columns of one recording and take invalid rows out of them.
 
@@ -43,6 +45,7 @@ def build_recording(
         lines: (n,) line of the file of each row, for what is said of it; None where there was no file.
         t_s: (n,) time stamps in s, strictly increasing, none missing.
         output: (n,) sensor output in `output_unit`; NaN is a missing sample, as in `stage_mm` and `reference`.
+        config: what is masked; of the method that calibrates the unit.
         sample_rate_Hz: declared rate; None takes the median one of the time stamps.
 
     Raises:
@@ -60,7 +63,7 @@ def build_recording(
     check_times(t_s)
     if sample_rate_Hz is None:
         sample_rate_Hz = 1.0 / float(np.median(np.diff(t_s))) if len(t_s) > 1 else float("nan")
-    inspection, is_valid = inspect_samples(t_s, given, sample_rate_Hz, lines)
+    inspection, is_valid = inspect_samples(t_s, given, sample_rate_Hz, config, lines)
     rows = np.flatnonzero(is_valid)
     stage = given.get("stage_mm")
     recording = OutputRecording(

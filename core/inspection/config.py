@@ -32,6 +32,10 @@ class InspectionConfig:
         held_rows: a reference that changes only every so many rows was sampled slower than the output.
         stuck_s, stuck_factor: a reading between its ends that stands still for less, or for less than so many times
             the next longest stillness, is not stuck.
+        flat_runs, flat_band, flat_factor: an end of the output's range is flat where it stands still there so often,
+            and is there so many times as often as within this share of the range beside it.
+        pause_s, pause_rows, rest_band: a gap is a pause where it is as long, and so many samples before and after it
+            lie within this share of the range from its end at rest.
         wrap_share: a counter wraps where it jumps by at least this share of a power of two and goes on.
     """
 
@@ -54,6 +58,12 @@ class InspectionConfig:
     lag_gain: float = setting(0.7, MEASURED)
     relaxed_gain: float = setting(0.4, MEASURED)
     held_rows: int = setting(3)
+    flat_runs: int = setting(3)
+    flat_band: float = setting(0.02, MEASURED)
+    flat_factor: float = setting(2.0, MEASURED)
+    pause_s: float = setting(20.0, f"{SET}: somebody who stops a logger does something else meanwhile")
+    pause_rows: int = setting(10)
+    rest_band: float = setting(0.1)
     wrap_share: float = setting(0.9)
     stuck_s: float = setting(2.0)
     stuck_factor: float = setting(10.0)

@@ -14,9 +14,14 @@ LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
 def level_findings(
     t_s: Array, output: Array, sample_rate_Hz: float, config: InspectionConfig
 ) -> list[InspectionFinding]:
-    """Return steps, wraps and stuck stretches of an output without outliers."""
+    """Return steps, wraps, stuck stretches and flat ends of an output without outliers."""
     wraps = _wraps(t_s, output, config)
-    return [*wraps, *([] if wraps else _step(t_s, output, config)), *_stuck(t_s, output, sample_rate_Hz, config)]
+    steps = [] if wraps else _step(t_s, output, config)
+    clipped = [
+        InspectionFinding("clipped", "output", int(rows[0]), int(rows[0]) + 1, float(t_s[rows[0]]), level, len(rows))
+        for level, rows in find_flat_ends(output, config)
+    ]
+    return [*wraps, *steps, *_stuck(t_s, output, sample_rate_Hz, config), *clipped]
 
 
 def _wraps(t_s: Array, output: Array, config: InspectionConfig) -> list[InspectionFinding]:
@@ -78,6 +83,26 @@ def _stuck(t_s: Array, output: Array, sample_rate_Hz: float, config: InspectionC
         "stuck", "output", start, start + length, float(t_s[start]), float(output[start]), seconds
     )
     return [finding]
+
+
+def find_flat_ends(output: Array, config: InspectionConfig) -> list[tuple[float, Indices]]:
+    """Return the level and the rows of each end of an output's range at which it stands still time and again.
+
+    There its last value is far more frequent than what lies just inside: a readout that is cut off, or holds to the
+    last digit. The end at which it begins is that of rest.
+    """
+    (low, high), ends = np.quantile(output, (0.01, 0.99)), []
+    # A coarse converter has levels wider than that.
+    band = max(config.flat_band * (high - low), 1.5 * column_scale(output).step)
+    starts, lengths = equal_runs(output)
+    for level in (float(output.max()), float(output.min())):
+        runs = starts[(output[starts] == level) & (lengths >= config.held_rows)]
+        rows = np.flatnonzero(output == level)
+        inside = np.count_nonzero(np.abs(output - level) <= band) - len(rows)
+        is_rest = abs(level - float(np.median(output[: config.step_rows]))) < (high - low) / 2
+        if not is_rest and len(runs) >= config.flat_runs and len(rows) > config.flat_factor * inside:
+            ends.append((level, rows.astype(np.int64)))
+    return ends
 
 
 def equal_runs(values: Array) -> tuple[Indices, Indices]:

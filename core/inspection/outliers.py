@@ -154,22 +154,6 @@ def _range_of_most(values: Array, least: float, config: InspectionConfig) -> tup
     )
 
 
-def find_dropouts(values: Array, config: InspectionConfig) -> list[tuple[int, int]]:
-    """Return the stretches of rows between two opposite jumps that no press makes: a cable off for longer."""
-    steps = np.diff(values)
-    low, high = np.quantile(values, (config.dropout_share, 1 - config.dropout_share))
-    # The fastest movement of a recording that never moved for long is a press.
-    least = max(config.jump_factor * column_scale(values).jump, float(high - low))
-    jumps = np.flatnonzero(np.abs(steps) > least)
-    longest = config.dropout_share * len(values)
-    stretches: list[tuple[int, int]] = []
-    for start, stop in zip(jumps[:-1], jumps[1:], strict=True):
-        is_back = abs(values[stop + 1] - values[start]) < least < abs(values[stop] - values[start])
-        if steps[start] * steps[stop] < 0 and stop - start <= longest and is_back:
-            stretches.append((int(start) + 1, int(stop) + 1))
-    return stretches
-
-
 @dataclass(frozen=True)
 class Shift:
     """Where the level of a series changes once and for all.

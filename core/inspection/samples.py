@@ -5,14 +5,14 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from softcal.core.inspection.config import InspectionConfig
+from softcal.core.inspection.dropouts import find_long_dropouts
 from softcal.core.inspection.inspection import Inspection, InspectionFinding
 from softcal.core.inspection.levels import level_findings
-from softcal.core.inspection.outliers import column_scale, fill, find_dropouts, find_overflows, find_spikes
+from softcal.core.inspection.outliers import column_scale, fill, find_overflows, find_spikes
 from softcal.core.inspection.reference import reference_findings
 from softcal.core.inspection.timing import timing_findings, window_share
 from softcal.core.recording import MASK_KINDS, Array, Indices, Mask, MaskedSamples
 
-DEFAULT = InspectionConfig()
 REFERENCE = "reference"
 
 
@@ -20,8 +20,8 @@ def inspect_samples(
     t_s: Array,
     columns: Mapping[str, Array],
     sample_rate_Hz: float,
+    config: InspectionConfig,
     lines: Indices | None = None,
-    config: InspectionConfig = DEFAULT,
 ) -> tuple[Inspection, Mask]:
     """Look at the columns of one recording before anything is fitted to it.
 
@@ -47,9 +47,9 @@ def inspect_samples(
     lines = np.zeros(len(t_s), dtype=np.int64) if lines is None else lines
     rows = np.flatnonzero(~is_valid)
     masked = MaskedSamples(t_s[rows], kinds[rows].astype(np.int64), values[rows], lines[rows])
-    findings += timing_findings(t_s, sample_rate_Hz)
     if np.count_nonzero(is_valid) > 1:
         filled = {name: fill(values, ~is_valid) for name, values in columns.items()}
+        findings += timing_findings(t_s, filled["output"], sample_rate_Hz, config)
         findings += level_findings(t_s, filled["output"], sample_rate_Hz, config)
         if REFERENCE in columns:
             findings += reference_findings(t_s, filled["output"], filled[REFERENCE], sample_rate_Hz, config)
@@ -79,7 +79,7 @@ def _invalid(
     yield "spike", is_spike
     if name != REFERENCE:
         is_dropout = np.zeros(len(values), dtype=np.bool_)
-        for start, stop in find_dropouts(fill(values, is_invalid | is_spike), config):
+        for start, stop in find_long_dropouts(fill(values, is_invalid | is_spike), config):
             is_dropout[start:stop] = True
         yield "dropout", is_dropout & ~is_invalid & ~is_spike
 

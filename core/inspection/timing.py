@@ -1,22 +1,30 @@
-"""What the time stamps of a recording show: gaps, another rate in a part of it, how many rows fill a window."""
+"""What the time stamps of a recording show: gaps, pauses, another rate in a part of it, how many rows fill a window."""
 
 import numpy as np
 
+from softcal.core.inspection.config import InspectionConfig
 from softcal.core.inspection.inspection import InspectionFinding
-from softcal.core.recording import GAP_FACTOR, RATE_TOLERANCE, Array
+from softcal.core.recording import GAP_FACTOR, RATE_TOLERANCE, Array, Mask
 from softcal.core.windows import TAPS
 
 
-def timing_findings(t_s: Array, sample_rate_Hz: float) -> list[InspectionFinding]:
-    """Return gaps, and stretches that were sampled at another rate than the rest.
+def timing_findings(
+    t_s: Array, output: Array, sample_rate_Hz: float, config: InspectionConfig
+) -> list[InspectionFinding]:
+    """Return gaps, pauses, and stretches that were sampled at another rate than the rest.
 
-    A gap has its length in s as value and the number of samples that are missing as amount; a stretch at another rate
-    has that rate in Hz as value and its share of the rows as amount.
+    A gap or a pause has its length in s as value and the number of samples that are missing as amount; a stretch at
+    another rate has that rate in Hz as value and its share of the rows as amount. A pause is a gap of many seconds
+    before and after which the output rests: somebody stopped the logger between two presses.
+
+    Args:
+        output: (n,) without missing samples.
     """
     if len(t_s) < 2:
         return []
     steps, findings = np.diff(t_s), []
     is_long = steps > GAP_FACTOR / sample_rate_Hz
+    is_at_rest = _rest_rows(output, config)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], is_long, [False]])))
     for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         usual = float(np.median(steps[start:stop]))
@@ -27,10 +35,22 @@ def timing_findings(t_s: Array, sample_rate_Hz: float) -> list[InspectionFinding
             continue
         for row in range(start, stop):
             missing = float(round(steps[row] * sample_rate_Hz) - 1)
+            beside = slice(max(row + 1 - config.pause_rows, 0), row + 1 + config.pause_rows)
+            is_pause = steps[row] >= config.pause_s and bool(is_at_rest[beside].all())
+            kind = "pause" if is_pause else "gap"
             findings.append(
-                InspectionFinding("gap", "t_s", row + 1, row + 2, float(t_s[row]), float(steps[row]), missing)
+                InspectionFinding(kind, "t_s", row + 1, row + 2, float(t_s[row]), float(steps[row]), missing)
             )
     return findings
+
+
+def _rest_rows(output: Array, config: InspectionConfig) -> Mask:
+    """Return which samples lie where the output rests, (n,): at the end of its range that
+    holds more samples."""
+    low, high = np.quantile(output, (0.01, 0.99))
+    band = config.rest_band * (high - low)
+    is_low, is_high = output <= low + band, output >= high - band
+    return np.asarray(is_low if np.count_nonzero(is_low) >= np.count_nonzero(is_high) else is_high)
 
 
 def window_share(t_s: Array, samples: int, sample_rate_Hz: float) -> float:

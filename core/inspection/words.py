@@ -15,6 +15,7 @@ OF_COLUMN = {
     "step": "inspect.step",
     "wrap": "inspect.wrap",
     "stuck": "inspect.stuck",
+    "clipped": "inspect.clipped",
     "sign": "inspect.sign",
     "constant": "inspect.constant",
 }
@@ -41,6 +42,8 @@ def finding_reason(finding: InspectionFinding, lines: Sequence[int] | Indices | 
     value, amount = finding.value, finding.amount
     if finding.kind == "gap":
         return reason("inspect.gap", where=at, seconds=value, missing=amount)
+    if finding.kind == "pause":
+        return reason("inspect.pause", where=at, seconds=value)
     if finding.kind == "rate":
         return reason("inspect.rate", where=at, rate=value, rows=rows)
     if finding.kind == "tare":

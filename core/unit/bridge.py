@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from softcal.core.errors import InputError
+from softcal.core.inspection.comparison import compare_recordings
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.metrics import rmse
 from softcal.core.network.network import Network
@@ -79,9 +80,11 @@ def make_bridge(model: SourceModel, run: OutputRecording | LabelledRecording) ->
     error = rmse(after, load)
     if error > method.bridge.most_misread * float(np.std(load)) or not 1 / most <= gain <= most:
         unit = run.reference_unit
+        compared = "; ".join(map(str, compare_recordings(source, run)))
         raise InputError(
             f"golden run of {run.serial}: with the best gain for its day, {gain:.3g}, its loads are misread by "
-            f"{error:.3g} {unit} RMS; is it another unit, or its reference not in {unit}? nothing was fitted"
+            f"{error:.3g} {unit} RMS; {compared or f'is it another unit, or its reference not in {unit}?'}; nothing "
+            "was fitted"
         )
     return Bridge(replace(run, unlabelled=corrected), day_map, rmse(before, after), 0.0, is_measured=True)
 

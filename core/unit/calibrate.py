@@ -39,7 +39,7 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
     """
     model, target, limit, audit = problem.source, problem.recording, problem.limit_in_force, problem.audit
     method, known = model.method, model.source.unlabelled
-    check_windows(target)
+    check_windows(target, method.inspection)
     check_alive(target, known, method.health)
     limits = output_limits(target, known, is_rising=model.interval.slope_limit > 0, config=method.health)
     fit, bridge = problem.fit, problem.crossed
@@ -57,7 +57,7 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
     forecast = forecast_error(evidence.budget, evidence.knowledge)
     lag = find_readout_lag(fit.source.unlabelled, target, fit.synchrony, method.map)
     # What a logger did comes first: the rest may be a consequence.
-    findings = missing_findings(target, method.health) + jump_findings(target, method.inspection)
+    findings = missing_findings(target, method) + jump_findings(target, method.inspection)
     if all(finding.best.is_open for finding in findings):
         findings += contradictions(known, target, limits, method, fit.synchrony) or (
             *health_findings(target, known, limits, method.health),
@@ -115,7 +115,7 @@ def _numbers(
         "load_rms": evidence.load_rms,
         OUTPUT_REST: level.rest,
         OUTPUT_SPAN: level.span,
-        **missing_samples(target).to_evidence(),
+        **missing_samples(target, problem.source.method.inspection).to_evidence(),
         **limit_evidence(problem.limit_in_force),
         "findings": ", ".join(finding.kind for finding in findings),
         **({} if lag is None else {"readout_lag_s": lag.time_constant_s}),

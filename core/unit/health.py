@@ -10,7 +10,7 @@ from softcal.core.maps.config import EndConfig
 from softcal.core.maps.crossing import CACHED
 from softcal.core.recording import RATE_TOLERANCE, Array, Indices, OutputRecording
 from softcal.core.unit.method import HealthConfig
-from softcal.core.unit.missing import missing_samples
+from softcal.core.unit.missing import lost_windows
 from softcal.core.unit.verdict import Finding, Verdict
 from softcal.core.words.reason import Reason, reason
 
@@ -161,7 +161,7 @@ def health_findings(
     if longest > max(config.stuck_factor * allowed, config.stuck_s * target.sample_rate_Hz):
         findings.append(Finding(reason("stuck", seconds=longest / target.sample_rate_Hz), Verdict.RETEST))
     # Windows that a logger lost are not for want of presses.
-    windows, presses = len(target.window_rows) + missing_samples(target).windows, count_presses(target, config)
+    windows, presses = len(target.window_rows) + lost_windows(target)[1], count_presses(target, config)
     # A slow programme may have but two presses in the source too.
     enough = min(config.few_presses, count_presses(source, config))
     if windows < config.few_windows or presses < enough:

@@ -13,7 +13,7 @@ from softcal.core.inspection.levels import level_findings
 from softcal.core.inspection.timing import timing_findings, window_share
 from softcal.core.maps.crossing import CACHED
 from softcal.core.recording import MaskedSamples, OutputRecording
-from softcal.core.unit.method import HealthConfig
+from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import Finding, Verdict
 from softcal.core.words.reason import Reason, reason
 
@@ -38,18 +38,18 @@ class MissingSamples:
     Args:
         masked: samples that were left out, by kind.
         gaps: stretches without rows in its file.
+        pauses: such stretches at rest: nobody pressed, and nothing is lost.
         slow: stretches at a slower rate than the rest.
         share: of the samples that its time would hold, those that are masked or in no row.
         window_share: of the windows that its rows would fill, those that are left.
-        windows: number of windows that are lost.
     """
 
     masked: dict[str, int]
     gaps: tuple[InspectionFinding, ...]
+    pauses: tuple[InspectionFinding, ...]
     slow: tuple[InspectionFinding, ...]
     share: float
     window_share: float
-    windows: int
 
     @property
     def is_any(self) -> bool:
@@ -70,42 +70,55 @@ def missing_evidence(evidence: Mapping[str, float | str | None]) -> dict[str, fl
 
 
 @lru_cache(maxsize=CACHED)
-def missing_samples(recording: OutputRecording) -> MissingSamples:
+def missing_samples(recording: OutputRecording, config: InspectionConfig) -> MissingSamples:
     """Count what is missing of a recording."""
     rate_Hz, valid = recording.sample_rate_Hz, len(recording)
     t_s = np.sort(np.concatenate([recording.t_s, recording.masked.t_s]))
-    timing = timing_findings(t_s, rate_Hz)
-    gaps = tuple(finding for finding in timing if finding.kind == "gap")
-    slow = tuple(finding for finding in timing if finding.kind == "rate")
+    timing = timing_findings(t_s, np.interp(t_s, recording.t_s, recording.output), rate_Hz, config)
+    gaps, pauses, slow = (tuple(one for one in timing if one.kind == kind) for kind in ("gap", "pause", "rate"))
     steps = np.diff(t_s) * rate_Hz
-    absent = float(np.sum(np.maximum(np.round(steps) - 1, 0)))
-    windows = window_share(recording.t_s, len(t_s), rate_Hz)
-    lost = round((1 - windows) / max(windows, 1e-9) * len(recording.window_rows))
+    absent = float(np.sum(np.maximum(np.round(steps) - 1, 0))) - sum(pause.amount for pause in pauses)
+    windows, _ = lost_windows(recording)
     share = (len(recording.masked) + absent) / (valid + len(recording.masked) + absent)
-    return MissingSamples(recording.masked.counts, gaps, slow, share, windows, lost)
+    return MissingSamples(recording.masked.counts, gaps, pauses, slow, share, windows)
 
 
-def check_windows(recording: OutputRecording) -> None:
+@lru_cache(maxsize=CACHED)
+def lost_windows(recording: OutputRecording) -> tuple[float, int]:
+    """Return the share of the windows that the rows of a recording would fill and still do, and how many are lost."""
+    share = window_share(recording.t_s, len(recording) + len(recording.masked), recording.sample_rate_Hz)
+    return share, round((1 - share) / max(share, 1e-9) * len(recording.window_rows))
+
+
+def check_windows(recording: OutputRecording, config: InspectionConfig) -> None:
     """Refuse a recording with gaps so close that no window fits between them.
 
     Raises:
         UnitRefused: there is no window; the reason says what is missing.
     """
     if not len(recording.window_rows):
-        missing = missing_samples(recording)
+        missing = missing_samples(recording, config)
         raise UnitRefused(_too_much(missing, _observed(recording, missing)[0]))
 
 
-def missing_findings(recording: OutputRecording, config: HealthConfig) -> tuple[Finding, ...]:
+def missing_findings(recording: OutputRecording, method: Method) -> tuple[Finding, ...]:
     """Say what is missing of a recording, and that too much is; none where nothing is."""
-    missing = missing_samples(recording)
+    missing, config = missing_samples(recording, method.inspection), method.health
+    paused = tuple(Finding(one, Verdict.PASS) for one in _paused(missing))
     if not missing.is_any:
-        return ()
+        return paused
     observed = _observed(recording, missing)
     if missing.share <= config.max_missing_share and missing.window_share >= config.min_window_share:
-        return tuple(map(Finding, observed))
+        return (*map(Finding, observed), *paused)
     first, *rest = observed
-    return (Finding(_too_much(missing, first), Verdict.RETEST), *map(Finding, rest))
+    return (Finding(_too_much(missing, first), Verdict.RETEST), *map(Finding, rest), *paused)
+
+
+def _paused(missing: MissingSamples) -> list[Reason]:
+    if not missing.pauses:
+        return []
+    longest = max(missing.pauses, key=lambda pause: pause.value)
+    return [reason("paused", pauses=len(missing.pauses), longest=longest.value, at=longest.time_s)]
 
 
 @lru_cache(maxsize=CACHED)

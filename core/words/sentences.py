@@ -170,8 +170,15 @@ inspect.wrap: {where}, {column}: a jump by {value:.6g}, as of a counter that sta
 inspect.stuck: {where}, {column}: it stands still at {value:.6g} in the middle of a press (for
   {amount:.1f} s)
 inspect.sign: {column}: negative under load ({value:.4g} at the 1 % quantile)
+inspect.of_unit: audit of {serial}: {what}
+inspect.other_unit: reference: its range is about {times:.3g} times the source's; {factor:.4g} lies
+  between {unit} and {named}; nothing was converted
+inspect.other_sign: {column}: its sign is not that of the source's; nothing was turned
+inspect.clipped: {where}, {column}: it ends flat at {value:.6g} time and again (samples: {amount:.0f}):
+  cut off at the end of its range, or held there
 inspect.constant: {column}: it never changes ({value:.6g}, rows: {rows})
 inspect.gap: {where}: rows are missing before it (for {seconds:.2f} s, samples: {missing:.0f})
+inspect.pause: {where}: the logger paused before it while the output was at rest (for {seconds:.1f} s)
 inspect.rate: {where}: from here on rows come at another rate ({rate:.4g} Hz, rows: {rows})
 inspect.tare: {where}: the reference jumps by {value:.4g} and stays, while the output does not: it was
   tared or set anew within the recording ({share:.0%} of the range)
@@ -204,6 +211,8 @@ masked.reference_outlier: its reference jumped away and back faster than any pre
   left out (samples: {count}, the first: {first})
 gaps: its time stamps have gaps: rows are missing (gaps: {gaps}, the longest {longest:.2f} s at
   {at:.2f} s, samples missing: {rows:.0f}, {share:.0%})
+paused: its logger paused while the output was at rest (pauses: {pauses}, the longest {longest:.1f} s
+  at {at:.2f} s)
 slow: a part of it was sampled at a slower rate (from {first:.2f} s on {rate:.3g} Hz, elsewhere
   {usual:.3g} Hz)
 wraps: its output is a counter that starts again in the recording; log it with more bits, or add the

@@ -139,6 +139,28 @@ def test_a_time_column_in_milliseconds_is_refused_with_what_to_do(tmp_path: Path
     assert "0.05 Hz" in screen.error[0].value
 
 
+def test_a_layout_that_nothing_tells_is_stated_on_the_page(tmp_path: Path, show, press_unit) -> None:
+    table = press_unit(600, 1.0, 0.5, 1)
+    table["t_s"] *= 1000
+    lines = ["a,b,c", *(",".join(f"{value:.6g}" for value in row) for row in table.to_numpy())]
+    lines[300] = lines[300].split(",")[0] + ",OL,1.0"
+    content = "\n".join(["0,1,2", *lines[1:]]).encode()
+    screen = show(f"sqlite:///{tmp_path / 'new.db'}", "new_lot")
+    screen.file_uploader[0].set_value([("A0.csv", content, "text/csv"), ("A1.csv", content, "text/csv")]).run()
+    assert screen.error and not screen.dataframe
+    screen.number_input(key="new-lot-header-row").set_value(1).run()
+    screen.text_input(key="new-lot-missing").set_value("OL; --").run()
+    screen.text_input(key="new-lot-time-format").set_value("ms").run()
+    screen.selectbox(key="new-lot-decimal").set_value(".").run()
+    for key, value in (("new-lot-reference", "2"), ("new-lot-time", "0")):
+        screen.selectbox(key=key).set_value(value).run()
+    screen.selectbox(key="new-lot-output").set_value("1").run()
+    screen.text_input(key="new-lot-name").set_value("stated").run()
+    assert not screen.exception and not screen.error
+    assert any("50 Hz" in caption.value for caption in screen.caption)
+    assert screen.table[0].value.iloc[:, 2].tolist() == [599, 599]
+
+
 def test_one_column_per_unit_is_taken_too(tmp_path: Path, show, press_unit) -> None:
     table = press_unit(600, 1.0, 0.5, 1).rename(columns={"output": "ch_1"})
     table["ch_2"], table["ch_3"] = table["ch_1"] * 1.1 + 0.02, 0.5

@@ -201,3 +201,61 @@ def test_an_output_in_another_unit_or_one_that_jumps_is_named_so(
     assert "1000 times" in " ".join(units["A1"]["reasons"][0].split())
     assert units["A2"]["reason_codes"][0] == "stepped" and "14.00 s" in units["A2"]["reasons"][0]
     assert units["A3"]["reason_codes"] == clean["A3"]["reason_codes"]
+
+
+def test_a_batch_tells_how_files_were_read_and_what_was_left_out(
+    lot_folder: Path, registry_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    without_audits(lot_folder)
+    source = f"source/{next((lot_folder / 'source').iterdir()).stem}"
+    for name in (source, "units/A1", "units/A2"):
+        table = pd.read_csv(lot_folder / f"{name}.csv")
+        rows = [";".join(f"{value:.9g}".replace(".", ",") for value in row) for row in table.to_numpy()]
+        lines = ["Logger 7", "", ";".join(table.columns), ";".join(["s", "V", "N"][: len(table.columns)]), *rows]
+        (lot_folder / f"{name}.csv").write_text("\n".join(lines) + "\n")
+    with (lot_folder / "units/A2.csv").open("a") as file:
+        file.write("Stopped by hand\n")
+    report = tmp_path / "report.json"
+    main(["batch", str(lot_folder), "--registry", registry_url, *SMALL, "--json", str(report)])
+    told, said = json.loads(report.read_text()), capsys.readouterr()
+    layout = "semicolons; decimal comma; header in line 3; units in line 4"
+    assert {name for name, one in told["layouts"].items() if one == layout} == {
+        f"{source}.csv", "units/A1.csv", "units/A2.csv",
+    }  # fmt: skip
+    assert told["layouts"]["units/A3.csv"] == ""
+    assert said.err.count(layout) == 1 and f"{source}.csv and 2 more" in said.err
+    assert any("units/A2.csv" in remark and "Stopped by hand" in remark for remark in told["remarks"])
+    assert "Stopped by hand" in said.out + said.err
+
+
+def test_an_audit_in_another_unit_or_of_another_sign_is_named_at_every_entry_point(
+    lot_folder: Path, registry_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = next((lot_folder / "source").iterdir())
+    audits = sorted((lot_folder / "audit").iterdir())
+    changes = {audits[0].stem: ("kgf", 1 / 9.80665), audits[1].stem: ("sign", -1.0)}
+    for serial, (_, factor) in changes.items():
+        table = pd.read_csv(lot_folder / f"audit/{serial}.csv")
+        table.assign(reference=table["reference"] * factor).to_csv(lot_folder / f"audit/{serial}.csv", index=False)
+
+    def named(text: str) -> None:
+        for serial, (word, _) in changes.items():
+            assert [line for line in text.splitlines() if serial in line and word in line], text
+
+    report = tmp_path / "report.json"
+    main(["batch", str(lot_folder), "--registry", registry_url, *SMALL, "--json", str(report)])
+    capsys.readouterr()
+    named("\n".join(json.loads(report.read_text())["remarks"]))
+
+    for serial, (word, _) in changes.items():
+        main(["inspect", str(lot_folder / f"audit/{serial}.csv"), "--source", str(source)])
+        assert word in capsys.readouterr().out
+    main(["inspect", str(audits[2]), "--source", str(source)])
+    assert "kgf" not in (plain := capsys.readouterr().out) and "sign" not in plain
+
+    files = [str(source), *(str(lot_folder / f"audit/{serial}.csv") for serial in changes)]
+    imported = ["import", *files, "--source", source.stem, "--reference-column", "reference", "--audit"]
+    main([*imported, "--out", str(tmp_path / "lot-2"), "--sample-rate", "50"])
+    named(capsys.readouterr().err)
+    main(["lot", "audit", str(lot_folder), *files[1:], "--reference-column", "reference"])
+    named(capsys.readouterr().err)

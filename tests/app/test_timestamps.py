@@ -8,7 +8,8 @@ import pandas as pd
 import pytest
 
 from softcal.app.tables.read import read_table
-from softcal.app.tables.timestamps import Clock, find_time_column
+from softcal.app.tables.time_column import find_time_column
+from softcal.app.tables.timestamps import Clock
 from softcal.core.errors import InputError
 
 ROWS = 60

@@ -10,10 +10,12 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.inspection.build import InspectedRecording, build_recording
+from softcal.core.inspection.config import InspectionConfig
+from softcal.core.inspection.levels import find_flat_ends
 from softcal.core.inspection.words import check_reference
 from softcal.core.recording import Array
 from softcal.core.unit.method import Method
-from softcal.core.unit.missing import jump_findings
+from softcal.core.unit.missing import jump_findings, missing_findings, missing_samples
 
 PressUnit = Callable[[int, float, float, int], pd.DataFrame]
 RATE_HZ = 50.0
@@ -23,7 +25,7 @@ def inspected(
     output: Array, reference: Array | None = None, t_s: Array | None = None, rate_Hz: float = RATE_HZ
 ) -> InspectedRecording:
     t_s = np.arange(len(output)) / rate_Hz if t_s is None else t_s
-    return build_recording("U1", t_s, output, sample_rate_Hz=rate_Hz, reference=reference)
+    return build_recording("U1", t_s, output, sample_rate_Hz=rate_Hz, reference=reference, config=InspectionConfig())
 
 
 def measured_outputs(folder: Path) -> Iterator[tuple[str, Array, float]]:
@@ -128,7 +130,9 @@ def test_a_recording_of_every_programme_without_noise_is_left_as_it_is() -> None
 def test_a_slow_logger_may_see_a_press_in_one_sample() -> None:
     t_s = np.arange(600.0)
     pressed = (np.arange(600) % 30 == 7).astype(float)
-    assert len(build_recording("U1", t_s, pressed, sample_rate_Hz=1.0).inspection.masked) == 0
+    assert (
+        len(build_recording("U1", t_s, pressed, sample_rate_Hz=1.0, config=InspectionConfig()).inspection.masked) == 0
+    )
 
 
 def test_a_cable_that_is_off_for_a_second_is_masked_as_a_whole(press_unit: PressUnit) -> None:
@@ -259,3 +263,48 @@ def test_what_decides_about_a_jump_of_a_unit_stands_in_the_method_that_is_hashed
     deaf = replace(usual, inspection=replace(usual.inspection, step_share=1.0))
     assert [one.reason.code for one in jump_findings(recording, usual.inspection)] == ["stepped"]
     assert jump_findings(recording, deaf.inspection) == () and deaf.id != usual.id
+
+
+@pytest.mark.parametrize("part", [0.6, 0.8])
+def test_an_output_that_is_cut_off_is_named_and_measured_ones_are_not(part: float, measured_data: Path) -> None:
+    for number, (_, output, rate_Hz) in enumerate(measured_outputs(measured_data)):
+        assert find_flat_ends(output, InspectionConfig()) == []
+        if number % 8:
+            continue
+        low, high = np.quantile(output, (0.01, 0.99))
+        is_rising = np.median(output[:50]) < (low + high) / 2
+        level = low + part * (high - low) if is_rising else high - part * (high - low)
+        clipped = np.minimum(output, level) if is_rising else np.maximum(output, level)
+        (found,) = inspected(clipped, rate_Hz=rate_Hz).inspection.of_kind("clipped")
+        assert (found.value, found.amount) == (level, pytest.approx(np.count_nonzero(clipped == level), rel=0.01))
+        assert clipped[found.start] == level
+
+
+def test_what_is_masked_is_decided_by_the_configuration_that_is_given(press_unit: PressUnit) -> None:
+    output = press_unit(1500, 1.0, 0.5, 3)["output"].to_numpy(copy=True)
+    output[700] = 5.0
+    t_s = np.arange(len(output)) / 50
+    deaf = replace(InspectionConfig(), spike_share=1e9, jump_factor=1e9)
+    counts = [
+        len(build_recording("U", t_s, output, sample_rate_Hz=50.0, config=config).inspection.masked)
+        for config in (InspectionConfig(), deaf)
+    ]
+    assert counts == [1, 0]
+
+
+@pytest.mark.parametrize(("start_s", "kind"), [(8.0, "pause"), (9.0, "gap")])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_pause_at_rest_is_told_from_lost_samples(start_s: float, kind: str, sign: float) -> None:
+    # Presses of 2 s, 2 s apart; the logger stands still for a minute at rest, or loses samples in a press.
+    t_s = np.arange(2000) / 50
+    output = 1 + sign * np.maximum(np.sin(np.pi * (t_s - 0.5) / 2), 0) * (t_s % 4 < 2.5)
+    paused = t_s + 60.0 * (t_s >= start_s)
+    result = inspected(output, t_s=paused)
+    (found,) = result.inspection.of_kind("pause", "gap")
+    assert (found.kind, found.start, round(found.value)) == (kind, round(start_s * 50), 60)
+    method = Method()
+    missing = missing_samples(result.recording, method.inspection)
+    (finding,) = missing_findings(result.recording, method)
+    assert (missing.share < 0.01, finding.reason.code) == (
+        (True, "paused") if kind == "pause" else (False, "samples_missing")
+    )

@@ -6,11 +6,17 @@ from softcal.app.batch.audit import LotAudit, draw_plan, lot_audit
 from softcal.app.batch.audit_files import look_at_audits, store_audits, unused_of_audits
 from softcal.app.batch.judging import confirm
 from softcal.app.batch.release import lot_standing
-from softcal.app.registry.lot_recordings import target_serials
+from softcal.app.registry.lot_recordings import source_of_lot, target_serials
 from softcal.app.ui.account import actor, allows, permit
 from softcal.app.ui.actions import ask_reason, csv_of, download, role_allows, say_finished
 from softcal.app.ui.components.job_panel import awaits_calibration, begin_job
-from softcal.app.ui.components.lot_upload import choose_columns, dropped_files, first_readable, forget_files
+from softcal.app.ui.components.lot_upload import (
+    choose_columns,
+    choose_layout,
+    dropped_files,
+    first_readable,
+    forget_files,
+)
 from softcal.app.ui.desk import in_words, instant, say
 from softcal.app.ui.panels import for_lot, go_to, has_units, numbers, table
 from softcal.app.ui.server_memory import registry
@@ -73,11 +79,12 @@ def render(lot_id: str) -> None:
                 go_to("lot", lot=lot_id)
         st.caption(say("audit.bring.how"))
         files = dropped_files(ASKED)
-        readable = first_readable(files) if files else None
+        layout = choose_layout()
+        readable = first_readable(files, layout) if files else None
         if readable is None:
             return
         columns = choose_columns(readable[1], wide=False)
-        looked = look_at_audits(lot, target_serials(registry(), lot_id), files, columns)
+        looked = look_at_audits(lot, target_serials(registry(), lot_id), files, columns, layout)
         rows = []
         for one in looked:
             recording = one.recording
@@ -91,7 +98,7 @@ def render(lot_id: str) -> None:
                 }
             )
         table(rows)
-        for remark in unused_of_audits(lot, looked, registry())[1]:
+        for remark in unused_of_audits(lot, looked, registry(), source=source_of_lot(registry(), lot))[1]:
             st.warning(in_words(remark), icon=":material/warning:")
         taken = sum(one.recording is not None for one in looked)
         if st.button(say("audit.take", count=taken), type="primary", disabled=not taken, key="audit-take"):

@@ -14,7 +14,13 @@ from softcal.app.files.importing import Columns, ImportPlan, shown_rate_Hz
 from softcal.app.texts.reasons import all_said
 from softcal.app.ui.account import actor, permit
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
-from softcal.app.ui.components.lot_upload import choose_columns, dropped_files, first_readable, forget_files
+from softcal.app.ui.components.lot_upload import (
+    choose_columns,
+    choose_layout,
+    dropped_files,
+    first_readable,
+    forget_files,
+)
 from softcal.app.ui.components.unused_table import unused_table
 from softcal.app.ui.desk import colours, in_words, say
 from softcal.app.ui.panels import go_to, heading, show_figure, step, table
@@ -40,7 +46,8 @@ def render() -> None:
     with step("new_lot", 1):
         st.caption(say("new_lot.files.how"))
         files = dropped_files()
-        readable = first_readable(files) if files else None
+        layout = choose_layout()
+        readable = first_readable(files, layout) if files else None
     if readable is None:
         return
     path, content = readable
@@ -54,7 +61,7 @@ def render() -> None:
             rate_Hz = float(st.number_input(f"{say('column.rate')} [Hz]", 0.1, 100_000.0, 50.0, key="new-lot-rate"))
         else:
             try:
-                rate_Hz = shown_rate_Hz(path, columns)
+                rate_Hz = shown_rate_Hz(path, columns, layout)
                 st.caption(say("new_lot.rate", rate=f"{rate_Hz:g}"))
             except InputError as error:
                 rate_Hz = 0.0
@@ -72,7 +79,7 @@ def render() -> None:
         st.info(say("new_lot.missing"), icon=":material/edit:")
         return
     try:
-        plan = ImportPlan(files, columns, Lot(sample_rate_Hz=rate_Hz, **facts), has_audits)
+        plan = ImportPlan(files, columns, Lot(sample_rate_Hz=rate_Hz, **facts), has_audits, table=layout)
     except InputError as error:
         st.error(in_words(error), icon=":material/error:")
         return

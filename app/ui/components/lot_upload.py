@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import streamlit as st
 
 from softcal.app.files.importing import Columns
+from softcal.app.tables.options import TableOptions
 from softcal.app.tables.read import READERS, read_table
 from softcal.app.ui.desk import in_words, say
 from softcal.app.ui.uploads import new_upload_folder
@@ -21,6 +22,9 @@ NEW_LOT = "new-lot"
 """Which field of files is meant, where a page has one of its own."""
 
 ROWS = 5
+MARKS = (",", ";", "tab", "|", "blanks")
+"""Between cells."""
+
 NAMES = {
     "output": ("output", "output_v", "out", "v", "voltage"),
     "reference": ("reference", "force_n", "force", "pressure", "load", "ref"),
@@ -67,12 +71,41 @@ def _folder(field: str) -> str:
     return f"{field}-folder"
 
 
-def first_readable(files: Sequence[Path]) -> "tuple[Path, pd.DataFrame] | None":
+def choose_layout() -> TableOptions:
+    """Draw what a person can state of the tables' layout; what is left empty is detected."""
+    with st.expander(say("layout.title"), icon=":material/table_rows:"):
+        st.caption(say("layout.how"))
+        first, second, third, fourth = st.columns(4)
+        unset = say("layout.detected")
+        delimiter = first.selectbox(
+            say("layout.delimiter"), [None, *MARKS], format_func=lambda one: one or unset, key="new-lot-delimiter"
+        )
+        decimal = second.selectbox(
+            say("layout.decimal"), [None, ".", ","], format_func=lambda one: one or unset, key="new-lot-decimal"
+        )
+        encoding = third.text_input(say("layout.encoding"), placeholder="utf-16", key="new-lot-encoding").strip()
+        header_row = fourth.number_input(say("layout.header_row"), 0, value=None, key="new-lot-header-row")
+        first, second, third, _ = st.columns(4)
+        sheet = first.text_input(say("layout.sheet"), key="new-lot-sheet").strip()
+        time_format = second.text_input(say("layout.time_format"), placeholder="ms", key="new-lot-time-format").strip()
+        missing = third.text_input(say("layout.missing"), placeholder="OL; --", key="new-lot-missing")
+    return TableOptions(
+        delimiter=delimiter,
+        decimal=decimal,
+        encoding=encoding or None,
+        header_row=None if header_row is None else int(header_row),
+        sheet=sheet or None,
+        time_format=time_format or None,
+        missing=tuple(text for part in missing.split(";") if (text := part.strip())),
+    )
+
+
+def first_readable(files: Sequence[Path], options: TableOptions) -> "tuple[Path, pd.DataFrame] | None":
     """Return the first file that can be read as a table; say why where none can."""
     why = ""
     for path in files:
         try:
-            return path, _table(str(path), path.stat().st_mtime_ns)
+            return path, _table(str(path), path.stat().st_mtime_ns, options)
         except InputError as error:
             why = why or in_words(str(error).replace(f"{path}: ", f"{path.name}: "))
     st.error(why, icon=":material/error:")
@@ -80,8 +113,8 @@ def first_readable(files: Sequence[Path]) -> "tuple[Path, pd.DataFrame] | None":
 
 
 @st.cache_resource(max_entries=8, show_spinner=False)
-def _table(path: str, written_ns: int) -> "pd.DataFrame":
-    return read_table(Path(path)).to_frame()
+def _table(path: str, written_ns: int, options: TableOptions) -> "pd.DataFrame":
+    return read_table(Path(path), options).to_frame()
 
 
 def choose_columns(table: "pd.DataFrame", wide: bool) -> Columns:
@@ -95,7 +128,9 @@ def choose_columns(table: "pd.DataFrame", wide: bool) -> Columns:
         pattern = f"{often}*" if stems.count(often) > 1 else "*"
         output = str(left.text_input(say("new_lot.pattern"), pattern, key="new-lot-pattern")).strip()
     else:
-        output = str(left.selectbox(say("new_lot.output"), names, index=_guess("output", names) or 0))
+        output = str(
+            left.selectbox(say("new_lot.output"), names, index=_guess("output", names) or 0, key="new-lot-output")
+        )
     optional, unset, chosen = [None, *names], say("new_lot.no_column"), []
     for place, name in ((second, "reference"), (third, "time"), (right, "stage")):
         index = _guess(name, names)
