@@ -1,6 +1,7 @@
 """What commands say: tables and JSON on standard output or in a file, and progress."""
 
 import json
+import math
 import os
 import shutil
 import sys
@@ -19,6 +20,9 @@ from softcal.core.errors import InputError
 
 WIDTH, MIN_WIDTH = 100, 20
 """Characters of a line of sentences that no terminal shows, and of the narrowest terminal."""
+
+BAR = 24
+"""Characters of a bar."""
 
 NOTHING, BELOW = "–", "    "
 """A cell without a value; what begins the lines below a row."""
@@ -228,13 +232,40 @@ class ProgressLine:
         # A line that is folded cannot be written over.
         while is_terminal and len(parts) > 1 and _cells_of("".join(parts)) >= shutil.get_terminal_size().columns:
             parts.pop()
-        line = "".join(parts)
-        print(
-            f"\r\x1b[K{line}" if is_terminal else line,
-            end="\n" if is_last or not is_terminal else "",
-            file=sys.stderr,
-            flush=True,
-        )
+        _show_progress("".join(parts), is_last)
+
+
+class ProgressBar:
+    """Lines like `[######......] 50 %, 38 s, about 38 s left  unit S2` on standard error, from 0 to 1 of one task.
+
+    The first line comes at once. A terminal has one line that is written over, by characters that need no colours.
+    """
+
+    def __init__(self, note: str) -> None:
+        self._start_s, self._shown_s = time.monotonic(), -math.inf
+        self.reach(0.0, note)
+
+    def reach(self, share: float, note: str = "") -> None:
+        """Show that this share of the task is done, and what happens now."""
+        now_s, is_terminal = time.monotonic(), sys.stderr.isatty()
+        if share < 1.0 and now_s - self._shown_s < (0.1 if is_terminal else 5.0):
+            return
+        self._shown_s, elapsed_s = now_s, now_s - self._start_s
+        filled = round(BAR * share)
+        parts = [f"[{'#' * filled}{'.' * (BAR - filled)}] {share:.0%}, {_duration(elapsed_s)}"]
+        if 0.0 < share < 1.0:
+            parts.append(f", about {_duration(elapsed_s * (1.0 - share) / share)} left")
+        parts += [f"  {shown(note)}"] if note else []
+        while is_terminal and len(parts) > 1 and _cells_of("".join(parts)) >= shutil.get_terminal_size().columns:
+            parts.pop()
+        _show_progress("".join(parts), share >= 1.0)
+
+
+def _show_progress(line: str, is_last: bool) -> None:
+    """Print a line on standard error; a terminal's next one is written over it."""
+    is_terminal = sys.stderr.isatty()
+    end = "\n" if is_last or not is_terminal else ""
+    print(f"\r\x1b[K{line}" if is_terminal else line, end=end, file=sys.stderr, flush=True)
 
 
 def _duration(seconds: float) -> str:

@@ -1,9 +1,10 @@
 """Speed: estimates per second through f∘γ, seconds and memory to fit one map, and what a command costs to start.
 
-python benchmarks/speed.py estimate|fit|start [--quick]
+python benchmarks/speed.py estimate|fit|start|press|calibrate_unit [--quick]
 """
 
 import argparse
+import os
 import subprocess
 import sys
 import tempfile
@@ -12,6 +13,7 @@ import tracemalloc
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import ot
@@ -25,16 +27,24 @@ from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
+from softcal.core.profiles import unit_profile
 from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.simulated_lot import draw_twins
+from softcal.core.twin.simulate import simulate
+from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate as estimated
 from softcal.core.unit.health import OutputLimits, run_lengths
 from softcal.core.unit.knowledge import known_by
 from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.uncertainty import ErrorForecast
+from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import Decision, Judgement, Verdict
 from softcal.core.use.adapter import AdaptConfig, Adapter
 from softcal.core.windows import TAPS, windows
+from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.simulated.wire import PtyEnd
+from softcal.station.tasks.acquisition import record
 
 SIZES = (TAPS, 120, 70, 35, 1)
 RATE_HZ = 50.0
@@ -83,7 +93,12 @@ def print_profile(network: Network, calibration: Calibration, recording: OutputR
 
 def products_alone_s(network: Network, count: int) -> float:
     """Return the seconds of the float32 matrix products of f, data in cache: what no arrangement goes below."""
-    block = 2048
+    return median_s(matrix_products(network, count), REPEATS)
+
+
+def matrix_products(network: Network, count: int) -> Callable[[], None]:
+    """Return what computes the float32 matrix products of f for so many windows, and nothing else."""
+    block = count if count < 4096 else 2048
     pairs = [
         (np.ones((block, w.shape[0]), np.float32), w.astype(np.float32), np.empty((block, w.shape[1]), np.float32))
         for w in network.weights
@@ -94,7 +109,15 @@ def products_alone_s(network: Network, count: int) -> float:
             for left, right, out in pairs:
                 np.matmul(left, right, out=out)
 
-    return median_s(products, REPEATS)
+    return products
+
+
+def cpu_of_s(work: Callable[[], None]) -> float:
+    """Return the CPU of one of ten calls in a row."""
+    begun_s = time.process_time()
+    for _ in range(10):
+        work()
+    return (time.process_time() - begun_s) / 10
 
 
 def print_streaming(network: Network, calibration: Calibration, recording: OutputRecording) -> None:
@@ -244,6 +267,63 @@ def start(options: argparse.Namespace) -> None:
     print_table("command | CPU, s | times python -c pass | memory, MB", rows)
 
 
+def press(options: argparse.Namespace) -> None:
+    """CPU of one simulated press over its serial lines, beside what no simulation of it goes below, in one run.
+
+    The floor is the twin over all instants at once, and every line written to a pseudo terminal and read from it.
+    """
+    twin = draw_twins(np.random.default_rng(7), 2)[1]
+    seconds, rng = (15.0, 150.0)[not options.quick], np.random.default_rng(3)
+    with open_simulated_bench(twin, 5) as (bench, station):
+        record(bench, "warm", unit_profile(rng, 5.0), with_reference=True)
+        lines, write = [], PtyEnd.write
+        with mock.patch.object(PtyEnd, "write", lambda end, content: (lines.append(content), write(end, content))[1]):
+            begun_s, simulated_s = time.process_time(), station.world.now_s()
+            recording = record(bench, "U1", unit_profile(rng, seconds), with_reference=True)
+            press_s, simulated_s = time.process_time() - begun_s, station.world.now_s() - simulated_s
+    begun_s = time.process_time()
+    simulate(twin, np.arange(round(simulated_s * 130.0)) / 130.0, np.zeros(round(simulated_s * 130.0)))
+    twin_s = time.process_time() - begun_s
+    floor_s = twin_s + over_a_terminal_s(lines)
+    rows = [
+        ("one press", len(recording.output), len(lines), press_s, press_s / floor_s),
+        ("*twin at once, and every line over a pty*", len(recording.output), len(lines), floor_s, 1.0),
+    ]
+    print_table("what | rows | lines | CPU, s | times the floor", rows)
+
+
+def over_a_terminal_s(lines: Sequence[bytes]) -> float:
+    """Return the CPU of writing lines to a pseudo terminal and of reading each of them."""
+    end = PtyEnd()
+    host = os.open(end.port, os.O_RDWR | os.O_NONBLOCK)
+    begun_s = time.process_time()
+    for line in lines:
+        end.write(line)
+        os.read(host, 65536)
+    taken_s = time.process_time() - begun_s
+    os.close(host)
+    end.hang_up()
+    return taken_s
+
+
+def calibrate_unit(options: argparse.Namespace) -> None:
+    """Least CPU of one more unit of a batch, beside the network's matrix products for its samples in the same run."""
+    source = unit(8_500, 1, 1.0, 0.0)
+    network = fit_network(source, NetworkConfig(max_epochs=2 if options.quick else 15)).network
+    model, rows = make_source_model(source, network), []
+    for count in (1_250, 3_200):
+        taken_s = []
+        for seed in range(2, 6 if options.quick else 16):
+            recording = unit(count, seed, GAIN, OFFSET_V).unlabelled
+            begun_s = time.process_time()
+            calibrate(UnitProblem(model, recording))
+            taken_s.append(time.process_time() - begun_s)
+        products = matrix_products(network, count)
+        floor_s = min(cpu_of_s(products) for _ in range(20))
+        rows.append((count, 1e3 * min(taken_s), 1e3 * floor_s, min(taken_s) / floor_s))
+    print_table("samples | a unit, ms | matrix products of f, ms | times", rows)
+
+
 MEASURE = """import os, sys
 quiet = [(os.POSIX_SPAWN_OPEN, number, os.devnull, os.O_WRONLY, 0) for number in (1, 2)]
 _, status, used = os.wait4(os.posix_spawn(sys.argv[1], sys.argv[1:], os.environ, file_actions=quiet), 0)
@@ -283,6 +363,8 @@ def main() -> None:
     every.add(estimate, "a tenth of the samples")
     every.add(fit, "POT at 1,500 windows instead of 6,250")
     every.add(start, "3 runs a command instead of 15")
+    every.add(press, "15 s of a press instead of 150 s")
+    every.add(calibrate_unit, "4 units instead of 14")
     every.run()
 
 

@@ -37,6 +37,11 @@ settings.load_profile("fixed")
 SMALL_NETWORK = ("--hidden", "16,8")
 """Options of a network that trains in seconds."""
 
+DEAREST = 20
+"""Tests of which the end of a run says what CPU they took."""
+
+_BEGAN: dict[str, float] = {}
+
 _MAIN_MODULE = sys.modules["__main__"]
 
 
@@ -67,10 +72,24 @@ def pytest_collection_finish() -> None:
     gc.enable()
 
 
+def _cpu_s() -> float:
+    """Seconds of CPU so far, of this process and of those that it started and that have ended."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
+
+
+def pytest_runtest_logstart(nodeid: str) -> None:
+    """Note what CPU was taken before a test."""
+    _BEGAN[nodeid] = _cpu_s()
+
+
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
-    """Turn every skip into a failure in CI: there nothing passes by a part that is missing."""
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Iterator[None]:
+    """Note the CPU of a test; turn every skip into a failure in CI: nothing passes there by a part that is missing."""
     report = yield
+    if call.when == "teardown":
+        # A property of the report: it travels from a worker to the process that prints.
+        report.user_properties.append(("cpu_s", _cpu_s() - _BEGAN.pop(item.nodeid)))
     if report.skipped and os.environ.get("CI"):
         report.outcome = "failed"
         report.longrepr = f"{item.nodeid} was skipped: {report.longrepr[2]}; in CI a missing part is a failure"
@@ -78,7 +97,13 @@ def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Write one line that counts what was not proven, by the Debian package or the reason."""
+    """Write the dearest tests, and one line that counts what was not proven, by the Debian package or the reason."""
+    reports = [report for stored in terminalreporter.stats.values() for report in stored]
+    taken = {r.nodeid: dict(r.user_properties)["cpu_s"] for r in reports if getattr(r, "when", "") == "teardown"}
+    if len(taken) > DEAREST:
+        terminalreporter.section(f"CPU: {sum(taken.values()):.0f} s of {len(taken)} tests, the dearest first")
+        for nodeid in sorted(taken, key=lambda one: -taken[one])[:DEAREST]:
+            terminalreporter.write_line(f"{taken[nodeid]:7.1f} s  {nodeid}")
     reasons = [report.longrepr[2].removeprefix("Skipped: ") for report in terminalreporter.stats.get("skipped", [])]
     packages, others = Counter[str](), Counter[str]()
     for reason in reasons:

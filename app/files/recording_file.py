@@ -1,5 +1,6 @@
 """Recordings on disk: columns of a table into a recording that was inspected, and back."""
 
+import csv
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -322,16 +323,19 @@ class naming:
 
 def write_columns(path: Path, columns: Sequence[tuple[str, Array | Sequence[str]]]) -> None:
     """Write columns as CSV or, by the name, Parquet; whole or not at all. NaN stays empty."""
-    import pandas as pd
-
     from softcal.app.files.atomic import whole_file
 
-    table = pd.DataFrame(dict(columns))
     with whole_file(path) as part:
         if path.suffix.lower() in PARQUET:
-            table.to_parquet(part, index=False, write_page_checksum=True)
-        else:
-            table.to_csv(part, index=False, lineterminator="\n")
+            import pandas as pd
+
+            pd.DataFrame(dict(columns)).to_parquet(part, index=False, write_page_checksum=True)
+            return
+        cells = [[None if cell != cell else cell for cell in np.asarray(values, dtype=object)] for _, values in columns]
+        with part.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow([name for name, _ in columns])
+            writer.writerows(zip(*cells, strict=True))
 
 
 def write_rows(path: Path, file: FileRecording, rows: tuple[int, int] | None = None) -> None:

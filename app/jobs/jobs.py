@@ -12,7 +12,7 @@ import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from softcal.app.batch.lot_work import BatchConfig, Watch
 from softcal.app.bootstrap import data_folder
@@ -47,6 +47,12 @@ class Outcome:
     message: str
     result: Mapping[str, Any] = field(default_factory=dict)
     arrays: "Arrays | None" = None
+
+
+class Steps(Protocol):
+    """Whoever shows how far a task is."""
+
+    def step(self, fraction: float, name: str, **values: object) -> None: ...
 
 
 class Teller:
@@ -200,7 +206,7 @@ def check(registry: Registry, job: Job, tell: Teller) -> Outcome:
     return Outcome("", checked.as_json() | {"ports": ports, "found": findings, "toml": station_toml(checked.config)})
 
 
-def lot_watch(tell: Teller, begin: float = 0.0) -> Watch:
+def lot_watch(tell: Steps, begin: float = 0.0) -> Watch:
     """Return a watch that tells training and units as one bar from `begin` to 1."""
     trained = begin + TRAINING * (1 - begin)
 
@@ -221,7 +227,7 @@ def demo(registry: Registry, job: Job, tell: Teller) -> Outcome:
     from softcal.app.line.demo import DemoConfig, press_demo_lot
 
     config = DemoConfig(units=job.request["units"], batch=BatchConfig(chunk=1, actor=job.actor))
-    runs, total = 0, 1 + 2 * config.units
+    runs, total = 0, config.runs
 
     def on_run(_: str) -> None:
         nonlocal runs

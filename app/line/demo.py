@@ -1,26 +1,32 @@
 """The main job on a simulated station: press, train, map, judge, register, export."""
 
-from collections.abc import Callable, Mapping, Sequence
+import multiprocessing
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from softcal.app.batch.engine import EngineChoice, WorkerLost, run_all
 from softcal.app.batch.lot_work import BatchConfig
 from softcal.app.batch.report import UnitResult
 from softcal.app.files.atomic import whole_folder
 from softcal.app.files.lot_folder import LotFolder, open_lot_folder, write_lot_toml
 from softcal.app.files.recording_file import write_recording
-from softcal.core.errors import InputError
+from softcal.core.errors import DeviceError, InputError
 from softcal.core.limit_text import LimitText
 from softcal.core.lot import Lot
-from softcal.core.profiles import source_profile, unit_profile
+from softcal.core.profiles import Profile, source_profile, unit_profile
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import draw_twins
 from softcal.core.twin.simulate import Twin
 from softcal.core.unit.budget import SIMULATED
-from softcal.station.devices.bench import open_simulated_bench
-from softcal.station.tasks.acquisition import record
+from softcal.station.devices.bench import Bench, open_simulated_bench
+from softcal.station.record.recording import StationRecording
+from softcal.station.tasks.acquisition import RunProgress, record
 
 TABLE_HEADER = (
     "unit",
@@ -72,8 +78,18 @@ class DemoConfig:
         if not 1 <= self.units <= 99:
             raise InputError(f"{self.units} units; 1 to 99 were expected")
 
+    @property
+    def runs(self) -> int:
+        """How often the station presses: the source once, a unit twice."""
+        return 1 + 2 * self.units
 
-def press_demo_lot(config: DemoConfig, folder: Path, on_run: Callable[[str], None]) -> LotFolder:
+
+def press_demo_lot(
+    config: DemoConfig,
+    folder: Path,
+    on_run: Callable[[str], None],
+    on_share: Callable[[float], None] | None = None,
+) -> LotFolder:
     """Press a simulated lot over its serial lines as a lot folder; one pressed before is taken.
 
     Raises:
@@ -86,7 +102,7 @@ def press_demo_lot(config: DemoConfig, folder: Path, on_run: Callable[[str], Non
     serials = [f"DEMO-{k:02d}" for k in range(config.units + 1)]
     rng = np.random.default_rng(SEED)
     twins = draw_twins(rng, len(serials), twin=config.twin)
-    pressed = press_simulated_lot(twins, serials, SEED, config.times, on_run)
+    pressed = press_simulated_lot(twins, serials, SEED, config.times, on_run, config.batch.engine, on_share)
     source = pressed.source
     lot = Lot(
         "demo",
@@ -110,29 +126,85 @@ def press_simulated_lot(
     seed: int = 0,
     times: PressTimes | None = None,
     on_run: Callable[[str], None] | None = None,
+    engine: EngineChoice | None = None,
+    on_share: Callable[[float], None] | None = None,
 ) -> RecordedLot:
-    """Press every unit of a simulated lot, the source first, over the serial lines of one station.
-    The seed is of mounting, noise and profiles.
+    """Press every unit of a simulated lot, the source first, each over the serial lines of a station of its own.
+    The seed is of mounting, noise and profiles. Equal seeds give equal recordings, however many workers press.
+    `on_share` is told every half a second which share is pressed, by a thread of its own.
 
     Raises:
-        DeviceError: the station failed.
+        DeviceError: a station failed.
     """
-    times, rng = times or PressTimes(), np.random.default_rng(seed)
-    units: dict[str, OutputRecording] = {}
-    audits: dict[str, LabelledRecording] = {}
-    tell = on_run or (lambda sentence: None)
-    with open_simulated_bench(twins[0], seed) as (bench, station):
-        tell(f"source unit {serials[0]}: pressing with the load cell")
-        source = record(bench, serials[0], source_profile(rng, times.source_s), with_reference=True)
-        for twin, serial in zip(twins[1:], serials[1:], strict=True):
-            station.mount(twin)
-            tell(f"unit {serial}: pressing, output only")
-            profile = unit_profile(rng, times.unit_s)
-            units[serial] = record(bench, serial, profile, with_reference=False).output_recording()
-            tell(f"unit {serial}: audit with the load cell")
-            audit = record(bench, serial, unit_profile(rng, times.audit_s), with_reference=True)
-            audits[serial] = audit.labelled_recording()
-    return RecordedLot(source.labelled_recording(), units, audits)
+    tell, times = on_run or (lambda sentence: None), times or PressTimes()
+    pressed: dict[str, _Recorded] = {}
+    runs = [(serial, twin, seed + k) for k, (serial, twin) in enumerate(zip(serials, twins, strict=True))]
+    done_s = multiprocessing.get_context("spawn").Value("d", 0.0)
+    total_s = times.source_s + (len(runs) - 1) * (times.unit_s + times.audit_s)
+    with _polled(lambda: (on_share or (lambda share: None))(done_s.value / total_s)):
+        lot = serials[0], times, done_s
+        for answer in run_all(engine or EngineChoice(), _press_source_or_unit, lot, runs):
+            if isinstance(answer, WorkerLost):
+                raise DeviceError(f"unit {answer.item[0]}: the process that pressed it was ended; begin again")
+            serial, recorded = answer
+            pressed[serial] = recorded
+            if serial == serials[0]:
+                tell(f"source unit {serial}: pressed with the load cell")
+                continue
+            tell(f"unit {serial}: pressed, output only")
+            tell(f"unit {serial}: audited with the load cell")
+    units = {serial: pressed[serial].run.output_recording() for serial in serials[1:]}
+    audits = {serial: pressed[serial].labelled.labelled_recording() for serial in serials[1:]}
+    return RecordedLot(pressed[serials[0]].labelled.labelled_recording(), units, audits)
+
+
+@dataclass(frozen=True, eq=False)
+class _Recorded:
+    """What one unit was recorded in: its only run, or its run without a reference and its audit."""
+
+    run: StationRecording
+    labelled: StationRecording
+
+
+@contextmanager
+def _polled(report: Callable[[], None]) -> Iterator[None]:
+    """Report every half a second: whoever gives out work hears nothing of it until it is done."""
+    is_over = threading.Event()
+
+    def run() -> None:
+        while not is_over.wait(0.5):
+            report()
+
+    thread = threading.Thread(target=run, name="progress", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        thread.join()
+
+
+def _press_source_or_unit(lot: tuple[str, PressTimes, Any], run: tuple[str, Twin, int]) -> tuple[str, _Recorded]:
+    (source, times, done_s), (serial, twin, seed) = lot, run
+    rng = np.random.default_rng(seed)
+
+    def pressed(bench: Bench, profile: Profile, seconds: float, with_reference: bool) -> StationRecording:
+        before = 0.0
+
+        def on_progress(progress: RunProgress) -> None:
+            nonlocal before
+            with done_s.get_lock():
+                done_s.value += (progress.fraction - before) * seconds
+            before = progress.fraction
+
+        return record(bench, serial, profile, with_reference, on_progress)
+
+    with open_simulated_bench(twin, seed) as (bench, _):
+        if serial == source:
+            recording = pressed(bench, source_profile(rng, times.source_s), times.source_s, True)
+            return serial, _Recorded(recording, recording)
+        unit = pressed(bench, unit_profile(rng, times.unit_s), times.unit_s, False)
+        return serial, _Recorded(unit, pressed(bench, unit_profile(rng, times.audit_s), times.audit_s, True))
 
 
 def table_row(unit: UnitResult) -> list[object]:

@@ -165,10 +165,14 @@ class Chain:
         self.weigh(flow, values, memories)
 
 
+StreamState: TypeAlias = tuple[list[Memory], float | None, float, list[Mapping[str, Any]]]
+"""Memories of the effects, the last instant, the first temperature, and the generators of both noises."""
+
+
 class TwinStream:
     """A twin in use: give it the stage position as time goes on, it gives force and output.
 
-    The same samples in chunks of any size give the same numbers as in one call.
+    The same samples in chunks of any size give the same numbers as in one call, where it is causal.
 
     Args:
         rng: source of the noise; None for a unit without noise. The ADC always rounds.
@@ -178,14 +182,32 @@ class TwinStream:
         self._twin = twin
         # A stream for each channel: what one draws must not depend on how the other is chunked.
         self._rng = rng.spawn(2) if rng is not None else None
+        self._last_t_s: float | None = None
         self._chain = Chain([*(s.effect for s in twin.effects), *(term.effect for term in twin.empirical)])
         self._values = [*(s.ordered_values for s in twin.effects), *((t.coefficient,) for t in twin.empirical)]
         self.restart()
 
+    @property
+    def is_causal(self) -> bool:
+        """Whether no effect asks for later instants: chunks of any size give the same numbers."""
+        return not any(effect.hook is Hook.CLOCK for effect in self._chain.effects)
+
+    def state(self) -> StreamState:
+        """Return all that `advance` depends on, as it is now."""
+        memories = [{name: value.copy() for name, value in memory.items()} for memory in self._memories]
+        noise = [rng.bit_generator.state for rng in self._rng or ()]
+        return memories, self._last_t_s, self._first_temperature_C, noise
+
+    def go_back(self, state: StreamState) -> None:
+        """Go back to a state of this stream; what came after it is forgotten, noise included."""
+        memories, self._last_t_s, self._first_temperature_C, noise = state
+        self._memories = [{name: value.copy() for name, value in memory.items()} for memory in memories]
+        for rng, before in zip(self._rng or (), noise, strict=True):
+            rng.bit_generator.state = before
+
     def restart(self) -> None:
         """Begin a new run from rest; the noise goes on."""
-        self._memories = self._chain.fresh_memories()
-        self._last_t_s: float | None = None
+        self._memories, self._last_t_s = self._chain.fresh_memories(), None
         self._first_temperature_C = 0.0
 
     def advance(self, t_s: Array, stage_mm: Array, temperature_C: Array | None = None) -> tuple[Array, Array]:
@@ -205,8 +227,10 @@ class TwinStream:
             raise ValueError(f"t_s has {len(t_s)} samples, stage_mm {len(stage_mm)}")
         if not len(t_s):
             return np.empty(0), np.empty(0)
-        step_s = np.diff(t_s, prepend=t_s[0] if self._last_t_s is None else self._last_t_s)
-        if np.any(step_s[1:] <= 0) or (self._last_t_s is not None and step_s[0] <= 0):
+        step_s = np.empty_like(t_s)
+        step_s[0] = 0.0 if self._last_t_s is None else t_s[0] - self._last_t_s
+        np.subtract(t_s[1:], t_s[:-1], out=step_s[1:])
+        if (step_s[1:] <= 0.0).any() or (self._last_t_s is not None and step_s[0] <= 0.0):
             raise ValueError("t_s must go on: every instant later than the one before")
         rise_K = None
         if temperature_C is not None:

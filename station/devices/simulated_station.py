@@ -64,9 +64,9 @@ class SimulatedStation:
         self.stage_config, self.force_config, self.readout_config = stage.config, cell.config, readout.config
         self.reading_per_V = readout.reading_per_V
         self._far_ends = (stage.far_end, cell.far_end, readout.far_end)
-        for far_end in self._far_ends:
-            if far_end is not None:
-                self.world.add(far_end)
+        self.rig.samplers = [far_end for far_end in self._far_ends if far_end is not None]
+        for far_end in self.rig.samplers:
+            self.world.add(far_end)
 
     def _around(self, wire: Wire) -> Surroundings:
         return Surroundings(

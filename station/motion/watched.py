@@ -1,7 +1,7 @@
 """A bench whose every reading is kept and checked while its stage moves: what a run and a self-test have in common."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -240,12 +240,6 @@ class WatchedBench:
     def _take(self, polls: Sequence[StagePosition]) -> None:
         self.readings.polls += polls
         output, cell = self._read(polls)
-        # How long the force may still grow: until a stop holds, or the move ends by itself.
-        speed_mm_s, ahead_s = self.motion.speed_mm_s, 0.0
-        if self.motion.is_lowering and speed_mm_s != 0.0:
-            stop_s = REACTION_S + self.late_s + 0.5 * speed_mm_s / self.bounds.reaction.acceleration_mm_s2
-            ahead_s = min(stop_s, self.late_s + self.motion.left_mm / speed_mm_s)
-        self._force_watch.ahead_s = ahead_s
         self._check(output, cell)
         self._on_tick()
 
@@ -303,6 +297,23 @@ class WatchedBench:
 
     def _check(self, output: Sequence[Sample], cell: Sequence[Sample]) -> None:
         on, now_s = self.motion.row.watches, self.bench.clock.now_s()
+        if cell:
+            self._check_force(on, cell)
+        if output or cell:
+            self._check_channels(on, output, cell)
+        if StageWatch.STREAM in on:
+            for stream in self._streams.values():
+                stream.check_silence(now_s)
+        if StageWatch.DEPTH in on and self.readings.polls:
+            self.check_depth(self.readings.polls[-1].position_mm)
+
+    def _check_force(self, on: Collection[StageWatch], cell: Sequence[Sample]) -> None:
+        # How long the force may still grow: until a stop holds, or the move ends by itself.
+        speed_mm_s, ahead_s = self.motion.speed_mm_s, 0.0
+        if speed_mm_s != 0.0 and self.motion.is_lowering:
+            stop_s = REACTION_S + self.late_s + 0.5 * speed_mm_s / self.bounds.reaction.acceleration_mm_s2
+            ahead_s = min(stop_s, self.late_s + self.motion.left_mm / speed_mm_s)
+        self._force_watch.ahead_s = ahead_s
         for sample in cell:
             newton = sample.values[0]
             if StageWatch.FORCE in on:
@@ -313,6 +324,8 @@ class WatchedBench:
                 self._follow_watch.check(newton - self._force_watch.zero_N, self.pressed_mm(self.late_s), sample.host_s)
             if StageWatch.JUMP in on:
                 self._jump_watch.check(newton, self.bench.stage.is_moving, sample.host_s, self.latest_s)
+
+    def _check_channels(self, on: Collection[StageWatch], output: Sequence[Sample], cell: Sequence[Sample]) -> None:
         # A unit that relaxed leaves the stage for a while: where there is no force, FOLLOW says whether that may be.
         is_touched = self.bench.force is None or self._force_N > self.bench.config.fixture.contact_N
         # A cell that is late tells of where the stage was.
@@ -320,16 +333,14 @@ class WatchedBench:
             ("force", cell, StageWatch.STUCK_CELL, self.late_s),
             ("readout", output, StageWatch.STUCK_OUTPUT, 0.0),
         ):
+            if not samples:
+                continue
             pressed_mm = self.pressed_mm(late_s) if is_touched else 0.0
             for sample in samples:
                 if StageWatch.STREAM in on:
                     self._streams[name].check(sample)
                 for watch in self._stuck[stuck] if stuck in on else ():
                     watch.check(sample.values[0], pressed_mm)
-            if StageWatch.STREAM in on and name in self._streams:
-                self._streams[name].check_silence(now_s)
-        if StageWatch.DEPTH in on and self.readings.polls:
-            self.check_depth(self.readings.polls[-1].position_mm)
 
     def check_free(self, force_N: float) -> None:
         """Raise `SafetyStop` where there is a force in the way of the approach."""

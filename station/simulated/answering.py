@@ -1,7 +1,7 @@
 """What every far end of a line does, and the one that is enough for most instruments."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.wire import Wire
@@ -19,8 +19,8 @@ class FarEnd:
     def __init__(self, wire: Wire, line_end: bytes = b"\n", axis: Axis | None = None) -> None:
         self.wire, self.axis, self._line_end, self.said_end = wire, axis or Axis(1.0), line_end, b"\r\n"
         self._received = b""
-        self.due_s = math.inf
-        """When the device does something by itself."""
+        self.due_s, self.period_s = math.inf, math.inf
+        """When the device does something by itself, and after how long again."""
 
     def receive(self, now_s: float) -> None:
         """Take the bytes the host has written and act on them."""
@@ -47,9 +47,16 @@ class FarEnd:
         if text:
             self.wire.send(text.encode() + self.said_end, now_s)
 
+    def coming_s(self) -> Iterator[float]:
+        """Yield when the device does something by itself, now or later."""
+        due_s = self.due_s
+        while due_s < math.inf:
+            yield due_s
+            due_s += self.period_s
+
     def next_event_s(self) -> float:
         """Return the time of the next thing that happens by itself."""
-        return min(self.due_s, self.axis.next_event_s(), self.wire.next_arrival_s())
+        return min(self.due_s, self.axis.ends_s, self.wire.next_arrival_s)
 
     def advance(self, now_s: float) -> None:
         """Do everything that is due until now, bytes that have reached the host included."""
@@ -60,7 +67,7 @@ class FarEnd:
 
     def do_due(self) -> None:
         """Do what is due at `due_s`, and put that off to the next time."""
-        self.due_s = math.inf
+        self.due_s += self.period_s
 
 
 class SimulatedAnswers(FarEnd):

@@ -55,14 +55,14 @@ class SimulatedIndicator(SimulatedGauge):
 
     def __init__(self, wire: Wire, force_N: Callable[[float], float]) -> None:
         super().__init__(wire, force_N)
-        self.capacity_N, self.due_s = 20.0, 0.003
+        self.capacity_N, self.due_s, self.period_s = 20.0, 0.003, 1.0 / 50.0
 
     def do_due(self) -> None:
         force_N = self._force_N(self.due_s)
         state = "OL" if abs(force_N) > self.capacity_N else "US"
         sign = "-" if force_N < 0 else "+"
         self.say(f"{state},GS,{sign}{abs(force_N) / 9.80665:7.4f}kg", self.due_s)
-        self.due_s += 1.0 / 50.0
+        super().do_due()
 
 
 class SimulatedLoadstar(SimulatedGauge):
@@ -74,11 +74,12 @@ class SimulatedLoadstar(SimulatedGauge):
     def __init__(self, wire: Wire, force_N: Callable[[float], float]) -> None:
         super().__init__(wire, force_N)
         self.model, self.unit, self.is_faulty = "FCM DI-1000", "lb", False
+        self.period_s = 1.0 / 80.0
 
     def answer(self, words: str, now_s: float) -> str:
-        self.due_s = now_s + 1.0 / 80.0 if words == "WC" else math.inf
+        self.due_s = now_s + self.period_s if words == "WC" else math.inf
         return {"": "A", "MODEL": self.model, "UNITS": self.unit, "WC": ""}.get(words, "E")
 
     def do_due(self) -> None:
         self.say("E" if self.is_faulty else f"{self._force_N(self.due_s) / 4.4482216152605:.6f}", self.due_s)
-        self.due_s += 1.0 / 80.0
+        super().do_due()

@@ -92,7 +92,7 @@ class SimulatedGrbl(FarEnd):
     def next_event_s(self) -> float:
         # A pause does not end while the stage is held: its end would be an event of the past for ever.
         pause_s = math.inf if self.state == "Hold" or self.axis.is_held else self._dwell_until_s
-        return min(self.axis.next_event_s(), self.wire.next_arrival_s(), pause_s, self._holds_at_s)
+        return min(self.axis.ends_s, self.wire.next_arrival_s, pause_s, self._holds_at_s)
 
     def advance(self, now_s: float) -> None:
         self._now_s = now_s

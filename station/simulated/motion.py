@@ -2,6 +2,8 @@
 
 import math
 from collections import deque
+from collections.abc import Iterable
+from copy import copy
 from dataclasses import dataclass
 
 
@@ -23,6 +25,7 @@ class Axis:
     """A carriage driven by a planner.
 
     Blocks in one direction are joined without a stop as far as the queue reaches; a reversal goes through rest.
+    `ends_s` is when the phase in progress ends, infinity at rest.
     """
 
     def __init__(self, acceleration_mm_s2: float) -> None:
@@ -34,7 +37,7 @@ class Axis:
         self.queue: deque[QueuedMove] = deque()
         self.is_held = False
         self.standstills_s: deque[float] = deque(maxlen=100)
-        self._phases: deque[_Phase] = deque()
+        self._set_phases(())
 
     @property
     def is_moving(self) -> bool:
@@ -49,16 +52,15 @@ class Axis:
         """Brake at the drive's acceleration and stay; the queue is kept."""
         self.is_held = True
         braking_s = abs(self.velocity_mm_s) / self.acceleration_mm_s2
-        self._phases = deque()
-        if braking_s > 0:
-            self._phases.append(_Phase(braking_s, -math.copysign(self.acceleration_mm_s2, self.velocity_mm_s)))
+        braking = _Phase(braking_s, -math.copysign(self.acceleration_mm_s2, self.velocity_mm_s))
+        self._set_phases((braking,) if braking_s > 0 else ())
 
     def brake(self) -> None:
         """Brake at the drive's acceleration and forget the queue."""
         speed = self.velocity_mm_s
         stop_mm = self.position_mm + math.copysign(speed**2 / (2 * self.acceleration_mm_s2), speed)
         self.queue.clear()
-        self._phases.clear()
+        self._set_phases(())
         if speed:
             self.add(QueuedMove(stop_mm, abs(speed)))
 
@@ -70,44 +72,60 @@ class Axis:
     def flush(self) -> None:
         """Forget the queue and stand still at once, as a reset of the controller does."""
         self.queue.clear()
-        self._phases.clear()
+        self._set_phases(())
         if self.velocity_mm_s:
             self.standstills_s.append(self.time_s)
         self.velocity_mm_s = 0.0
         self.is_held = False
 
-    def next_event_s(self) -> float:
-        """Return when the phase in progress ends; infinity at rest."""
-        return self.time_s + self._phases[0].seconds if self._phases else math.inf
-
     def advance(self, now_s: float) -> None:
-        while self._phases and self.next_event_s() <= now_s + 1e-12:
-            phase = self._phases.popleft()
-            self._integrate(phase.seconds, phase.acceleration)
+        while self.ends_s <= now_s + 1e-12:
+            self._place(self._phases[0].seconds)
+            self.time_s = self.ends_s
+            self._phases.popleft()
             if self._phases:
+                self._set_phases(self._phases)
                 continue
             if not self.is_held:
                 self.position_mm = self.queue.popleft().target_mm
             if self.is_held or not self.queue or abs(self.velocity_mm_s) < 1e-9:
                 self.velocity_mm_s = 0.0
                 self.standstills_s.append(self.time_s)
-            if not self.is_held:
+            if self.is_held:
+                self._set_phases(())
+            else:
                 self._plan()
-        rest_s = max(0.0, now_s - self.time_s)
-        if self._phases and rest_s:
-            phase = self._phases[0]
-            self._integrate(rest_s, phase.acceleration)
-            self._phases[0] = _Phase(phase.seconds - rest_s, phase.acceleration)
-        self.time_s = max(self.time_s, now_s)
+        if now_s > self.time_s:
+            self.time_s = now_s
+            if self._phases:
+                self._place(now_s - self._began_s)
 
-    def _integrate(self, seconds: float, acceleration: float) -> None:
-        self.position_mm += self.velocity_mm_s * seconds + 0.5 * acceleration * seconds**2
-        self.velocity_mm_s += acceleration * seconds
-        self.time_s += seconds
+    def positions_mm(self, times_s: Iterable[float]) -> list[float]:
+        """Return where the carriage will be at later instants, ascending, if nobody interferes."""
+        ahead = copy(self)
+        ahead.queue, ahead._phases, ahead.standstills_s = copy(self.queue), copy(self._phases), deque()
+        positions_mm = []
+        for time_s in times_s:
+            ahead.advance(time_s)
+            positions_mm.append(ahead.position_mm)
+        return positions_mm
+
+    def _set_phases(self, phases: Iterable[_Phase]) -> None:
+        """Begin the first of these phases here and now."""
+        self._phases = deque(phases)
+        # Counted from the start of the phase: where it is must not depend on how often somebody looked.
+        self._began_s, self._began_mm, self._began_mm_s = self.time_s, self.position_mm, self.velocity_mm_s
+        self.ends_s = self.time_s + self._phases[0].seconds if self._phases else math.inf
+
+    def _place(self, seconds: float) -> None:
+        """Put the carriage where it is so long after the phase began."""
+        acceleration = self._phases[0].acceleration
+        self.position_mm = self._began_mm + self._began_mm_s * seconds + 0.5 * acceleration * seconds**2
+        self.velocity_mm_s = self._began_mm_s + acceleration * seconds
         self.deepest_mm = max(self.deepest_mm, self.position_mm)
 
     def _plan(self) -> None:
-        self._phases = deque()
+        self._set_phases(())
         while self.queue and abs(self.queue[0].target_mm - self.position_mm) < 1e-9:
             self.queue.popleft()
         if not self.queue:
@@ -117,7 +135,7 @@ class Axis:
         distance = abs(block.target_mm - self.position_mm)
         entry = max(0.0, self.velocity_mm_s * direction)
         leave = self._exit_speed(direction, distance, entry)
-        self._phases.extend(_trapezoid(distance, entry, block.speed_mm_s, leave, self.acceleration_mm_s2, direction))
+        self._set_phases(_trapezoid(distance, entry, block.speed_mm_s, leave, self.acceleration_mm_s2, direction))
 
     def _exit_speed(self, direction: float, distance: float, entry: float) -> float:
         """The fastest speed at the end of this block from which the rest of the queue can stop."""

@@ -1,9 +1,10 @@
 """The far end of one line: what it runs over, bytes that arrive late and in bursts, and the faults a wire can have."""
 
+import math
 import os
+import select
 import socket
 from collections import deque
-from contextlib import suppress
 from typing import TypeAlias
 
 import numpy as np
@@ -27,9 +28,13 @@ class PtyEnd:
         self.port = os.ttyname(slave)
         # Kept open until the host opens it: a pty without a slave reports an error to its master.
         self._slave = slave
+        self._poller = select.poll()
+        self._poller.register(self._master, select.POLLIN)
 
     def read(self) -> bytes:
         content = b""
+        if not self._poller.poll(0):
+            return content  # Far cheaper than a read that fails, and asked at every step of the world.
         try:
             # One read may give less than was written; what comes a step later would be another simulation.
             while True:
@@ -38,8 +43,10 @@ class PtyEnd:
             return content
 
     def write(self, content: bytes) -> None:
-        with suppress(BlockingIOError):
+        try:
             os.write(self._master, content)
+        except BlockingIOError:
+            return
 
     def hang_up(self) -> None:
         os.close(self._slave)
@@ -134,6 +141,8 @@ class Wire:
         self._medium = medium or serial_line()
         self.port = self._medium.port
         self._outbox: deque[tuple[float, bytes]] = deque()
+        self.next_arrival_s = math.inf
+        """When the next bytes reach the host; infinity when none are on the way."""
         self._open_at_s = 0.0
         self.is_plugged = True
         self.is_silent = False
@@ -153,14 +162,12 @@ class Wire:
                 self._open_at_s = now_s + self._rng.uniform(0.2, 1.0) * self.stall_s
             arrival_s = max(arrival_s, self._open_at_s, self._outbox[-1][0] if self._outbox else 0.0)
             self._outbox.append((arrival_s, copy))
-
-    def next_arrival_s(self) -> float:
-        """Return when the next bytes reach the host; infinity when none are on the way."""
-        return self._outbox[0][0] if self._outbox else float("inf")
+        self._note_next()
 
     def deliver(self, now_s: float) -> None:
-        while self._outbox and self._outbox[0][0] <= now_s:
+        while self.next_arrival_s <= now_s:
             content = self._outbox.popleft()[1]
+            self._note_next()
             if self.is_plugged:
                 self._medium.write(content)
 
@@ -169,9 +176,13 @@ class Wire:
         if self.is_plugged:
             self.is_plugged = False
             self._outbox.clear()
+            self._note_next()
             self._medium.hang_up()
 
     close = unplug
+
+    def _note_next(self) -> None:
+        self.next_arrival_s = self._outbox[0][0] if self._outbox else math.inf
 
     def _with_faults(self, content: bytes) -> list[bytes]:
         if self._falls(self.loss):

@@ -4,6 +4,7 @@ Every far end is stepped from one event to the next inside `sleep_s`. Bytes stil
 them over before a read returns, so no wall clock decides what the host sees.
 """
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -78,20 +79,22 @@ class World:
     def _pass(self, until_s: float) -> None:
         for far_end in self._far_ends:
             far_end.receive(self._now_s)
+        due_s = [far_end.next_event_s() for far_end in self._far_ends]
         while True:
-            due_s = [far_end.next_event_s() for far_end in self._far_ends]
-            next_s = min(due_s, default=until_s)
+            next_s = min(due_s, default=math.inf)
             if self._planned and self._planned[0][0] <= min(next_s, until_s):
                 time_s, _, happening = heappop(self._planned)
                 self._now_s = max(self._now_s, time_s)
                 for far_end in self._far_ends:
                     far_end.advance(self._now_s)
                 happening()
+                due_s = [far_end.next_event_s() for far_end in self._far_ends]
                 continue
             if next_s > until_s:
                 break
             self._now_s = max(self._now_s, next_s)
-            for far_end, at_s in zip(self._far_ends, due_s, strict=True):
-                if at_s <= self._now_s:
+            for k, far_end in enumerate(self._far_ends):
+                if due_s[k] <= self._now_s:
                     far_end.advance(self._now_s)
+                    due_s[k] = far_end.next_event_s()
         self._now_s = until_s

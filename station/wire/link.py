@@ -68,6 +68,8 @@ class Link:
     def read_lines(self) -> list[Line]:
         """Return the whole lines that came; `NoReply`: the port is gone, or there are no line ends."""
         self._receive()
+        if not self._lines:
+            return []
         lines = list(self._lines)
         self._lines.clear()
         return lines

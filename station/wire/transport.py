@@ -2,7 +2,9 @@
 
 import importlib
 import re
+import select
 import socket
+import sys
 import threading
 from collections import deque
 from contextlib import suppress
@@ -87,14 +89,23 @@ class SerialTransport:
 
     def __init__(self, port: str, baud_rate: int) -> None:
         self._serial = serial.Serial(port, baud_rate, timeout=0, write_timeout=1.0, exclusive=True)
+        self._poller: select.poll | None = None
+        if sys.platform != "win32":
+            self._poller = select.poll()
+            self._poller.register(self._serial.fileno(), select.POLLIN)
 
     def write(self, content: bytes) -> None:
         self._serial.write(content)
 
     def read(self) -> bytes:
+        if not self._serial.is_open:
+            raise OSError("the port is closed")
         content = b""
-        # One read may give less than has arrived (a tty hands over what its line discipline has taken so far).
-        while piece := self._serial.read(65536):
+        # pyserial asks the system for the same, five times as slowly, and nearly always nothing has arrived. One read
+        # may give less than has arrived (a tty hands over what its line discipline has taken so far).
+        while self._poller is None or self._poller.poll(0):
+            if not (piece := self._serial.read(65536)):
+                break
             content += piece
         return content
 

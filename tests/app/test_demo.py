@@ -2,14 +2,18 @@
 
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from softcal.app.batch.batch import run_batch
+from softcal.app.batch.engine import EngineChoice
 from softcal.app.batch.lot_work import BatchConfig
 from softcal.app.cli.main import main
-from softcal.app.line.demo import TABLE_HEADER, DemoConfig, PressTimes, press_demo_lot, table_row
+from softcal.app.line.demo import TABLE_HEADER, DemoConfig, PressTimes, press_demo_lot, press_simulated_lot, table_row
+from softcal.app.output import ProgressBar
 from softcal.core.network.config import NetworkConfig
+from softcal.core.simulated_lot import draw_twins
 from softcal.db.connection import open_registry
 
 SMALL = DemoConfig(
@@ -46,3 +50,38 @@ def test_a_folder_that_is_no_lot_is_left_alone(tmp_path: Path, capsys: pytest.Ca
     (tmp_path / "lot").mkdir()
     assert main(["demo", "--out", str(tmp_path)]) == 2
     assert "lot.toml" in capsys.readouterr().err
+
+
+def test_units_are_pressed_alike_however_many_workers_press() -> None:
+    twins, times = draw_twins(np.random.default_rng(1), 2), PressTimes(source_s=8.0, unit_s=5.0, audit_s=5.0)
+    shares: list[float] = []
+    alone, shared = (
+        press_simulated_lot(twins, ["A", "B"], 3, times, None, EngineChoice("local", jobs), shares.append)
+        for jobs in (1, 2)
+    )
+    assert alone.source.reference.tobytes() == shared.source.reference.tobytes()
+    assert alone.units["B"].output.tobytes() == shared.units["B"].output.tobytes()
+    assert alone.audits["B"].reference.tobytes() == shared.audits["B"].reference.tobytes()
+    assert len(set(shares)) > 4 and 0.5 < max(shares) <= 1.0
+
+
+def test_a_bar_begins_at_once_and_says_how_long_it_will_take(monkeypatch, capsys: pytest.CaptureFixture[str]) -> None:
+    now_s = [10.0]
+    monkeypatch.setattr("softcal.app.output.time.monotonic", lambda: now_s[0])
+    bar = ProgressBar("loading")
+    (first,) = capsys.readouterr().err.splitlines()
+    for share in (0.25, 0.5, 0.75, 1.0):
+        now_s[0] += 10.0
+        bar.reach(share, "unit S2")
+    lines = capsys.readouterr().err.splitlines()
+    assert "loading" in first and " left" not in first
+    assert [line.partition("about ")[2].partition(" left")[0] for line in lines] == ["30.0 s", "20.0 s", "10.0 s", ""]
+    assert [line.count("#") for line in lines] == [6, 12, 18, 24]
+    assert all("\x1b" not in line for line in (first, *lines))
+
+
+def test_the_demo_says_where_its_lot_is(lot_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lot_folder.rename(tmp_path / "lot")
+    main(["demo", "--out", str(tmp_path), "--jobs", "1", "--hidden", "8"])
+    out = capsys.readouterr().out
+    assert f"softcal ui --registry sqlite:///{tmp_path / 'registry.db'}" in out

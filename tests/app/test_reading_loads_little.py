@@ -47,7 +47,7 @@ def loaded(*arguments: str, codes: tuple[int, ...] = (0,)) -> set[str]:
         ("registry list --registry {url}", HEAVY | NUMBERS),
         ("registry history --serial A1 --registry {url}", HEAVY),
         ("registry verify --quick --registry {url}", HEAVY),
-        ("estimate --serial A1 {recording} --out {out} --registry {url}", HEAVY - {"pandas", "pyarrow"}),
+        ("estimate --serial A1 {recording} --out {out} --registry {url}", HEAVY - {"pyarrow"}),
         ("export --check --out {files} --registry {url}", HEAVY | {"sqlalchemy"}),
     ],
     ids=lambda value: value.split(" --")[0] if isinstance(value, str) else "",

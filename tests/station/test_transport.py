@@ -48,7 +48,7 @@ class Echo:
             self.wire.send(line + b"\n", now_s)
 
     def next_event_s(self):
-        return self.wire.next_arrival_s()
+        return self.wire.next_arrival_s
 
     def advance(self, now_s):
         self.wire.deliver(now_s)
@@ -289,7 +289,7 @@ def test_draws_of_the_wire_do_not_depend_on_its_medium():
     for wire in wires:
         for k in range(50):
             wire.send(b"line\n", 0.01 * k)
-    assert wires[0].next_arrival_s() == wires[1].next_arrival_s()
+    assert wires[0].next_arrival_s == wires[1].next_arrival_s
     for wire in wires:
         wire.close()
 

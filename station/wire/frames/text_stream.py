@@ -4,12 +4,16 @@ The checksum is optional and follows NMEA 0183: the exclusive-or of all bytes be
 Without it a lost byte can turn 1012 into 112 and nobody can tell; the readout sketch of this project sends it.
 """
 
+import re
 from dataclasses import dataclass
 from functools import reduce
 from operator import xor
 
 from softcal.core.errors import BadReply
 from softcal.core.words.reason import reason
+
+_NUMBERS = re.compile(rb"\d+(,-?\d+)+")
+"""int() alone would take "1_0", " 7" and "+7"."""
 
 
 @dataclass(frozen=True)
@@ -25,14 +29,12 @@ def parse(line: bytes) -> StreamLine:
     content, star, checksum = line.partition(b"*")
     if star and checksum.upper() != _checksum(content):
         raise BadReply(reason("stream.checksum", line=repr(line[:40]), checksum=_checksum(content).decode()))
-    fields = content.split(b",")
-    # int() alone would take "1_0", " 7" and "+7"
-    if len(fields) < 2 or not fields[0].isdigit() or not all(f.removeprefix(b"-").isdigit() for f in fields[1:]):
+    if not _NUMBERS.fullmatch(content):
         raise BadReply(reason("stream.line", line=repr(line[:40])))
-    device_ms = int(fields[0])
+    device_ms, *counts = map(int, content.split(b","))
     if device_ms >= 2**32:
         raise BadReply(reason("stream.time", device_ms=device_ms))
-    return StreamLine(device_ms, tuple(int(field) for field in fields[1:]))
+    return StreamLine(device_ms, tuple(counts))
 
 
 def format_line(line: StreamLine, has_checksum: bool = True) -> bytes:
@@ -42,4 +44,4 @@ def format_line(line: StreamLine, has_checksum: bool = True) -> bytes:
 
 
 def _checksum(content: bytes) -> bytes:
-    return f"{reduce(xor, content, 0):02X}".encode()
+    return b"%02X" % reduce(xor, content, 0)
