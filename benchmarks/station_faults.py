@@ -1,10 +1,13 @@
 """Break the simulated station in every known way and print what became of stage and record.
 
 python benchmarks/station_faults.py [--quick] [--kept FILE] [--part K N]
+python benchmarks/station_faults.py --drawn ROUNDS GOOD [--kept FILE]   faults of drawn kind, size and moment
 """
 
 import math
 import tempfile
+import time
+from collections import Counter, defaultdict
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import partial
@@ -12,8 +15,10 @@ from pathlib import Path
 
 import numpy as np
 from common.command import Kept, parser_of, part_of
+from common.drawn_faults import KINDS, draw_fault, press_drawn
 from common.fault_trial import DISK_MOMENTS, FaultOutcome, run_with_dead_host, run_with_fault, run_with_full_disk
 from common.tables import print_table
+from scipy.stats import binomtest
 
 from softcal.station.testing.faults import FAULTS
 
@@ -22,7 +27,13 @@ Run = Callable[[Path], FaultOutcome]
 
 def main() -> None:
     """Run all faults and print the table."""
-    options = parser_of(__doc__, "every fourth fault", kept=True).parse_args()
+    parser = parser_of(__doc__, "every fourth fault", kept=True)
+    parser.add_argument("--drawn", type=int, nargs=2, metavar=("ROUNDS", "GOOD"), help="rigs a kind, and good rigs")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="stop drawing after so long")
+    options = parser.parse_args()
+    if options.drawn:
+        _draw(options.drawn[0], options.drawn[1], Kept(options.kept), time.monotonic() + 60.0 * options.minutes)
+        return
     runs: dict[str, Run] = {f.name: partial(run_with_fault, f) for f in FAULTS[:: 4 if options.quick else 1]}
     runs |= {f"disk full: {moment}": partial(run_with_full_disk, moment=moment) for moment in DISK_MOMENTS}
     runs |= {"host dies": run_with_dead_host}
@@ -37,6 +48,48 @@ def main() -> None:
     )
     head = "fault | seen in | after, s | stage stands after, s | largest force, N | recorded | what the operator reads"
     print_table(head, map(_row, outcomes))
+
+
+FIRST_SEED = 3000
+"""No number of the method was chosen on these seeds."""
+
+
+def _draw(rounds: int, good: int, kept: Kept, end_s: float) -> None:
+    """Press good rigs and rigs with drawn faults until the time is over, and print how many were seen."""
+    rows: dict[str, list[tuple[float, str, str]]] = defaultdict(list)
+    trials = [(kind.name, FIRST_SEED + n, kind) for n in range(rounds) for kind in KINDS]
+    trials += [("good rigs", FIRST_SEED + n, None) for n in range(good)]
+    for name, seed, kind in trials:
+        drawn, key = draw_fault(seed, kind), f"{name} {seed}"
+        if time.monotonic() < end_s or kept.has(key):
+            said = kept.of(key, lambda drawn=drawn: {"said": press_drawn(drawn)})["said"]  # type: ignore[misc]
+            rows[name].append((drawn.size, said, drawn.rig.stage_kind))
+    false_alarms = rows.pop("good rigs", [])
+    alarms = [said for _, said, _ in false_alarms if said]
+    print(
+        f"{len(false_alarms)} good rigs, {len(alarms)} refused or remarked {_wilson(len(alarms), len(false_alarms))}."
+    )
+    print("\n".join(f"- {said}" for said in alarms) + "\n")
+    table = []
+    for kind in KINDS:
+        drawn_rows = rows.get(kind.name, [])
+        middle = math.sqrt(kind.low * kind.high)
+        for what, low, high in (("small", kind.low, middle), ("large", middle, kind.high)):
+            some = [said for size, said, _ in drawn_rows if low <= size <= high]
+            if some and not (what == "small" and kind.low == kind.high):
+                codes = Counter(said for said in some if said)
+                seen = sum(bool(said) for said in some)
+                size = f"{low:.2g} to {high:.2g} {kind.unit}".strip() if low < high else ""
+                told = ", ".join(f"{said} ({count})" for said, count in codes.most_common(3))
+                table.append((kind.name, size, len(some), seen, _wilson(seen, len(some)), told))
+    print_table("fault | size | rigs | seen | 95 % interval (Wilson) | said as", table)
+
+
+def _wilson(count: int, of: int) -> str:
+    if not of:
+        return ""
+    interval = binomtest(count, of).proportion_ci(method="wilson")
+    return f"{100 * interval.low:.0f} to {100 * interval.high:.0f} %"
 
 
 def _run(run: Run) -> dict[str, object]:

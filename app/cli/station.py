@@ -3,13 +3,23 @@
 import argparse
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import DIR, FILE, actions_of, add_shared, add_station, answer, positive
+from softcal.app.cli.options import (
+    DIR,
+    FILE,
+    Action,
+    actions_of,
+    add_shared,
+    add_station,
+    answer,
+    positive,
+    registry_of,
+)
 from softcal.app.cli.station_service import add_service_actions
 from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
@@ -29,6 +39,8 @@ EXAMPLES = """examples:
   softcal station unit --simulated --serial A1 A2 A3 --out units   several channels pressed at once
   softcal station unit --simulated --twin rig-7.twin.json --serial A1 --out A1.csv   on the twin of a diagnosis
 
+  softcal station qualify --station station.toml --out station.md --stiffness 5 --name line-1
+                                                              measure the chain on a spring of 5 N/mm, for the gate
   softcal station profiles --write unit unit.toml             a profile as a file: edit it, give it to --profile
   softcal station calibrate-cell --station station.toml --weights 0 0.2 0.5 1
   softcal station serve --station station.toml --name line-1  own the ports for screens and programs
@@ -50,6 +62,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     check.add_argument("--write", **FILE, help="write a station file from what was found")
     check.add_argument("--no-motion", action="store_true", help="do not home or move the stage")
     add_shared(check, "json")
+    _add_qualify(action)
     for kind, what in (("source", "with the load cell: output and reference"), ("unit", "output only")):
         press = action(
             kind,
@@ -92,6 +105,23 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_service_actions(action)
 
 
+def _add_qualify(action: Action) -> None:
+    qualify = action(
+        "qualify",
+        "measure the whole chain on a stiff spring or any unit, and write a page that the gate reads",
+        run_qualify,
+    )
+    add = qualify.add_argument
+    add("--out", required=True, **FILE, help="page with figures, limits and how long it holds (Markdown)")
+    add("--depth", type=positive, default=2.0, metavar="MM", help="how deep to press below the contact (default 2)")
+    add("--specimen", default="a stiff spring", metavar="TEXT", help="what is pressed, for the page")
+    add("--stiffness", type=positive, metavar="N/MM", help="of the spring: then the frame's compliance is told from it")
+    add("--valid-days", type=int, default=90, metavar="N", help="how long a passed qualification holds (default 90)")
+    add("--name", metavar="NAME", help="keep it in the registry for the gate of this station")
+    add_station(qualify)
+    add_shared(qualify, "registry", "json")
+
+
 def _weight(text: str) -> float:
     value = float(text)
     if not 0 <= value < 1000:
@@ -128,6 +158,32 @@ def run_check(options: argparse.Namespace) -> int:
         say(f"{finding.device}, {finding.what}: {finding.cure}")
     say(f"station {check.config.name}: " + (f"{len(faults)} fault(s)" if faults else "good"))
     return 3 if faults else 0
+
+
+def run_qualify(options: argparse.Namespace) -> int:
+    """Press equal presses, slow and fast, and measure delay and bandwidth of the load cell, backlash, lost motion,
+    compliance, repeatability and noise. Exit code 1: not passed.
+    """
+    from datetime import UTC, datetime
+
+    from softcal.app.bootstrap import current_user
+    from softcal.app.line.qualification import HEAD, QualificationPage, keep_qualification
+    from softcal.app.line.rig import chosen_bench
+    from softcal.station.tasks.qualify import qualify
+
+    with _signals_as_ctrl_c(), chosen_bench(options.station, options.simulated) as bench:
+        qualification = qualify(bench, options.depth, options.stiffness, on_progress=_progress_teller())
+        config = bench.config
+    name, made_at = options.name or config.name, datetime.now(UTC)
+    page = QualificationPage(name, config, options.specimen, qualification, made_at, options.valid_days)
+    page.write(options.out)
+    if options.name:
+        with registry_of(options, create=True) as registry:
+            keep_qualification(registry, page, current_user())
+    answer(options, "station-qualification/1", page.to_json())
+    print_table(HEAD, page.rows)
+    say(f"station {name}: {page.verdict}; {options.out} has the page")
+    return 0 if qualification.is_passed else 1
 
 
 def _choose(part: Reason, candidates: Sequence["DeviceIdentity"]) -> "DeviceIdentity | None":
@@ -173,16 +229,7 @@ def run_press(options: argparse.Namespace) -> None:
     profile = profile_for(options.kind, options.profile_seed, options.seconds, options.depth, options.profile)
     if options.twin is not None and options.simulated is None:
         raise InputError("--twin is the unit of the simulated rig; give --simulated as well, or leave it out")
-    twin = None if options.twin is None else read_twin(options.twin)
-    shown_phase, shown_percent = "", -10
-
-    def tell(progress: "RunProgress") -> None:
-        nonlocal shown_phase, shown_percent
-        percent = int(100 * progress.fraction)
-        if progress.phase != shown_phase or percent >= shown_percent + 10:
-            shown_phase, shown_percent = progress.phase, percent
-            say(f"{percent:3d} % {progress.phase}, about {progress.remaining_s:.0f} s left")
-
+    twin, tell = None if options.twin is None else read_twin(options.twin), _progress_teller()
     bench_of = chosen_bench(options.station, options.simulated, len(options.serial), twin)
     with _signals_as_ctrl_c(), bench_of as bench:
         with_reference, spools = options.kind == "source", spool_folder(options.spool)
@@ -192,6 +239,20 @@ def run_press(options: argparse.Namespace) -> None:
     for remark in run.remarks:
         say(remark)
     write_json(options.json, run_json(run))
+
+
+def _progress_teller() -> "Callable[[RunProgress], None]":
+    """Return what says each new phase and every tenth of the way."""
+    shown_phase, shown_percent = "", -10
+
+    def tell(progress: "RunProgress") -> None:
+        nonlocal shown_phase, shown_percent
+        percent = int(100 * progress.fraction)
+        if progress.phase != shown_phase or percent >= shown_percent + 10:
+            shown_phase, shown_percent = progress.phase, percent
+            say(f"{percent:3d} % {progress.phase}, about {progress.remaining_s:.0f} s left")
+
+    return tell
 
 
 @contextmanager

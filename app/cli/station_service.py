@@ -71,6 +71,11 @@ def add_service_actions(action: Action) -> None:
         choices=("full", "rig"),
         help="full: certificate and golden unit too (default); rig: what the rig alone shows (default when simulated)",
     )
+    serve.add_argument(
+        "--needs-qualification",
+        action="store_true",
+        help="no unit before `softcal station qualify --name` has passed; one that is on file counts in any case",
+    )
     serve.add_argument("--override", default="", metavar="REASON", help="open a closed gate for a shift; audited")
     add_shared(serve, "depth")
     serve.add_argument("--unit-seconds", type=positive, metavar="S", help="how long a unit is pressed (25 s)")
@@ -118,7 +123,11 @@ def run_serve(options: argparse.Namespace) -> None:
     from softcal.app.line.serve import Serving, serve
 
     is_rig_only = options.gate == "rig" or (options.gate is None and options.simulated is not None)
-    rules = replace(RIG_ONLY if is_rig_only else GateRules(), shift=timedelta(hours=options.shift))
+    rules = replace(
+        RIG_ONLY if is_rig_only else GateRules(),
+        shift=timedelta(hours=options.shift),
+        needs_qualification=options.needs_qualification,
+    )
     if options.warm_up is not None:
         rules = replace(rules, warm_up=timedelta(minutes=options.warm_up))
     serving = Serving(

@@ -5,6 +5,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
+from softcal.app.line.qualification import newest_qualification
 from softcal.app.registry.unit import calibrated_unit
 from softcal.core.errors import InputError
 from softcal.core.metrics import rmse
@@ -46,6 +47,7 @@ class GateRules:
     shift: timedelta = SHIFT
     needs_certificate: bool = True
     needs_golden: bool = True
+    needs_qualification: bool = False
 
 
 RIG_ONLY = GateRules(timedelta(0), needs_certificate=False, needs_golden=False)
@@ -75,12 +77,14 @@ class StationGate:
             largest_force_N=config.safety.force_N,
             shift_began=now - rules.shift,
             golden=_check(golden[-1]) if golden else None,
+            qualification=newest_qualification(self._registry, self._station),
             rig=rig,
             zero_return_limit_N=config.safety.zero_return_N,
             warm_up=rules.warm_up,
             has_cell=config.force is not None,
             needs_certificate=rules.needs_certificate,
             needs_golden=rules.needs_golden,
+            needs_qualification=rules.needs_qualification,
             override=self._override,
         )
         return may_run(facts, kind)

@@ -15,12 +15,13 @@ from softcal.app.batch.release import LineRelease
 from softcal.app.batch.train import train_or_find
 from softcal.app.line.gate_facts import SHIFT, check_golden, quarantine
 from softcal.app.line.load_readings import LoadReadings, check_stated
+from softcal.app.line.rig import check_labels, with_response
 from softcal.app.line.scan_codes import numbered
 from softcal.app.registry.golden import bridge_over, golden_lot, golden_of, keep_golden_of, newest_golden
 from softcal.app.registry.known_loads import keep_loads
 from softcal.app.registry.lot_recordings import source_model
 from softcal.app.registry.reference import state_reference
-from softcal.core.errors import InputError
+from softcal.core.errors import BadReply, InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.orders import Order, OrderKind, Progress, RunState
@@ -155,7 +156,7 @@ class RunKeeper:
         judge_again(self._registry, [lot_id], order.actor or None)
         done = replace(done, recording_sha256=sha256, verdict="pass" if run.passed else "fail")
         if run.passed:
-            return replace(done, message=(Reason("golden.good"),))
+            return replace(done, message=(Reason("golden.good"), *recording.remarks))
         held = quarantine(self._registry, self._station, run.made_at)
         facts = {"units": list(held), "golden": order.serial}
         self._registry.trail.add("quarantine", "station", (self._station,), facts, reason=joined(run.reasons))
@@ -174,12 +175,16 @@ class RunKeeper:
         lot = self._known_lot(order.lot_id) or Lot(
             order.lot_id, order.serial, recording.sample_rate_Hz, output_unit=recording.output_unit
         )
-        today = datetime.now(UTC).astimezone().date()
-        used = None if self._reference is None else replace(self._reference, used_on=today)
+        try:
+            check_labels(recording, lot)
+        except BadReply as error:
+            raise InputError(error.reason) from error
+        today, used = datetime.now(UTC).astimezone().date(), with_response(self._reference, recording)
+        used = None if used is None else replace(used, used_on=today)
         trained = train_or_find(lot, source, self._registry, self._network, order.actor or None, on_epoch)
         state_reference(self._registry, lot.id, used, source, order.actor or None)
         rmse = trained.metrics["validation_rmse"]
-        message = (reason("run.trained", rmse=rmse, unit=lot.reference_unit),)
+        message = (reason("run.trained", rmse=rmse, unit=lot.reference_unit), *recording.remarks)
         return replace(done, message=message, recording_sha256=source.sha256)
 
     def _keep_unit(self, order: Order, unit: OutputRecording) -> tuple[str, Outcome | None]:

@@ -22,7 +22,9 @@ from softcal.core.words.reason import Reason, reason, several
 from softcal.station.clock import HostClock
 from softcal.station.devices.bench import SIMULATED_NAME, Bench, open_bench, open_simulated_bench
 from softcal.station.devices.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig, read_station_file
+from softcal.station.record.method import METHOD
 from softcal.station.record.recording import StationRecording
+from softcal.station.record.response import check_error
 from softcal.station.record.spool import Spool
 from softcal.station.tasks.acquisition import OnProgress, record
 from softcal.station.tasks.identify import DeviceIdentity, identify
@@ -225,19 +227,27 @@ def record_to_files(
     if len(serials) != bench.readout.channels or len(set(serials)) != len(serials):
         raise InputError(f"{len(set(serials))} serials for {bench.readout.channels} channels; give one per channel")
     paths = [out] if len(serials) == 1 else [out / f"{serial}.csv" for serial in serials]
-    _check_lot(paths, serials, bench, with_reference)
+    lot = _lot_of(paths, serials, bench, with_reference)
     began_s = bench.clock.now_s()
     spool_path = spool_folder / f"{serials[0]}-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}.spool"
     header = {"serial": serials[0], "serials": SERIALS_APART.join(serials), "profile": profile.name}
     with Spool(spool_path, header | {"station": bench.config.name}) as spool:
         recording = record(bench, serials[0], profile, with_reference, on_progress, spool)
+        if lot is not None and with_reference:
+            check_labels(recording, lot)
     for channel, path in enumerate(paths):
         write_columns(path, columns(recording, channel))
-    remarks: list[str] = []
+    remarks: list[str] = [str(remark) for remark in recording.remarks]
     if with_reference and paths[0].parent.name == "source":
         is_simulated = bench.config.name == SIMULATED_NAME
-        remarks = _state_source(paths[0], recording, SIMULATED if is_simulated else station_reference(bench.config))
+        reference = SIMULATED if is_simulated else station_reference(bench.config)
+        remarks += _state_source(paths[0], recording, with_response(reference, recording))
     force, behind_s = bench.config.force, recording.alignment.force_behind_s
+    if constant_s := recording.alignment.force_time_constant_s:
+        remarks.append(
+            f"the load cell follows the force through a low pass of {constant_s:.3f} s; labels are wrong by "
+            f"{recording.alignment.force_response_N:.3g} N RMS, which counts as uncertainty of the reference"
+        )
     if force is not None and not force.is_latency_stated and np.isfinite(behind_s):
         remarks.append(
             f"the load cell was found {behind_s:.3f} s behind the stage, which was taken off; write "
@@ -254,11 +264,26 @@ def station_reference(config: StationConfig) -> Reference | None:
     return Reference(cell=config.force.serial or "not named", used_on=datetime.now(UTC).astimezone().date())
 
 
-def _check_lot(paths: Sequence[Path], serials: Sequence[str], bench: Bench, with_reference: bool) -> None:
-    """Refuse, before anything moves, a recording that the lot folder it goes to could not use."""
+def with_response(reference: Reference | None, recording: StationRecording) -> Reference | None:
+    """Return a reference with what the low pass of its cell leaves in this recording."""
+    return None if reference is None else replace(reference, bandwidth=recording.alignment.force_response_N)
+
+
+def check_labels(recording: StationRecording, lot: Lot) -> None:
+    """Raise `BadReply` where the load cell's low pass leaves labels too wrong for the limit of their lot."""
+    if lot.limit_rmse is not None and lot.reference_unit == "N":
+        about = recording.alignment
+        allowed_N = METHOD.response.limit_share * lot.limit_rmse
+        check_error(about.force_time_constant_s, about.force_response_N, allowed_N)
+
+
+def _lot_of(paths: Sequence[Path], serials: Sequence[str], bench: Bench, with_reference: bool) -> Lot | None:
+    """Return the lot whose folder a recording goes to, None for none; refuse one that it could not use, before anything
+    moves.
+    """
     folder = paths[0].parent
     if folder.name not in FOLDER_OF.values() or not (folder.parent / "lot.toml").is_file():
-        return
+        return None
     lot, readout = read_lot(folder.parent), bench.readout
     if (lot.sample_rate_Hz, lot.output_unit) != (readout.rate_Hz, readout.unit):
         raise InputError(
@@ -270,6 +295,7 @@ def _check_lot(paths: Sequence[Path], serials: Sequence[str], bench: Bench, with
             f"{lot.source} is the source of {folder.parent / 'lot.toml'}; press it with `softcal station source`, or "
             "scan the unit's own serial, nothing moved"
         )
+    return lot
 
 
 def _state_source(source: Path, recording: StationRecording, reference: Reference | None) -> list[str]:

@@ -69,6 +69,10 @@ class Kept:
         lines = path.read_text().splitlines() if path is not None and path.exists() else []
         self._known: dict[str, Any] = dict(map(json.loads, lines))
 
+    def has(self, name: str) -> bool:
+        """Whether the result of a name is kept."""
+        return name in self._known
+
     def of(self, name: str, make: Callable[[], Any]) -> Any:
         """Return the result of a name, made now where none is kept."""
         if name not in self._known:

@@ -81,7 +81,7 @@ def run_with_fault(fault: Fault, folder: Path, seed: int = 0) -> FaultOutcome:
 def _tried(fault: Fault, folder: Path, seed: int, make_spool: Callable[[Path], Spool]) -> FaultOutcome:
     opened = open_simulated_bench(seed=seed, stage_kind=fault.stage_kind, force_kind=fault.force_kind)
     with opened as (full, station):
-        bench = full if fault.has_cell else _without_cell(full)
+        bench = full if fault.has_cell else without_cell(full)
         watch = _Watch(station, fault)
         if not fault.phase:
             station.world.at(fault.after_s, watch.inject)
@@ -156,7 +156,7 @@ def is_true(left: Reason, force_N: Sequence[float], counted_mm: float) -> bool:
     return is_force_so and is_inner_so and abs(float(said_mm) - counted_mm) <= SAID_MM  # type: ignore[arg-type]
 
 
-def _without_cell(bench: Bench) -> Bench:
+def without_cell(bench: Bench) -> Bench:
     safety = replace(bench.config.safety, without_cell=True)
     return replace(bench, force=None, config=replace(bench.config, force=None, safety=safety))
 

@@ -36,6 +36,7 @@ class GoodRig:
         latency_s: what the station file says of that; −1 for nothing.
         profile: what is pressed.
         make_unit: (rng) -> the unit.
+        stage_kind: driver of its stage.
     """
 
     seed: int
@@ -46,6 +47,7 @@ class GoodRig:
     latency_s: float
     profile: Profile
     make_unit: Callable[[np.random.Generator], Physics]
+    stage_kind: str = "grbl"
 
 
 def draw_good_rig(seed: int) -> GoodRig:
@@ -64,7 +66,7 @@ def draw_good_rig(seed: int) -> GoodRig:
 def open_good_rig(rig: GoodRig) -> Iterator[tuple[Bench, SimulatedStation]]:
     """Open the bench of a drawn rig, and its far ends."""
     rng = np.random.default_rng([rig.seed, 19])
-    station = SimulatedStation(Twin(), rng)
+    station = SimulatedStation(Twin(), rng, stage_kind=rig.stage_kind)
     station.rig.mount([rig.make_unit(rng)], station.free_mm + 1.0 + rng.uniform(-0.2, 0.2), 0.0)
     station.force.rate_Hz, station.force_wire.jitter_s = rig.cell_Hz, rig.jitter_s
     station.force_wire.delay_s += rig.late_s

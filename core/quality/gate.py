@@ -28,6 +28,14 @@ class GoldenCheck:
 
 
 @dataclass(frozen=True)
+class QualificationAtGate:
+    """The newest qualification of the station: whether it passed, and the first day on which it holds no longer."""
+
+    is_passed: bool
+    due_on: date
+
+
+@dataclass(frozen=True)
 class Override:
     """An engineer's decision to run in spite of the gate; it is audited like any change."""
 
@@ -62,6 +70,7 @@ class StationFacts:
     Args:
         certificate: of the load cell; None where none is on file.
         shift_began: the golden unit must have been pressed since then.
+        qualification: None where the station was never qualified; one that is there counts, needed or not.
     """
 
     now: datetime
@@ -69,12 +78,14 @@ class StationFacts:
     largest_force_N: float
     shift_began: datetime
     golden: GoldenCheck | None
+    qualification: QualificationAtGate | None = None
     rig: RigFacts = RigFacts()
     zero_return_limit_N: float = 0.2
     warm_up: timedelta = timedelta(minutes=15)
     has_cell: bool = True
     needs_certificate: bool = True
     needs_golden: bool = True
+    needs_qualification: bool = False
     override: Override | None = None
 
 
@@ -107,7 +118,8 @@ def may_run(facts: StationFacts, kind: OrderKind = OrderKind.UNIT) -> Gate:
         return Gate()
     certificate = _certificate(facts) if facts.has_cell and facts.needs_certificate else []
     cell = [*certificate, _warm_up(facts), _zero(facts)] if facts.has_cell else []
-    conditions = [*cell, _homing(facts.rig)]
+    qualified = [_qualification(facts)] if facts.qualification is not None or facts.needs_qualification else []
+    conditions = [*cell, _homing(facts.rig), *qualified]
     if kind is not OrderKind.GOLDEN and facts.needs_golden:
         conditions.append(_golden(facts))
     has_override = facts.override is not None and facts.now <= facts.override.until
@@ -167,6 +179,17 @@ def _homing(rig: RigFacts) -> Condition:
     if rig.homing_fault:
         return Condition(name, False, reason("gate.homing_fault", why=Reason.of(rig.homing_fault)))
     return Condition(name, True, Reason("gate.homed") if rig.is_homed else Reason("gate.homes"))
+
+
+def _qualification(facts: StationFacts) -> Condition:
+    name, qualification = Reason("gate.name.qualification"), facts.qualification
+    if qualification is None:
+        return Condition(name, False, Reason("gate.no_qualification"))
+    if not qualification.is_passed:
+        return Condition(name, False, Reason("gate.not_qualified"))
+    is_valid = facts.now.date() < qualification.due_on
+    code = "gate.qualified" if is_valid else "gate.qualification_ended"
+    return Condition(name, is_valid, reason(code, day=str(qualification.due_on)))
 
 
 def _golden(facts: StationFacts) -> Condition:

@@ -44,6 +44,7 @@ class Reference:
         temperature_K: largest departure from the temperature of its calibration (half-width, rectangular).
         contact: standard uncertainty of how the load is brought in: position, angle, friction.
         repeatability: standard uncertainty of one reading, repeated.
+        bandwidth: standard uncertainty of how slowly it follows: RMS error of the source's labels; 0 for none.
         is_simulated: no instrument at all; the simulation gives the true load.
 
     Raises:
@@ -64,6 +65,7 @@ class Reference:
     temperature_K: float | None = None
     contact: float | None = None
     repeatability: float | None = None
+    bandwidth: float | None = None
     is_simulated: bool = False
 
     def __post_init__(self) -> None:
@@ -115,6 +117,8 @@ class Reference:
         for name, value in (("contact", self.contact), ("repeatability", self.repeatability)):
             if value is not None:
                 terms.append(Contribution(name, value, "normal"))
+        if self.bandwidth:
+            terms.append(Contribution("reference bandwidth", self.bandwidth, "normal"))
         return tuple(terms)
 
     def variance(self, loads: Array) -> Array:
@@ -152,6 +156,7 @@ NUMBERS = (
     "temperature_K",
     "contact",
     "repeatability",
+    "bandwidth",
 )
 SIMULATED = Reference(is_simulated=True)
 

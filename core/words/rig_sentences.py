@@ -49,10 +49,23 @@ rig.late.lifting: stage: late while it was lifted
 rig.behind: load cell: its readings come later than the stage moves; look for a slow line or a
   filter, or ask the engineer to state the delay in the station file (found {found_s:.3f} s, stated
   {declared_s:.3f} s, latency_s = {latency_s:.2f})
+rig.low_pass: load cell: it follows the force too slowly; switch off the filter of its amplifier, or
+  press more slowly (time constant {constant_s:.3f} s, labels wrong by {error_N:.3g} N RMS, at most
+  {allowed_N:.3g} N)
 rig.gain: load cell: one press shows another force than the next at equal depth; check the cell's
   amplifier, its mounting and the unit's seat, then press again ({ratio:.2f} x)
 rig.odd_force: load cell: its force does not fit depth and output; check its plug and amplifier, and
   whether something touches unit or stage; then press again ({at_s:.1f} s after the first press began)
+rig.slipped: stage: it is {lost_mm:.2f} mm off its count from {at_s:.1f} s after the first press began;
+  check the motor for lost steps and the unit's seat, then press again
+rig.output_fell: output at equal force fell by {percent:.0f} % at {at_s:.1f} s after the first press
+  began; check the unit's connector and the supply of the sensor readout, then press again
+rig.output_rose: output at equal force rose by {percent:.0f} % at {at_s:.1f} s after the first press
+  began; check the unit's connector and the supply of the sensor readout, then press again
+rig.output_drift: output at equal force drifts by {rate:+.3g} per s, {percent:.0f} % of its range
+  over the run; let the sensor readout warm up, check its supply, then press again
+rig.still: stage: its position stays at {at_mm:.2f} mm for {seconds:.1f} s although it should move;
+  check the supply of the motor and the controller, then home it
 rig.output_gain: sensor readout: one press changes the output more than the next at equal depth;
   check the motor for lost steps, the unit's seat and its connector; then press again ({ratio:.2f}
   x)
@@ -223,6 +236,7 @@ check.noise: noise
 check.rate: rate
 check.drift: clock drift
 check.latency: latency
+check.unseen: without a load cell
 check.zero: zero
 check.homing_moving: homing and moving
 check.homing: homing
@@ -240,6 +254,8 @@ found.noise: {noise:.2g} {unit}
 found.drift: {drift_ppm} ppm, give or take {doubt_ppm}
 found.latency: median {middle_ms:.1f} ms, largest {most_ms:.1f} ms
 found.switch: found its switch
+found.unseen: no force is limited; steps per mm that are wrong, a stiff thing under the stage and a unit
+  that is pressed too hard are not seen
 found.travel: {travel_mm:g} mm, {speed_mm_s:g} mm/s
 found.return: {way_mm:.3g} mm in {took_s:.2f} s, off by {error_mm:+.3f} mm
 found.safe_speed: a stop ends below {ceiling_N:g} N (up to {free_mm_s:.2g} mm/s where nothing was
@@ -287,6 +303,11 @@ gate.name.warm_up: warm-up
 gate.name.zero_return: zero return
 gate.name.homing: homing
 gate.name.golden: golden unit
+gate.name.qualification: qualification
+gate.no_qualification: the station was never qualified; qualify it on a stiff spring
+gate.not_qualified: the station did not pass its qualification; mend what its page names, qualify it again
+gate.qualified: passed, valid until {day}
+gate.qualification_ended: the qualification ended on {day}; qualify the station again
 golden.good: golden unit within its limits
 golden.held: quarantined: {serials}
 golden.own_limit: its control limit

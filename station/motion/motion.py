@@ -8,6 +8,8 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import TypeVar
 
+import numpy as np
+
 from softcal.core.errors import BadReply, DeviceError, NoReply, SafetyStop
 from softcal.core.words.reason import Reason, reason
 from softcal.station.devices.bench import Bench
@@ -24,6 +26,10 @@ RETRACT_MM_S, LIFT_MM = 5.0, 1.0
 
 PATIENCE_S = 1.5
 """How long load cell and sensor are read to say what stands on the unit: readings may be old, a unit comes back."""
+
+STILL_S, STILL_MM, UNFED_S = 0.5, 0.1, 0.2
+"""A stage that should have gone so far since its position changed last, so long ago, does not move or does not say; but
+not where nothing was sent for a while."""
 
 REST = 0.5
 """A load cell within this share of the contact force is at rest."""
@@ -106,6 +112,7 @@ class Motion(Interlock):
 
         Raises:
             SafetyStop: deeper than allowed; nothing was sent.
+            BadReply: its position does not change.
             NoReply: late.
         """
         deepest_mm = self._bench.config.safety.deepest_mm
@@ -117,8 +124,14 @@ class Motion(Interlock):
         self.check_move(is_down)
         self._path = path
         self._stage.begin(Move(to_mm, speed_mm_s, self._ahead_mm(to_mm, speed_mm_s) if is_down else math.inf))
+        changed_s, looked_s, at_mm = began_s, began_s, self._stage.position_mm
         while self._stage.is_moving:
             self._tick()
+            before_s, looked_s = looked_s, self._clock.now_s()
+            # A stage that nobody fed for a while may stand for as long.
+            if self._stage.position_mm != at_mm or looked_s - before_s > UNFED_S:
+                changed_s, at_mm = looked_s, self._stage.position_mm
+            self._check_still(path, began_s, changed_s)
             if is_over is not None and is_over():
                 move = DrivenMove(path, began_s, self._clock.now_s())
                 self._stage.stop()
@@ -130,6 +143,15 @@ class Motion(Interlock):
                 raise NoReply(reason("rig.late", seconds=self.row.late_s, to_mm=to_mm))
         self._path = None
         return DrivenMove(path, began_s, self._clock.now_s())
+
+    def _check_still(self, path: Trapezoid, began_s: float, changed_s: float) -> None:
+        """Raise `BadReply` where the position has stayed while the stage should have moved."""
+        now_s = self._clock.now_s()
+        if now_s - changed_s > STILL_S:
+            before_mm, here_mm = path.position_mm(np.array([changed_s, now_s]) - began_s)
+            if abs(here_mm - before_mm) > STILL_MM:
+                about = {"at_mm": self._stage.position_mm, "seconds": now_s - changed_s}
+                raise BadReply(reason("rig.still", **about))
 
     def wait(self, seconds: float) -> None:
         end_s = self._clock.now_s() + seconds

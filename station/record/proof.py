@@ -11,11 +11,11 @@ from scipy.signal import lfilter
 from softcal.core.errors import BadReply
 from softcal.core.inspection.dropouts import find_dropouts
 from softcal.core.recording import Array
-from softcal.core.words.reason import reason
+from softcal.core.words.reason import Reason, reason
 from softcal.station.record.method import METHOD
 
 LAG, LAW, CHANGE, HANG = METHOD.lag, METHOD.law, METHOD.change, METHOD.hang
-PRESS, OUTPUT = METHOD.press, METHOD.output
+PRESS, OUTPUT, SLIP = METHOD.press, METHOD.output, METHOD.slip
 
 
 def lag_s(t_s: Array, force_N: Array, stage_mm_at: Callable[[Array], Array], contact_mm: float) -> float:
@@ -87,19 +87,109 @@ def check_law(
         BadReply: one change of the cell explains what is off in force and output, or the force leaves the law for a
             moment.
     """
-    grid_s = np.arange(t_s[0], t_s[-1] + LAW.grid_s, LAW.grid_s)
-    depth_mm, felt_N = np.maximum(0.0, stage_mm_at(grid_s) - contact_mm), np.interp(grid_s, t_s, force_N)
+    grid_s = _grid(t_s)
+    depth_mm = np.maximum(0.0, stage_mm_at(grid_s) - contact_mm)
     _check_moments(t_s, _basis(t_s, grid_s, depth_mm, LAW.relaxation_s), force_N)
-    relaxation_s = [time_s for time_s in LAW.every_relaxation_s if time_s < t_s[-1] - t_s[0]]
-    # What is left of a path before these samples fades with the times of the relaxation.
-    before = [np.ones_like(t_s), *(np.exp((t_s[0] - t_s) / time_s) for time_s in relaxation_s)]
-    by_depth, by_force = (
-        np.column_stack([*before, _basis(t_s, grid_s, value, relaxation_s)]) for value in (depth_mm, felt_N)
-    )
+    by_depth, by_force = _whole_basis(t_s, grid_s, depth_mm), _whole_basis(t_s, grid_s, np.interp(grid_s, t_s, force_N))
     explained = np.minimum(_explained(t_s, by_depth, force_N), _explained(t_s, by_force, output))
-    by_chance = 2.0 * np.log(3 * CHANGE.moments) / len(t_s)  # A gain, a zero or a delay.
-    if len(t_s) >= CHANGE.moments and np.max(explained) > CHANGE.share + by_chance:
+    if np.max(explained) > _by_chance(t_s):
         raise BadReply(reason("rig.odd_force", at_s=float(_moments(t_s)[np.argmax(explained)] - t_s[0])))
+
+
+def check_slip(
+    t_s: Array, force_N: Array, output: Array, stage_mm_at: Callable[[Array], Array], contact_mm: float
+) -> None:
+    """Raise `BadReply` when the stage lost steps: from one moment on it is higher than it counts.
+
+    That explains more of what the law of the depth leaves than any change of the cell, and the sensor agrees with the
+    cell. The arguments are those of `check_law`.
+    """
+    grid_s = _grid(t_s)
+    depth_mm, by_force = stage_mm_at(grid_s) - contact_mm, _whole_basis(t_s, grid_s, np.interp(grid_s, t_s, force_N))
+    by_depth = _whole_basis(t_s, grid_s, np.maximum(0.0, depth_mm))
+    q, _ = np.linalg.qr(by_depth)
+    left, weights = force_N - q @ (q.T @ force_N), _weights(by_depth, force_N)
+    higher_mm = np.maximum(0.0, depth_mm - SLIP.tried_mm)
+    slope = (_whole_basis(t_s, grid_s, higher_mm, float(np.max(depth_mm))) - by_depth) @ weights / SLIP.tried_mm
+    column = slope[:, None] * (t_s[:, None] > _moments(t_s))
+    own = column - q @ (q.T @ column)  # What the law could not make itself.
+    lost_mm = (left @ own) / np.maximum(np.sum(own**2, axis=0), 1e-300)
+    explained = lost_mm * (left @ own) / max(float(left @ left), 1e-300)
+    k = int(np.argmax(explained))
+    is_clear = explained[k] > max(SLIP.share, float(np.max(_explained(t_s, by_depth, force_N))))
+    if abs(lost_mm[k]) < SLIP.least_mm or not is_clear or np.max(_explained(t_s, by_force, output)) > _by_chance(t_s):
+        return
+    raise BadReply(reason("rig.slipped", at_s=float(_moments(t_s)[k] - t_s[0]), lost_mm=float(lost_mm[k])))
+
+
+def is_output_alone(
+    t_s: Array, force_N: Array, output: Array, stage_mm_at: Callable[[Array], Array], contact_mm: float
+) -> bool:
+    """Whether a change is far clearer in the output by the force than in the force by the depth."""
+    grid_s = _grid(t_s)
+    by_depth = _whole_basis(t_s, grid_s, np.maximum(0.0, stage_mm_at(grid_s) - contact_mm))
+    by_force = _whole_basis(t_s, grid_s, np.interp(grid_s, t_s, force_N))
+    in_force, in_output = _explained(t_s, by_depth, force_N), _explained(t_s, by_force, output)
+    return bool(np.max(in_output) > OUTPUT.alone * np.max(in_force))
+
+
+def find_output_change(t_s: Array, force_N: Array, output: Array) -> Reason | None:
+    """Return by how much the output at equal force changed at one moment, or drifts; None where it does neither.
+
+    The cell is taken to be right: `check_law` has compared it with the depth. All are (n,), host clock.
+    """
+    grid_s = _grid(t_s)
+    basis = _whole_basis(t_s, grid_s, np.interp(grid_s, t_s, force_N))
+    q, _ = np.linalg.qr(basis)
+    fitted = q @ (q.T @ output)
+    left = output - fitted
+    squares, count = max(float(left @ left), 1e-300), len(t_s)
+
+    def explained(change: Array) -> float:
+        own, _ = np.linalg.qr(change - q @ (q.T @ change))
+        return float(np.sum((own.T @ left) ** 2)) / squares
+
+    def step(at_s: float) -> Array:
+        return np.column_stack([np.ones(count), fitted - fitted[0]]) * (t_s > at_s)[:, None]
+
+    drift = (t_s - t_s[0])[:, None]
+    by_drift, at_s = explained(drift), max(_moments(t_s), key=lambda at_s: explained(step(at_s)))
+    is_drift = by_drift > explained(step(at_s))
+    change = drift if is_drift else step(at_s)
+    weights = _weights(np.column_stack([basis, change]), output)
+    usual, changed = basis @ weights[: basis.shape[1]], change @ weights[basis.shape[1] :]
+    is_after = t_s > at_s
+    share = float(np.mean(changed[is_after]) / np.mean(usual[is_after]))
+    if is_drift:
+        by_range = float(np.ptp(changed) / np.ptp(usual))
+        if by_drift < OUTPUT.drift + _noise(t_s) or by_range < OUTPUT.drift_range:
+            return None
+        return reason("rig.output_drift", rate=float(weights[-1]), percent=100.0 * by_range)
+    if explained(change) < OUTPUT.step + _noise(t_s) or abs(share) < OUTPUT.step_share:
+        return None
+    code = "rig.output_fell" if share < 0.0 else "rig.output_rose"
+    return reason(code, percent=100.0 * abs(share), at_s=float(at_s - t_s[0]))
+
+
+def _grid(t_s: Array) -> Array:
+    return np.arange(t_s[0], t_s[-1] + LAW.grid_s, LAW.grid_s)
+
+
+def _whole_basis(t_s: Array, grid_s: Array, value: Array, largest: float | None = None) -> Array:
+    """Return the law of a value on the grid, and what is left of a path before: it fades with the relaxation."""
+    relaxation_s = [time_s for time_s in LAW.every_relaxation_s if time_s < t_s[-1] - t_s[0]]
+    before = [np.ones_like(t_s), *(np.exp((t_s[0] - t_s) / time_s) for time_s in relaxation_s)]
+    return np.column_stack([*before, _basis(t_s, grid_s, value, relaxation_s, largest)])
+
+
+def _by_chance(t_s: Array) -> float:
+    """Return what share of a misfit one change explains of a good rig; 1 where there are too few samples."""
+    return CHANGE.share + _noise(t_s) if len(t_s) >= CHANGE.moments else 1.0
+
+
+def _noise(t_s: Array) -> float:
+    """Return what share of noise the best of all changes explains: a gain, a zero or a delay."""
+    return float(2.0 * np.log(3 * CHANGE.moments)) / len(t_s)
 
 
 def _explained(t_s: Array, basis: Array, values: Array) -> Array:
@@ -152,7 +242,7 @@ def check_follows(t_s: Array, output: Array, stage_mm_at: Callable[[Array], Arra
 
     An input that floats does not follow. Positions are those of `lag_s`.
     """
-    grid_s = np.arange(t_s[0], t_s[-1] + LAW.grid_s, LAW.grid_s)
+    grid_s = _grid(t_s)
     depth_mm = np.maximum(0.0, stage_mm_at(grid_s) - contact_mm)
     if len(t_s) < PRESS.samples or float(np.max(depth_mm)) <= 0.0:
         return
@@ -229,13 +319,18 @@ def _ratio(gains: Array) -> float:
     return float(np.max(gains) / max(float(np.min(gains)), 1e-9)) if len(gains) > 1 else 1.0
 
 
-def _basis(t_s: Array, grid_s: Array, value: Array, relaxation_s: Sequence[float]) -> Array:
-    return np.column_stack([np.interp(t_s, grid_s, column) for column in _law(value, relaxation_s)])
+def _basis(
+    t_s: Array, grid_s: Array, value: Array, relaxation_s: Sequence[float], largest: float | None = None
+) -> Array:
+    return np.column_stack([np.interp(t_s, grid_s, column) for column in _law(value, relaxation_s, largest)])
 
 
-def _law(value: Array, relaxation_s: Sequence[float]) -> list[Array]:
-    """Return what a force may be made of by the depth, or an output by the force: also relaxed powers."""
-    share = value / max(float(np.max(value)), 1e-9)
+def _law(value: Array, relaxation_s: Sequence[float], largest: float | None = None) -> list[Array]:
+    """Return what a force may be made of by the depth, or an output by the force: also relaxed powers.
+
+    They are powers of shares of the largest value.
+    """
+    share = value / max(float(np.max(value)) if largest is None else largest, 1e-9)
     columns = [share**power for power in LAW.powers]
     for time_s in relaxation_s:
         kept = float(np.exp(-LAW.grid_s / time_s))

@@ -1,13 +1,13 @@
 """What a finished run gives: channels on the sensor's own clock, and how they were aligned."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from softcal.core.errors import BadReply, InputError
 from softcal.core.recording import Array, Indices, LabelledRecording, OutputRecording
-from softcal.core.words.reason import reason
+from softcal.core.words.reason import Reason, reason
 from softcal.station.clock import CLOCK_SHARE, ClockFit, fit_clock, residual_offset_s
 from softcal.station.device_names import CELL, named
 from softcal.station.interfaces import Sample, StagePosition
@@ -19,8 +19,12 @@ from softcal.station.record.proof import (
     check_lag,
     check_law,
     check_output_gain,
+    check_slip,
+    find_output_change,
+    is_output_alone,
     lag_s,
 )
+from softcal.station.record.response import CellResponse, check_response, fit_response
 from softcal.station.record.spool import SpooledRun
 from softcal.station.record.trajectory import DrivenMove, StageTrack, Trapezoid, reconstruct
 
@@ -45,6 +49,8 @@ class Alignment:
             change. Not applied, since the sensor's own lag is in it. NaN where there is no such channel.
         stage_residual_mm: root mean square of status polls against the reconstructed path.
         force_behind_s: how far the load cell was found behind the stage.
+        force_time_constant_s: of the first-order low pass behind which the load cell was found; 0 for none.
+        force_response_N: RMS error of the labels that it leaves.
     """
 
     sensor_drift: float
@@ -55,6 +61,8 @@ class Alignment:
     stage_offset_s: float
     stage_residual_mm: float
     force_behind_s: float = float("nan")
+    force_time_constant_s: float = 0.0
+    force_response_N: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +77,7 @@ class StationRecording:
         force_N: (n,) force beside it, zero subtracted; None for a unit without reference.
         contact_mm: where contact was found, from the homing switch.
         zero_N, zero_return_N: the unloaded load cell before the run, and its change over the run.
+        remarks: what a person should know of it although it is good.
     """
 
     serial: str
@@ -84,6 +93,7 @@ class StationRecording:
     zero_return_N: float
     lost: int
     alignment: Alignment
+    remarks: tuple[Reason, ...] = ()
 
     def output_recording(self, channel: int = 0, serial: str | None = None) -> OutputRecording:
         return OutputRecording(
@@ -146,27 +156,44 @@ def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
 
     Raises:
         BadReply: too many samples were lost, a device clock is far off, or the load cell does not tell the stage's
-            story (late, another gain from press to press).
+            story (late, behind a low pass, another gain from press to press).
     """
-    sensor = _channel(raw.output, facts.sensor)
-    begun_s, ended_s = facts.span_s
+    sensor, begun_s, ended_s = _channel(raw.output, facts.sensor), *facts.span_s
     chosen = (sensor.host_s >= begun_s) & (sensor.host_s <= ended_s)
     sensor_s, host_s, output = sensor.device_s[chosen], sensor.host_s[chosen], sensor.values[chosen]
     lost = _count_lost(sensor_s, facts)
-    moves = [DrivenMove(Trapezoid(*row[:4]), *row[4:]) for row in facts.moves]
-    track = reconstruct([poll for poll in raw.polls if poll.host_s >= moves[0].begun_s], moves)
+    track = track_of(raw, facts)
     stage_mm = track.at(host_s) - facts.zero_mm
     check_converter(sensor_s - sensor_s[0], output, stage_mm, facts.output_unit)
-    check_follows(host_s, output, track.at, facts.contact_mm)
+    follows: BadReply | None = None
+    try:
+        check_follows(host_s, output, track.at, facts.contact_mm)
+    except BadReply as error:
+        follows = error  # A cell may know why.
+        if not raw.force:
+            raise
     force_N, (behind_s, offset_s, cell_drift, cell_late_s) = None, (float("nan"),) * 4
+    constant_s, response_N, remarks = 0.0, 0.0, tuple[Reason, ...]()
     if not raw.force:
         check_output_gain(stage_mm, output[:, 0])
     else:
         cell = _channel(raw.force, CELL)
+        if follows is not None:
+            shown = _shown(cell, sensor, facts, facts.force_late_s)
+            raise _named(follows, *shown, track.at, facts.contact_mm) from follows
         behind_s, late_s = _behind_s(cell, track, facts), facts.force_late_s
+        response = _response(cell, track, facts)
+        constant_s = response.time_constant_s
+        if constant_s:
+            behind_s = response.lag_s
         if not facts.is_latency_stated and abs(behind_s - late_s) > METHOD.lag.late_s:
             late_s = behind_s
-        _check_cell(cell, sensor, track, facts, late_s)
+        response_N = response.error_N(late_s)
+        if facts.with_reference:
+            check_response(response, response_N)
+        if facts.is_latency_stated and constant_s:
+            check_lag(behind_s, facts.force_late_s, _period_s(cell))
+        remarks = _check_cell(cell, sensor, track, facts, late_s)
         force_N = _force_at(host_s, cell, facts, late_s)
         offset_s = residual_offset_s(force_N, output[:, 0], facts.sample_rate_Hz)
         cell_drift, cell_late_s = cell.clock.rate - 1, cell.clock.late_s
@@ -185,8 +212,17 @@ def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
         facts.zero_N,
         facts.zero_return_N,
         lost,
-        Alignment(sensor.clock.rate - 1, cell_drift, *late, *offsets, track.residual_mm, behind_s),
+        Alignment(
+            sensor.clock.rate - 1, cell_drift, *late, *offsets, track.residual_mm, behind_s, constant_s, response_N
+        ),
+        remarks,
     )
+
+
+def track_of(raw: Raw, facts: RunFacts) -> StageTrack:
+    """Return where the stage was from the first move of a run on."""
+    moves = [DrivenMove(Trapezoid(*row[:4]), *row[4:]) for row in facts.moves]
+    return reconstruct([poll for poll in raw.polls if poll.host_s >= moves[0].begun_s], moves)
 
 
 def restore(run: SpooledRun) -> StationRecording:
@@ -251,8 +287,17 @@ def _behind_s(cell: _Channel, track: StageTrack, facts: RunFacts) -> float:
     inside = _enough(_in_presses(cell.host_s, facts))
     found_s = lag_s(cell.host_s[inside], cell.values[inside, 0], track.at, facts.contact_mm)
     if facts.is_latency_stated:
-        check_lag(found_s, facts.force_late_s, float(np.median(np.diff(cell.device_s))))
+        check_lag(found_s, facts.force_late_s, _period_s(cell))
     return found_s
+
+
+def _period_s(cell: _Channel) -> float:
+    return float(np.median(np.diff(cell.device_s)))
+
+
+def _response(cell: _Channel, track: StageTrack, facts: RunFacts) -> CellResponse:
+    inside = _enough(_in_presses(cell.host_s, facts))
+    return fit_response(cell.host_s[inside], cell.values[inside, 0], track.at, facts.contact_mm)
 
 
 def _in_presses(force_s: Array, facts: RunFacts) -> Indices:
@@ -264,16 +309,47 @@ def _enough(samples: Indices) -> Indices:
     return samples[:: max(1, len(samples) // FIT_SAMPLES)]
 
 
-def _check_cell(cell: _Channel, sensor: _Channel, track: StageTrack, facts: RunFacts, late_s: float) -> None:
-    """Compare all presses, also the slow one before the profile: a gain may change in between."""
+def _check_cell(
+    cell: _Channel, sensor: _Channel, track: StageTrack, facts: RunFacts, late_s: float
+) -> tuple[Reason, ...]:
+    """Compare all presses, also the slow one before the profile: a gain may change in between; return what is said."""
     force_s, force_N = cell.host_s - late_s, cell.values[:, 0] - facts.zero_N
     inside = _in_presses(force_s, facts)
     if not len(inside):
-        return
-    check_gain(track.at(force_s[inside]) - facts.zero_mm, force_N[inside])
-    inside = _enough(inside)
-    shown = np.interp(force_s[inside], sensor.host_s, sensor.values[:, 0])
-    check_law(force_s[inside], force_N[inside], shown, track.at, facts.contact_mm)
+        return ()
+    force_at_s, fewer_N, shown = _shown(cell, sensor, facts, late_s)
+    law = force_at_s, fewer_N, shown, track.at, facts.contact_mm
+    check_slip(*law)
+    try:
+        check_gain(track.at(force_s[inside]) - facts.zero_mm, force_N[inside])
+        check_law(*law)
+    except BadReply as error:
+        raise _named(error, *law) from error
+    change = find_output_change(force_at_s, fewer_N, shown)
+    return () if change is None else (change,)
+
+
+def _shown(cell: _Channel, sensor: _Channel, facts: RunFacts, late_s: float) -> tuple[Array, Array, Array]:
+    """Return (n,) times, force and output of some samples of the cell in the presses."""
+    force_s = cell.host_s - late_s
+    inside = _enough(_in_presses(force_s, facts))
+    output = np.interp(force_s[inside], sensor.host_s, sensor.values[:, 0])
+    return force_s[inside], cell.values[inside, 0] - facts.zero_N, output
+
+
+def _named(
+    error: BadReply,
+    force_s: Array,
+    force_N: Array,
+    output: Array,
+    stage_mm_at: Callable[[Array], Array],
+    contact_mm: float,
+) -> BadReply:
+    """Return what an output says that changed by itself where that is what is odd; else the error as it is."""
+    if len(force_s) < METHOD.change.moments or not is_output_alone(force_s, force_N, output, stage_mm_at, contact_mm):
+        return error
+    change = find_output_change(force_s, force_N, output)
+    return error if change is None else BadReply(change)
 
 
 def _force_at(host_s: Array, cell: _Channel, facts: RunFacts, late_s: float) -> Array:

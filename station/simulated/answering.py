@@ -19,8 +19,15 @@ class FarEnd:
     def __init__(self, wire: Wire, line_end: bytes = b"\n", axis: Axis | None = None) -> None:
         self.wire, self.axis, self._line_end, self.said_end = wire, axis or Axis(1.0), line_end, b"\r\n"
         self._received = b""
+        self.frozen_mm: float | None = None
+        """Fault switch: what a stage reports as its position, wherever it is; None for the truth."""
         self.due_s, self.period_s = math.inf, math.inf
         """When the device does something by itself, and after how long again."""
+
+    @property
+    def reported_mm(self) -> float:
+        """The position that a stage reports."""
+        return self.axis.position_mm if self.frozen_mm is None else self.frozen_mm
 
     def receive(self, now_s: float) -> None:
         """Take the bytes the host has written and act on them."""

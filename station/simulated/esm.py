@@ -57,7 +57,7 @@ class SimulatedEsm(FarEnd):
     def _letter(self, letter: bytes, now_s: float) -> str:
         match letter:
             case b"x":
-                return f"{self._zero_mm - self.axis.position_mm:.2f} mm"
+                return f"{self._zero_mm - self.reported_mm:.2f} mm"
             case b"p":
                 upper = "" if self.is_switch_missing else "UL"
                 lower = "DL" if self.axis.position_mm >= self._travel_mm - 1e-6 else ""

@@ -175,7 +175,7 @@ class SimulatedGrbl(FarEnd):
         free = PLANNER_BLOCKS - len(self.axis.queue)
         letters = ("Z" if self.switch == "stuck" else "") + ("H" if self._is_hold_pressed else "")
         pins = f"|Pn:{letters}" if letters else ""
-        machine_mm = -(self.axis.position_mm + self._offset_mm)
+        machine_mm = -(self.reported_mm + self._offset_mm)
         self._say(f"<{state}|MPos:0.000,0.000,{machine_mm:.3f}|Bf:{free},128|FS:{speed:.0f},0{pins}>")
 
     def _say(self, text: str) -> None:

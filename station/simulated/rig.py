@@ -86,7 +86,7 @@ class SimulatedRig:
     """Stage, unit and load cell in one frame.
 
     `weight_N` is a dead weight on the unit. Faults are switches: `force_fault` and `output_fault` replace what a device
-    would see: (time, true value) -> value.
+    would see: (time, true value) -> value. `steps_share` is the way of the carriage for each mm that is counted.
 
     Args:
         axis: the drive; its position counts downward from the homing switch, mm.
@@ -101,7 +101,7 @@ class SimulatedRig:
         self.force_fault: Callable[[float, float], float] | None = None
         self.output_fault: Callable[[float, float], float] | None = None
         self._stands_at_mm: float | None = None
-        self._lost_mm = 0.0
+        self._lost_mm, self.steps_share = 0.0, 1.0
         self.largest_force_N = 0.0
 
     def mount(self, units: Sequence[Physics], clearance_mm: float, now_s: float) -> None:
@@ -146,7 +146,8 @@ class SimulatedRig:
         ]
 
     def _carriage_at_mm(self, counted_mm: float) -> float:
-        return (counted_mm if self._stands_at_mm is None else self._stands_at_mm) - self._lost_mm
+        counted_mm = counted_mm if self._stands_at_mm is None else self._stands_at_mm
+        return self.steps_share * counted_mm - self._lost_mm
 
     @property
     def carriage_mm(self) -> float:

@@ -71,7 +71,7 @@ class SimulatedZaber(FarEnd):
             case []:
                 return True, "0"
             case ["get", "pos"]:
-                return True, str(round(self.axis.position_mm / self.microstep_mm))
+                return True, str(round(self.reported_mm / self.microstep_mm))
             case ["get", name] if name in self.settings:
                 return True, f"{self.settings[name]:.10g}"
             case ["set", name, value] if name in self.settings:

@@ -20,6 +20,7 @@ from softcal.station.motion.safety import STUCK_MM
 from softcal.station.motion.watched import WatchedBench
 from softcal.station.record.proof import check_lag, lag_s
 from softcal.station.record.recording import Raw, RunFacts, StationRecording, assemble, device_times_s
+from softcal.station.record.response import fit_response
 from softcal.station.record.spool import Spool
 from softcal.station.record.trajectory import DrivenMove, reconstruct
 from softcal.station.tasks.seconds import (
@@ -342,8 +343,11 @@ class _Run:
         force = self._bench.config.force
         if force is None or self._bench.force is None:
             return
-        found_s = lag_s(device_times_s(self._readings.force)[began:], force_N, at, contact_mm)
+        host_s = device_times_s(self._readings.force)[began:]
+        found_s = lag_s(host_s, force_N, at, contact_mm)
         is_stated, period_s = force.is_latency_stated, 1.0 / self._bench.force.rate_Hz
+        if not is_stated and (response := fit_response(host_s, force_N, at, contact_mm)).time_constant_s:
+            found_s = response.lag_s  # Behind a low pass the force is late, too, and a stop must know.
         possible_s = force.latency_s if is_stated else min(max(0.0, found_s), LATEST_S)
         if np.isfinite(found_s):
             check_lag(found_s, possible_s, period_s)

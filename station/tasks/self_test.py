@@ -93,6 +93,8 @@ def self_test(
         zero_N, allowed_N = float(np.mean([sample.values[0] for sample in weighed])), bench.config.safety.zero_N
         cure = None if abs(zero_N) <= allowed_N else reason("cure.zero", allowed_N=allowed_N)
         findings.append(_item("load cell", "check.zero", "found.zero", cure, zero_N=zero_N))
+    if bench.force is None:
+        findings.append(_item("stage", "check.unseen", "found.unseen"))
     if profile is None:
         return findings
     bounds = bounds_of(bench)

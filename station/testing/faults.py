@@ -117,6 +117,30 @@ def loosen(station: SimulatedStation, seconds: float, change: Callable[[float], 
     station.rig.output_fault = lambda now_s, output_V: change(output_V) if now_s < since_s + seconds else output_V
 
 
+def filter_cell(station: SimulatedStation, constant_s: float) -> None:
+    """The load cell's amplifier has a first-order low pass, as every weighing indicator has."""
+    shown: list[tuple[float, float]] = []  # (when, level behind the filter)
+
+    def filtered(now_s: float, force_N: float) -> float:
+        before_s, level_N = shown[-1] if shown else (now_s, force_N)
+        shown[:] = [(now_s, force_N + (level_N - force_N) * math.exp((before_s - now_s) / constant_s))]
+        return shown[0][1]
+
+    station.rig.force_fault = filtered
+
+
+def _freeze_position(station: SimulatedStation) -> None:
+    station.far_end(FarEnd, "stage").frozen_mm = station.axis.position_mm
+
+
+def _lose_steps(lost_mm: float) -> Inject:
+    return lambda station: station.rig.lose_steps(lost_mm)
+
+
+def _filter_cell(constant_s: float) -> Inject:
+    return lambda station: filter_cell(station, constant_s)
+
+
 def _loosen(seconds: float, change: Callable[[float], float]) -> Inject:
     return lambda station: loosen(station, seconds, change)
 
@@ -194,6 +218,14 @@ FAULTS: tuple[Fault, ...] = (
         _pressing("every third line of the controller torn", _set("stage_wire", "torn", 0.3)),
         _pressing("motor without supply while pressing", lambda s: s.rig.cut_motor()),
         _without_cell(_pressing("motor without supply", lambda s: s.rig.cut_motor())),
+        *(
+            replace(_pressing("position report frozen while pressing", _freeze_position), stage_kind=kind)
+            for kind in ("grbl", "zaber")
+        ),
+        *(
+            _pressing(f"motor loses {mm:g} mm between two presses", _lose_steps(mm), BETWEEN_S)
+            for mm in (0.1, 0.15, 0.2)
+        ),
         _pressing("motor loses 0.5 mm between two presses", lambda s: s.rig.lose_steps(0.5), BETWEEN_S),
         _without_cell(_pressing("motor loses 1 mm", lambda s: s.rig.lose_steps(1.0), BETWEEN_S)),
     ),
@@ -212,6 +244,7 @@ FAULTS: tuple[Fault, ...] = (
             _from_the_start(f"load cell's line {s:g} s late", _add("force_wire", "delay_s", s))
             for s in (0.02, 0.05, 0.1, 0.2)
         ),
+        *(_from_the_start(f"load cell behind a low pass of {s:g} s", _filter_cell(s)) for s in (0.03, 0.06, 0.1, 0.3)),
         _pressing("load cell's gain halves between two presses", _force(lambda x: 0.5 * x), BETWEEN_S),
         _pressing("load cell's gain doubles between two presses", _force(lambda x: 2.0 * x), BETWEEN_S),
         _pressing("load cell's gain halves while pressing", _force(lambda x: 0.5 * x)),

@@ -10,6 +10,7 @@ from softcal.core.quality.gate import (
     CellAtGate,
     GoldenCheck,
     Override,
+    QualificationAtGate,
     RigFacts,
     StationFacts,
     may_run,
@@ -37,6 +38,13 @@ REASONS = {
     "homing": ({"rig": replace(WARM, homing_fault="ALARM:9")}, "homing_fault", "ALARM:9"),
     "no golden": ({"golden": None}, "no_golden", ""),
     "golden of the last shift": ({"golden": GoldenCheck(NOW - timedelta(hours=9), "G1", True)}, "no_golden", ""),
+    "never qualified": ({"needs_qualification": True}, "no_qualification", ""),
+    "not qualified": ({"qualification": QualificationAtGate(False, date(2027, 1, 1))}, "not_qualified", ""),
+    "qualified too long ago": (
+        {"qualification": QualificationAtGate(True, date(2026, 3, 2))},
+        "qualification_ended",
+        "2026-03-02",
+    ),
     "golden out": ({"golden": GoldenCheck(NOW, "G1", False)}, "golden_bad", "G1"),
 }
 

@@ -3,12 +3,15 @@
 import re
 from pathlib import Path
 
+from common.drawn_faults import KINDS
+
 from softcal.station.testing.faults import FAULTS
 
 ROOT = Path(__file__).parents[2]
+TABLE, POWER = (ROOT / "docs" / "hazards.md").read_text().split("## What may stay unseen")
 ROWS = [
     [cell.strip() for cell in line.strip("|").split("|")]
-    for line in (ROOT / "docs" / "hazards.md").read_text().splitlines()
+    for line in TABLE.splitlines()
     if line.startswith("| ") and not line.startswith("| cause")
 ]
 TESTS = set(re.findall(r"def (test_\w+)", "\n".join(path.read_text() for path in (ROOT / "tests").glob("*/*.py"))))
@@ -30,6 +33,10 @@ def test_each_hazard_has_cause_detection_reaction_and_a_test_that_exists() -> No
         assert cause and detection and reaction, row
         names = re.findall(r"`([^`]+)`", test)
         assert names and [name for name in names if not is_known(name)] == [], row
+
+
+def test_every_kind_of_drawn_fault_has_its_share_on_the_page() -> None:
+    assert [kind.name for kind in KINDS if f"| {kind.name} |" not in POWER] == []
 
 
 def test_each_fault_of_the_matrix_stands_in_the_hazard_table() -> None:

@@ -1,0 +1,106 @@
+"""The qualification of a station: its page, and what the registry keeps of it for the gate."""
+
+import math
+from dataclasses import dataclass
+from datetime import date, datetime, timedelta
+from pathlib import Path
+
+from softcal.app.files.atomic import write_text
+from softcal.app.registry.stated import state, stated
+from softcal.core.quality.gate import QualificationAtGate
+from softcal.db.registry import Registry
+from softcal.station.devices.config import StationConfig
+from softcal.station.tasks.qualify import Qualification
+
+ENTITY = "station_qualification"
+
+HEAD = ("figure", "value", "unit", "at most", "is")
+
+
+@dataclass(frozen=True)
+class QualificationPage:
+    """A qualification with where and when it was made.
+
+    Args:
+        station: its name, as orders call it.
+        specimen: what was pressed, in words.
+        days: so long it holds.
+    """
+
+    station: str
+    config: StationConfig
+    specimen: str
+    qualification: Qualification
+    made_at: datetime
+    days: int
+
+    @property
+    def due_on(self) -> date:
+        """First day on which it holds no longer."""
+        return self.made_at.date() + timedelta(days=self.days)
+
+    @property
+    def rows(self) -> list[tuple[str, str, str, str, str]]:
+        """Figures as texts: name, value, unit, limit, good or not."""
+        rows = []
+        for figure in self.qualification.figures:
+            limit = f"{figure.limit:.3g}" if math.isfinite(figure.limit) else ""
+            word = ("good" if figure.is_good else "NOT GOOD") if limit else "said"
+            rows.append((figure.name, f"{figure.value:.3g}", figure.unit, limit, word))
+        return rows
+
+    @property
+    def verdict(self) -> str:
+        """One line: passed or not, and until when."""
+        refusal = self.qualification.refusal
+        if self.qualification.is_passed:
+            return f"PASSED, valid until {self.due_on}"
+        return "NOT PASSED" + (f": {refusal}" if refusal is not None else "")
+
+    def write(self, path: Path) -> None:
+        """Write the page as Markdown."""
+        force = self.config.force
+        cell = "none" if force is None else f"{force.serial or 'without serial'} ({force.kind}, {force.capacity_N:g} N)"
+        table = "\n".join("| " + " | ".join(row) + " |" for row in [HEAD, ("---",) * len(HEAD), *self.rows])
+        write_text(
+            path,
+            f"# Qualification of station {self.station}\n\n{self.verdict}\n\n"
+            f"- made at {self.made_at.isoformat(timespec='seconds')}, in {self.qualification.seconds:.0f} s\n"
+            f"- pressed: {self.specimen}\n- load cell: {cell}\n"
+            f"- stage: {self.config.stage.kind}; readout: {self.config.readout.kind}\n\n{table}\n",
+        )
+
+    def to_json(self) -> dict[str, object]:
+        """Return the page as JSON values; a figure without a limit has null there."""
+        figures = [
+            {
+                "name": figure.name,
+                "value": figure.value if math.isfinite(figure.value) else None,
+                "unit": figure.unit,
+                "limit": figure.limit if math.isfinite(figure.limit) else None,
+                "is_good": figure.is_good,
+            }
+            for figure in self.qualification.figures
+        ]
+        refusal = self.qualification.refusal
+        return {
+            "station": self.station,
+            "specimen": self.specimen,
+            "made_at": self.made_at.isoformat(),
+            "due_on": self.due_on.isoformat(),
+            "is_passed": self.qualification.is_passed,
+            "refusal": None if refusal is None else str(refusal),
+            "figures": figures,
+            "station_s": self.qualification.seconds,
+        }
+
+
+def keep_qualification(registry: Registry, page: QualificationPage, actor: str | None = None) -> None:
+    """Keep a page for the gate of its station; the newest counts."""
+    state(registry, ENTITY, (page.station,), page.to_json(), action="qualify", actor=actor)
+
+
+def newest_qualification(registry: Registry, station: str) -> QualificationAtGate | None:
+    """Return what the newest page of a station says; None where it was never qualified."""
+    kept = stated(registry, ENTITY, (station,))
+    return None if kept is None else QualificationAtGate(bool(kept["is_passed"]), date.fromisoformat(kept["due_on"]))

@@ -1,0 +1,169 @@
+"""How a load cell answers the force: a delay and a first-order low pass, told apart on presses (ISO 4965-1). No I/O.
+
+Slowly pressed, a low pass looks like a delay. Where the stage turns or stands it does not: a late cell shows the corner
+later, a filtered one rounds it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.signal import lfilter
+
+from softcal.core.errors import BadReply
+from softcal.core.recording import Array
+from softcal.core.words.reason import reason
+from softcal.station.record.method import METHOD
+
+RESPONSE = METHOD.response
+
+
+@dataclass(frozen=True, eq=False)
+class CellResponse:
+    """The response of a load cell, as one run shows it.
+
+    Args:
+        delay_s: pure delay; NaN where the run does not tell.
+        time_constant_s: of the first-order low pass behind it; 0 for none.
+        grid_s: (n,) host times.
+        true_N, shown_N: (n,) the force by the fitted law, and the same behind delay and low pass.
+    """
+
+    delay_s: float
+    time_constant_s: float
+    grid_s: Array
+    true_N: Array
+    shown_N: Array
+
+    @property
+    def lag_s(self) -> float:
+        """How much later the readings show a slow change: delay and time constant."""
+        return self.delay_s + self.time_constant_s
+
+    def error_N(self, late_s: float) -> float:
+        """Return the RMS error of labels whose readings are taken as `late_s` late; 0 without a low pass."""
+        if not self.time_constant_s:
+            return 0.0
+        inside = self.grid_s[self.grid_s + late_s < self.grid_s[-1]]
+        return float(np.sqrt(np.mean((self._shown(inside + late_s) - self._true(inside)) ** 2)))
+
+    def _shown(self, t_s: Array) -> Array:
+        return np.interp(t_s, self.grid_s, self.shown_N)
+
+    def _true(self, t_s: Array) -> Array:
+        return np.interp(t_s, self.grid_s, self.true_N)
+
+
+def fit_response(t_s: Array, force_N: Array, stage_mm_at: Callable[[Array], Array], contact_mm: float) -> CellResponse:
+    """Return delay and time constant that lay the force best over a law of the depth that relaxes.
+
+    A solid that relaxes leads its depth, so no relaxing part of the law may be negative: only the cell can lag behind.
+    All is compared behind a high pass, where softening and creep of the unit leave nothing.
+
+    Args:
+        t_s, force_N: (n,) samples of the load cell, host clock.
+        stage_mm_at: host times -> stage positions, same origin as contact_mm.
+    """
+    law = _Law(t_s, force_N, stage_mm_at, contact_mm)
+    if len(t_s) < METHOD.press.samples or not law.is_pressed:
+        return CellResponse(float("nan"), 0.0, t_s, force_N, force_N)
+    latest_s, step_s = METHOD.lag.latest_s, METHOD.lag.coarse_s
+    prompt = law.best(0.0, np.arange(RESPONSE.earliest_s, latest_s, step_s))
+
+    def filtered(constants_s: Sequence[float]) -> "_Candidate":
+        around = (-1.0, -0.7, -1.0 + step_s / RESPONSE.constants_s[0])
+        return min(law.best(tau, np.array([prompt.delay_s + share * tau for share in around])) for tau in constants_s)
+
+    best = filtered(RESPONSE.constants_s)
+    best = min(best, filtered([share * best.constant_s for share in RESPONSE.finer]))
+    if prompt.misfit < RESPONSE.tells * best.misfit:
+        best = prompt
+    true_N, shown_N = law.forces_N(best)
+    return CellResponse(best.delay_s, best.constant_s, law.grid_s, true_N, shown_N)
+
+
+def check_response(response: CellResponse, error_N: float) -> None:
+    """Raise `BadReply` where a low pass leaves labels an RMS error that no source may have."""
+    check_error(response.time_constant_s, error_N, RESPONSE.share * float(np.ptp(response.true_N)))
+
+
+def check_error(constant_s: float, error_N: float, allowed_N: float) -> None:
+    """Raise `BadReply` where the RMS error that a low pass leaves is above what is allowed."""
+    if error_N > allowed_N:
+        raise BadReply(reason("rig.low_pass", constant_s=constant_s, error_N=error_N, allowed_N=allowed_N))
+
+
+@dataclass(frozen=True, order=True)
+class _Candidate:
+    misfit: float
+    delay_s: float
+    constant_s: float
+
+
+class _Law:
+    """The columns of a law of the depth on a grid of time, and how well they make a force behind delay and low pass."""
+
+    def __init__(self, t_s: Array, force_N: Array, stage_mm_at: Callable[[Array], Array], contact_mm: float) -> None:
+        self._step_s = METHOD.law.grid_s
+        self.grid_s = np.arange(t_s[0] - RESPONSE.before_s, t_s[-1] + self._step_s, self._step_s)
+        depth_mm = np.maximum(0.0, stage_mm_at(self.grid_s) - contact_mm)
+        self.is_pressed = bool(np.max(depth_mm) > 0.0)
+        share = depth_mm / max(float(np.max(depth_mm)), 1e-9)
+        self._elastic = np.column_stack([share**power for power in METHOD.law.powers])
+        relaxing = [
+            lfilter([1.0, -1.0], [1.0, -np.exp(-self._step_s / time_s)], share**power)
+            for time_s in RESPONSE.relaxation_s
+            for power in METHOD.law.relaxed_powers
+        ]
+        self._columns = np.column_stack([self._elastic, *relaxing])
+        self._even_s = max(self._step_s, float(np.median(np.diff(t_s))))
+        self._at_s = np.arange(t_s[0], t_s[-1], self._even_s)
+        self._force_N = np.interp(self._at_s, t_s, force_N)
+
+    def best(self, constant_s: float, delays_s: Array) -> _Candidate:
+        """Return the best of these delays and of finer ones around it."""
+        columns = low_pass(self._columns, constant_s, self._step_s)
+        allowed_s = np.unique(np.maximum(delays_s, RESPONSE.earliest_s))
+        coarse = min(self._candidate(columns, constant_s, delay_s) for delay_s in allowed_s.tolist())
+        around_s = [coarse.delay_s + off_s for off_s in RESPONSE.fine_s]
+        near = [self._candidate(columns, constant_s, s) for s in around_s if s >= RESPONSE.earliest_s]
+        return min([coarse, *near])
+
+    def forces_N(self, fit: _Candidate) -> tuple[Array, Array]:
+        """Return the force on the grid, and the same as the cell shows it."""
+        shown = low_pass(self._columns, fit.constant_s, self._step_s)
+        weights, _ = self._weights(shown, fit.delay_s)
+        level_N = float(np.mean(self._force_N - self._later(shown, fit.delay_s) @ weights))
+        late = np.interp(self.grid_s - fit.delay_s, self.grid_s, shown @ weights)
+        return level_N + self._columns @ weights, level_N + late
+
+    def _candidate(self, columns: Array, constant_s: float, delay_s: float) -> _Candidate:
+        return _Candidate(self._weights(columns, delay_s)[1], delay_s, constant_s)
+
+    def _weights(self, columns: Array, delay_s: float) -> tuple[Array, float]:
+        count = self._elastic.shape[1]
+        late = np.column_stack([self._later(columns, delay_s), self._force_N])
+        r: Array = np.asarray(np.linalg.qr(self._passed(late), mode="r"))
+        relaxing, left = nnls(r[count:, count:-1], r[count:, -1])
+        elastic = np.linalg.lstsq(r[:count, :count], r[:count, -1] - r[:count, count:-1] @ relaxing, rcond=None)[0]
+        return np.concatenate([elastic, relaxing]), left**2
+
+    def _later(self, columns: Array, delay_s: float) -> Array:
+        return np.column_stack([np.interp(self._at_s - delay_s, self.grid_s, column) for column in columns.T])
+
+    def _passed(self, columns: Array) -> Array:
+        """Return the columns behind the high pass, but for where that begins."""
+        kept = float(np.exp(-self._even_s / RESPONSE.high_pass_s))
+        begins = round(RESPONSE.high_pass_s / self._even_s)
+        return np.asarray(lfilter([1.0, -1.0], [1.0, -kept], columns, axis=0)[begins:])
+
+
+def low_pass(columns: Array, constant_s: float, step_s: float) -> Array:
+    """Return columns, (n, m), behind a first-order low pass, straight between their samples and at rest before them."""
+    if not constant_s:
+        return columns
+    kept = float(np.exp(-step_s / constant_s))
+    newest = 1.0 - constant_s / step_s * (1.0 - kept)
+    at_rest = (1.0 - newest) * columns[:1]
+    return np.asarray(lfilter([newest, 1.0 - kept - newest], [1.0, -kept], columns, axis=0, zi=at_rest)[0])

@@ -1,0 +1,61 @@
+"""`softcal station qualify` writes a page, and the gate of its station reads it."""
+
+import json
+from datetime import UTC, date, datetime, timedelta
+
+from softcal.app.cli.main import command_parser
+from softcal.app.line.gate_facts import RIG_ONLY, StationGate
+from softcal.app.line.qualification import QualificationPage, keep_qualification
+from softcal.core.orders import OrderKind
+from softcal.core.quality.gate import RigFacts
+from softcal.db.connection import open_registry
+from softcal.station.devices.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig
+from softcal.station.tasks.qualify import Figure, Qualification
+
+CONFIG = StationConfig(StageConfig("a"), ReadoutConfig("b"), ForceConfig("c", serial="K1"))
+
+
+def opened(registry):
+    return StationGate(registry, "line-1", CONFIG, RIG_ONLY)(OrderKind.UNIT, RigFacts(timedelta(hours=1), True))
+
+
+def test_the_command_writes_figures_limits_and_how_long_they_hold_and_the_gate_reads_them(tmp_path):
+    url, page, report = f"sqlite:///{tmp_path / 'r.db'}", tmp_path / "page.md", tmp_path / "page.json"
+    words = [
+        "station",
+        "qualify",
+        "--simulated",
+        "--out",
+        page,
+        "--json",
+        report,
+        "--name",
+        "line-1",
+        "--registry",
+        url,
+    ]
+    options = command_parser(["station"]).parse_args(list(map(str, words)))
+    code = options.run(options)
+    content = json.loads(report.read_text())
+    assert code == (0 if content["is_passed"] else 1)
+    assert date.fromisoformat(content["due_on"]) == datetime.now(UTC).date() + timedelta(days=90)
+    text = page.read_text()
+    assert all(figure["name"] in text for figure in content["figures"]) and content["due_on"] in text
+    with open_registry(url) as registry:
+        names = [condition.name.code for condition in opened(registry).conditions]
+        assert "gate.name.qualification" in names and opened(registry).is_open == content["is_passed"]
+
+
+def test_the_newest_page_counts_until_its_day(tmp_path):
+    good, bad = Figure("backlash", 0.01, "mm", 0.05), Figure("backlash", 0.1, "mm", 0.05)
+    with open_registry(f"sqlite:///{tmp_path / 'r.db'}") as registry:
+        assert opened(registry).is_open
+        now = datetime.now(UTC)
+        for figure, made_at, is_open in (
+            (good, now - timedelta(days=100), False),
+            (bad, now - timedelta(hours=2), False),
+            (good, now - timedelta(hours=1), True),
+        ):
+            qualification = Qualification((figure,), None, 80.0)
+            keep_qualification(registry, QualificationPage("line-1", CONFIG, "spring", qualification, made_at, 90))
+            assert opened(registry).is_open == is_open
