@@ -4,6 +4,8 @@ python benchmarks/gap_rigs.py lot --line tenth --seeds 7100 7101 7102 --units 4
 python benchmarks/gap_rigs.py lot --line usual --seeds 7200 7201 --units 3 --calibration
 python benchmarks/gap_rigs.py transfer --cases 6 --units 3 --seed 4000
 python benchmarks/gap_rigs.py plants               10 plants that chose nothing; --first 6000: others
+python benchmarks/gap_rigs.py measured             measured systems beside plain least squares, on runs held out
+python benchmarks/gap_rigs.py presence             drawn mechanisms with a rest: are probabilities what they say?
 python benchmarks/gap_rigs.py blind                a fresh seed of 128 bits, printed; --seed 7: the same rigs again
 """
 
@@ -14,14 +16,18 @@ import secrets
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common.command import Commands
+from common.command import Commands, Kept
+from common.drawn_mechanisms import LAWS, draw_mechanism
 from common.gap_cases import as_case
+from common.least_squares import best_sets, error_of
 from common.lot_draw import draw_lot
+from common.measured_rigs import MeasuredRig, data_folder, measured_rigs
 from common.tables import print_table
 
 from softcal.app.cli.main import main as softcal
@@ -29,7 +35,14 @@ from softcal.app.gap.challenge import open_challenge
 from softcal.core.challenge.cases import LotRun, SealedCase, press_lot
 from softcal.core.challenge.draw import SEED_BITS, draw_case
 from softcal.core.challenge.judge import Judged, read_answer
-from softcal.core.challenge.score import FLOORS, ScoreSheet, score_reports, shortfalls
+from softcal.core.challenge.score import (
+    FLOORS,
+    ScoreSheet,
+    calibration_error,
+    log_score,
+    score_reports,
+    shortfalls,
+)
 from softcal.core.errors import InputError
 from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.explained import explained_twin
@@ -37,6 +50,7 @@ from softcal.core.gap.shared_cause import LotDiagnosis, diagnose_lot
 from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis, diagnose_simulator
 from softcal.core.gap.transfer import CalibrationWorth, LotUnit, PressedLot, Transfer, calibration_worth
 from softcal.core.gap.transfer import transfer as transferred
+from softcal.core.metrics import wilson
 from softcal.core.recording import LabelledRecording, OutputRecording
 
 Row = tuple[object, ...]
@@ -241,6 +255,91 @@ def outcome(found: SimulatorDiagnosis, named: set[str], true: set[str]) -> str:
     return "honest" if found.verdict == "unknown" else "missed"
 
 
+# Measured systems, and mechanisms with a rest that has no name.
+
+
+def measured(options: argparse.Namespace) -> None:
+    """Measured systems beside plain least squares over every set of up to three causes, on runs no fit has seen.
+
+    Root mean square of the channel on the runs held out. The least squares choose their set by that error, which no
+    diagnosis may see: they are a bound, not a rival.
+    """
+    rigs = measured_rigs()
+
+    def rows() -> Iterator[Row]:
+        for name in options.rigs or rigs:
+            rig, folder = rigs[name], data_folder() / "rigs" / name
+            fitted, held_out = rig.runs(folder, rig.fitted), rig.runs(folder, rig.held_out)
+            report: Any = diagnose_simulator(rig.simulator, fitted).report()
+            base, found = (
+                error_of(rig.simulator, held_out, numbers_of(rig, report[k])) for k in ("base", "parameters")
+            )
+            ids, _, least = best_sets(rig.simulator, fitted, held_out, options.starts)[0]
+            sure = [f"{c['effect']} {c['probability']:.2f}" for c in report["causes"] if c["probability"] >= 0.5]
+            in_set = " + ".join(c["effect"] for c in report["causes"] if c["shrink"] is not None)
+            stated = (report["verdict"], f"{report['list_complete']:.2f}", ", ".join(sure), in_set)
+            yield name, *stated, base, found, least, " + ".join(ids), f"{100 * (found / least - 1):+.1f} %"
+
+    head = "system | verdict | list complete | named at 0.5 | set | base | set, held out | best least squares | its set"
+    print_table(f"{head} | set against it", rows())
+
+
+def numbers_of(rig: MeasuredRig, parameters: Mapping[str, float | None]) -> dict[str, float]:
+    """Return the parameters of a report as the simulator takes them."""
+    off = rig.simulator.neutral_values
+    return {name: off[name] if value is None else value for name, value in parameters.items()}
+
+
+NAMED_EDGES = (0.05, 0.2, 0.5, 0.9, 1.0)
+
+
+def presence(options: argparse.Namespace) -> None:
+    """Drawn mechanisms: are stated probabilities what they say where a rest is left that has no name?
+
+    A rest of 5 to 40 % of the gap's energy: a law that is not in the list, the law of a cause that changes with the
+    place, or a wander. `--withheld`: the only law at work is left out of the list, each in turn, so that every name is
+    wrong. Mechanisms 1 to 40 and, withheld, 1001 to 1038 chose the constants; later ones chose nothing.
+    """
+    stated, present, inside, false_names, verdicts = [], [], [], 0, Counter[str]()
+    kept = Kept(options.kept)
+    for k, seed in enumerate(range(options.first, options.first + options.count)):
+        law = list(LAWS)[k % len(LAWS)] if options.withheld else None
+        found = kept.of(f"{seed} {law}", lambda: judged_mechanism(seed, law))  # noqa: B023
+        verdicts[f"{found['rest']}: {found['verdict']}"] += 1
+        stated += found["chances"].values()
+        present += [effect in found["present"] for effect in found["chances"]]
+        false_names += any(p >= 0.5 for i, p in found["chances"].items() if i not in found["present"])
+        inside += [] if found["is_inside"] is None else [found["is_inside"]]
+    p, at_work = np.array(stated), np.array(present, dtype=np.float64)
+    rows = []
+    for low, high in pairwise(NAMED_EDGES):
+        here = (p >= low) & ((p < high) | (high == 1.0))
+        if here.any():
+            rows.append(
+                (f"{low:g} to {high:g}", int(here.sum()), f"{p[here].mean():.2f}", f"{at_work[here].mean():.2f}")
+            )
+    print(f"Mechanisms {options.first} to {options.first + options.count - 1}\n")
+    print_table("stated probability | causes | mean stated | at work", rows)
+    low, high = wilson(false_names, options.count)
+    named = f"{false_names} of {options.count} ({100 * low:.0f} to {100 * high:.0f} %)"
+    print(f"A cause that is not there is named at 0.5 or more in {named} mechanisms.\n")
+    print(f"Calibration error {calibration_error(p, at_work):.3f}; log score {log_score(p, at_work):.2f} nats.\n")
+    print(f"Held-out shrink within the forecast's interval: {sum(inside)} of {len(inside)}.\n")
+    print_table("rest and verdict | mechanisms", sorted(verdicts.items()))
+
+
+def judged_mechanism(seed: int, law: str | None) -> dict[str, Any]:
+    """Return what a diagnosis says of a drawn mechanism, and what is there."""
+    drawn = draw_mechanism(seed, law)
+    found = diagnose_simulator(drawn.simulator, drawn.runs)
+    shrink, is_inside = found.shrink, None
+    if shrink.low is not None and shrink.high is not None and found.best.ids:
+        is_inside = shrink.low <= shrink.held_out <= shrink.high
+    chances = {c.effect: c.probability for c in found.causes}
+    kept = {"chances": chances, "present": sorted(drawn.present), "rest": drawn.rest}
+    return kept | {"verdict": found.verdict, "is_inside": is_inside}
+
+
 # The withheld check.
 
 CASES = 4
@@ -321,6 +420,14 @@ def main() -> None:
     parser = every.add(plants)
     parser.add_argument("--first", type=int, default=5000, help="first plant drawn")
     parser.add_argument("--count", type=int, default=10, help="how many plants")
+    parser = every.add(measured)
+    parser.add_argument("--rigs", nargs="+", metavar="NAME", help="these alone")
+    parser.add_argument("--starts", type=int, default=2, help="starts of every least squares")
+    parser = every.add(presence)
+    parser.add_argument("--first", type=int, default=5000, help="first mechanism drawn")
+    parser.add_argument("--count", type=int, default=60, help="how many mechanisms")
+    parser.add_argument("--kept", type=Path, metavar="FILE", help="results are kept here; a run cut off goes on")
+    parser.add_argument("--withheld", action="store_true", help="leave the only law at work out of the list")
     parser = every.add(blind)
     parser.add_argument("--seed", type=int, help="repeat a draw (default: a fresh seed of 128 bits)")
     every.run()

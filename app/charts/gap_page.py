@@ -23,7 +23,7 @@ BOLD = re.compile(r"\*\*(.+?)\*\*")
 
 STYLE = """h1 { padding-left: 14px; border-left: 6px solid #5b6573; }
 h1.no_gap { border-color: #1b7f4d; } h1.data { border-color: #b3261e; } h1.explained { border-color: #0b5cad; }
-h1.ambiguous { border-color: #b06f00; } h1.unknown { border-color: #b3261e; }
+h1.ambiguous, h1.explained_in_part { border-color: #b06f00; } h1.unknown { border-color: #b3261e; }
 .unit { margin: 0; color: #55606c; } .lead { font-size: 17px; margin: 6px 0; }
 .note { background: #fff6e0; border: 1px solid #ecd9a6; border-radius: 6px; padding: 8px 12px; }
 .next { background: #eaf3fb; border: 1px solid #bcd7ee; border-radius: 6px; padding: 12px 16px; font-size: 16px; }

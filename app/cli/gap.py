@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from softcal.core.gap.data_mistake import DataMistake
     from softcal.core.gap.diagnosis import Diagnosis
     from softcal.core.gap.gap_diagnosis import GapDiagnosis
+    from softcal.core.gap.shrink import Shrink
     from softcal.core.twin.parameters import ReadoutMetadata
     from softcal.core.twin.simulate import Twin
 
@@ -237,9 +238,7 @@ def _apply(options: argparse.Namespace) -> None:
         say(f"twin written to {options.out}: {_contents(apply_report(options.report, options.out, options.empirical))}")
         return
     diagnosis, twin = apply_case(options.case, options.out, say, options.empirical)
-    is_bare = diagnosis.verdict == "unknown" and not options.empirical
-    said = "nothing explains the gap, so it is the refitted base alone" if is_bare else _contents(twin)
-    say(f"twin written to {options.out}: {said}")
+    say(f"twin written to {options.out}: {_contents(twin)}")
     _show_twin(diagnosis, options)
 
 
@@ -247,10 +246,8 @@ def _apply_parameters(options: argparse.Namespace, report: Mapping[str, object],
     from softcal.app.gap.simulator import write_parameters
 
     parameters = write_parameters(options.out, report, source, options.empirical)
-    is_bare = report["verdict"] == "unknown" and not options.empirical
     listed = ", ".join(f"{name} {'off' if value is None else f'= {value:.4g}'}" for name, value in parameters.items())
-    said = "nothing explains the gap, so they are those of the refitted base alone: " if is_bare else ""
-    say(f"parameters of {report['simulator']} written to {options.out}: {said}{listed}")
+    say(f"parameters of {report['simulator']} written to {options.out}: {listed}")
     write_json(options.json, dict(report))
 
 
@@ -270,10 +267,10 @@ def _show(diagnosis: "GapDiagnosis[Any]") -> None:
         return
     shrink = diagnosis.shrink
     print(f"verdict     {diagnosis.verdict}")
+    print(f"complete    {diagnosis.list_complete:.2f}: probability that nothing unmodelled is left")
     for channel, gap in diagnosis.gap.items():
         print(f"{channel:<11} {gap.rmse_before:.4g} before, {gap.rmse_after:.4g} after, floor {gap.noise_floor:.4g}")
-    forecast = f"{shrink.predicted:.2f} [{shrink.low:.2f}, {shrink.high:.2f}]"
-    print(f"shrink      {shrink.held_out:.2f} held out; forecast {forecast}")
+    print(f"shrink      {shrink.held_out:.2f} held out{_forecast(shrink)}")
     for part, causes in enumerate(diagnosis.chosen, start=1):
         if causes != diagnosis.best.hypothesis.ids:
             print(f"            without part {part} of the runs: {' + '.join(causes) or 'no cause'}; scored so there")
@@ -283,10 +280,13 @@ def _show(diagnosis: "GapDiagnosis[Any]") -> None:
         rows = []
         for c in named:
             values = ", ".join(f"{name} = {p.value:.3g} {p.unit}".rstrip() for name, p in c.parameters.items())
-            rows.append([c.effect, c.stage, c.probability, c.shrink, hidden.get(c.effect), values])
-        print_table(["effect", "stage", "probability", "shrink", "hidden", "parameters"], rows)
+            rows.append([c.effect, c.stage, c.probability, c.shrink, c.alone, c.added, hidden.get(c.effect), values])
+        head = ["effect", "stage", "probability", "shrink", "alone", "added", "hidden", "parameters"]
+        print_table(head, rows)
     for place in diagnosis.places:
         print(f"where       {place.stage}, {place.channel}, {place.regime}: {place.share:.0%}  {place.detail}")
+    for name, value in diagnosis.on_bound.items():
+        print(f"on bound    {name} = {value:.4g}: these recordings do not determine it, or they hold a mistake")
     for pair in diagnosis.ambiguous_with:
         print(f"ambiguous   {' / '.join(pair)}")
     print(f"next        {diagnosis.next_experiment.profile}: {diagnosis.next_experiment.why}")
@@ -305,6 +305,12 @@ def _show(diagnosis: "GapDiagnosis[Any]") -> None:
         held = f"{left.held_out:.2f} [{left.low:.2f}, {left.high:.2f}] held out"
         addition = f", beside {beside}, which alone reach {diagnosis.residual.without:.2f}" if beside else ""
         print(f"describes   {held}{addition}: a description, no cause; softcal gap apply --empirical adds it")
+
+
+def _forecast(shrink: "Shrink") -> str:
+    if shrink.predicted is None:
+        return "; no forecast: the samples held out contradict it"
+    return f"; forecast {shrink.predicted:.2f} [{shrink.low:.2f}, {shrink.high:.2f}]"
 
 
 def _report(diagnosis: "GapDiagnosis[Any]", options: argparse.Namespace) -> dict[str, object]:
@@ -333,8 +339,6 @@ def _show_tables(diagnosis: "Diagnosis") -> None:
     _show(diagnosis)
     if diagnosis.verdict == "data":
         return
-    for name, value in diagnosis.on_bound.items():
-        print(f"on bound    {name} = {value:.4g}: these recordings do not determine it, or they hold a mistake")
     for channel, fades in diagnosis.named.problem.colour.items():
         print(f"noise       {channel}: {fades.spread:.3g} beside the white noise, fading within {fades.fading_s:.2g} s")
     if diagnosis.case.missing_channels:

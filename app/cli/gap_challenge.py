@@ -1,28 +1,34 @@
 """`softcal gap challenge`, `ask` and `score`: the withheld check of the diagnosis."""
 
 import argparse
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal.app.cli.options import COUNT, DIR, FILE, Action
 from softcal.app.output import ProgressLine, print_table, say, write_json
+from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
     from softcal.core.challenge.score import ScoreSheet
 
 _CHALLENGE_EXAMPLES = """examples:
-  softcal gap challenge --cases 40 --out sealed            # secret seed; labels go to sealed.seal.json
+  softcal gap challenge --cases 40 --out sealed            # secret seed; labels encrypted, sealed.seal.key opens them
   for c in sealed/case-*; do softcal gap diagnose $c --json reports/$(basename $c).json; done
-  softcal gap score sealed --reports reports --seal sealed.seal.json
+  softcal gap score sealed --reports reports --seal sealed.seal.json --commitment HEX
+"""
+_EXAMINER_EXAMPLES = """examples:
+  softcal gap examiner sealed --seal sealed.seal.json      # prints HOST:PORT:WORD for `gap ask --examiner`
 """
 _ASK_EXAMPLES = """examples:
-  softcal gap ask sealed case-007 --experiment rate_sweep --seal sealed.seal.json
-  softcal gap ask sealed case-007 --experiment dead_weights --seal sealed.seal.json
+  softcal gap ask sealed case-007 --experiment rate_sweep --examiner 127.0.0.1:40123:WORD
+  softcal gap ask sealed case-007 --experiment dead_weights --seal sealed.seal.json      by who has the key
   softcal gap ask sealed case-007 --lot lot-7 --seal sealed.seal.json       units made with the sealed one
 """
 _SCORE_EXAMPLES = """examples:
-  softcal gap score sealed --reports reports --seal sealed.seal.json
-  softcal gap score sealed --reports reports --seal sealed.seal.json --json score.json
+  softcal gap score sealed --reports reports --seal sealed.seal.json --commitment HEX
+  softcal gap score sealed --reports reports --seal sealed.seal.json --commitment HEX --json score.json
   softcal gap score sealed --reports reports --seal sealed.seal.json --check        exit code 1 below the floors
 """
 
@@ -34,8 +40,15 @@ def add_challenge_actions(action: Action) -> None:
     add("--cases", required=True, **COUNT, help="how many cases")
     add("--seed", type=int, help="seed of the draw (default: a secret one, kept in the seal)")
     add("--out", required=True, **DIR, help="new folder for the cases")
-    add("--seal", **FILE, help="file for the labels (default: DIR.seal.json)")
+    add("--seal", **FILE, help="file for the encrypted labels (default: DIR.seal.json)")
+    add("--key", **FILE, help="file for their key (default: beside the seal); keep it from whoever diagnoses")
     add("--line", metavar="NAME", help="draw one line of the benchmark instead of the mix")
+    examiner = action(
+        "examiner", "answer for sealed rigs with the key, until it is stopped", _examiner, epilog=_EXAMINER_EXAMPLES
+    )
+    examiner.add_argument("folder", **DIR, help="folder of the challenge")
+    _add_seal(examiner)
+    examiner.add_argument("--port", type=int, default=0, help="port on this computer (default: any free one)")
     ask = action("ask", "run one more experiment on a sealed rig", _ask, epilog=_ASK_EXAMPLES)
     ask.add_argument("folder", **DIR, help="folder of the challenge")
     ask.add_argument("case", metavar="CASE", help="name of the case")
@@ -43,14 +56,21 @@ def add_challenge_actions(action: Action) -> None:
     what.add_argument("--experiment", metavar="NAME", help="name of the experiment")
     what.add_argument("--lot", **DIR, help="press a lot of units on the rig into this new folder")
     ask.add_argument("--units", default=6, **COUNT, help="target units of the lot (default 6)")
-    ask.add_argument("--seal", required=True, **FILE, help="file with the labels")
+    ask.add_argument("--examiner", metavar="HOST:PORT:WORD", help="process of the examiner, instead of seal and key")
+    _add_seal(ask, required=False)
     score = action("score", "open the seal of a challenge and score the reports", _score, epilog=_SCORE_EXAMPLES)
     add = score.add_argument
     add("folder", **DIR, help="folder of the challenge")
     add("--reports", required=True, **DIR, help="folder with CASE.json per case")
-    add("--seal", required=True, **FILE, help="file with the labels")
+    _add_seal(score)
+    add("--commitment", metavar="HEX", help="as it was published (default: the one in the folder)")
     add("--json", metavar="FILE", help="write the scores as JSON ('-' for standard output)")
     add("--check", action="store_true", help="exit with 1 where a line that was drawn falls below its floor")
+
+
+def _add_seal(parser: argparse.ArgumentParser, required: bool = True) -> None:
+    parser.add_argument("--seal", required=required, **FILE, help="file with the encrypted labels")
+    parser.add_argument("--key", **FILE, help="file with their key (default: beside the seal)")
 
 
 def _challenge(options: argparse.Namespace) -> None:
@@ -59,23 +79,53 @@ def _challenge(options: argparse.Namespace) -> None:
     published with the cases before anybody diagnoses them.
     """
     from softcal.app.gap.challenge import make_challenge
+    from softcal.app.gap.sealed_file import key_beside
 
     folder: Path = options.out
     seal_file = options.seal or folder.parent / f"{folder.name}.seal.json"
     progress = ProgressLine("cases", max(1, options.cases))
-    made = make_challenge(folder, seal_file, options.cases, options.seed, options.line, progress.step)
+    made = make_challenge(folder, seal_file, options.cases, options.seed, options.line, progress.step, options.key)
     print(f"commitment  {made.commitment}")
-    say(f"{len(made.cases)} cases in {folder}; labels in {seal_file}: keep it away from whoever diagnoses")
+    key = options.key or key_beside(seal_file)
+    say(f"{len(made.cases)} cases in {folder}; labels encrypted in {seal_file}; keep {key} from whoever diagnoses")
+    if options.seed is not None:
+        say(f"seed {options.seed} was stated: whoever knows it can make these labels again")
 
 
 def _ask(options: argparse.Namespace) -> None:
     """Run one more experiment on a sealed rig, with the same hidden causes. The recording is added
     to the case as runs/asked-<n>; diagnose the case again to see whether the ambiguity is gone.
     """
-    from softcal.app.gap.challenge import ask_rig, press_rig_lot
+    from softcal.app.gap.challenge import ask_rig, asked_run, press_rig_lot
+    from softcal.app.gap.sealed_file import ask_examiner
 
-    rig = options.folder, options.seal, options.case
-    print(ask_rig(*rig, options.experiment) if options.lot is None else press_rig_lot(*rig, options.units, options.lot))
+    if (options.seal is None) == (options.examiner is None):
+        raise InputError("give either --examiner HOST:PORT:WORD, or --seal with its key")
+    if options.lot is not None:
+        if options.seal is None:
+            raise InputError("--lot needs --seal with its key; an examiner records single runs")
+        rig = options.folder, options.seal, options.case
+        print(press_rig_lot(*rig, options.units, options.lot, options.key))
+        return
+    ask = partial(asked_run, options.folder, options.seal, key_file=options.key)
+    if options.examiner is not None:
+        ask = partial(ask_examiner, options.examiner)
+    print(ask_rig(options.folder, ask, options.case, options.experiment))
+
+
+def _examiner(options: argparse.Namespace) -> None:
+    """Hold the key of a challenge and record further runs of its rigs for `softcal gap ask --examiner`. Whoever
+    diagnoses needs neither seal nor key then. Stop it with Ctrl-C.
+    """
+    from softcal.app.gap.challenge import asked_run, open_challenge
+    from softcal.app.gap.sealed_file import Examiner
+
+    open_challenge(options.folder, options.seal, options.key)
+    answer = partial(asked_run, options.folder, options.seal, key_file=options.key)
+    with Examiner(answer, options.port) as examiner:
+        print(f"examiner    {examiner.address}", flush=True)
+        with suppress(KeyboardInterrupt):
+            examiner.serve_forever()
 
 
 def _score(options: argparse.Namespace) -> int:
@@ -86,8 +136,13 @@ def _score(options: argparse.Namespace) -> int:
     from softcal.app.gap.challenge import score_challenge
     from softcal.core.challenge.score import shortfalls
 
-    sheet = score_challenge(options.folder, options.reports, options.seal)
-    write_json(options.json, sheet.to_record())
+    scored = score_challenge(options.folder, options.reports, options.seal, options.key, options.commitment)
+    sheet = scored.sheet
+    write_json(options.json, scored.to_json())
+    if not scored.is_stated:
+        say("the commitment is the folder's own, which whoever diagnosed held; state the published one by --commitment")
+    if scored.seed_origin == "stated":
+        say("the seed of these cases was stated: whoever knew it could make the labels")
     for judged in (j for j in sheet.judged if j.unread):
         say(f"counted as wrong: {judged.unread}")
     if options.json != "-":
@@ -113,6 +168,7 @@ def _print(sheet: "ScoreSheet") -> None:
             ("expected calibration error, all effects", sure.ece),
             ("expected calibration error, first cause", sure.ece_first),
             ("Brier score", sure.brier),
+            ("log score of named and of true causes, nats", sure.log_score),
             ("mean probability on the true single cause", sure.on_truth),
         ],
     )

@@ -14,13 +14,16 @@ import numpy as np
 from softcal.app.files.atomic import whole_folder, write_text
 from softcal.app.files.lot_folder import write_lot_toml
 from softcal.app.files.recording_file import write_columns
+from softcal.app.gap.sealed_file import key_beside, read_sealed, write_sealed
+from softcal.app.provenance import Provenance, record_provenance
 from softcal.core.challenge.cases import EXPERIMENTS, RunPlan, SealedCase, press_lot
 from softcal.core.challenge.draw import LINES, SEED_BITS, draw_case, draw_challenge, drawn_seed
 from softcal.core.challenge.mistakes import RunOnFile
 from softcal.core.challenge.realised import realised_shrink
 from softcal.core.challenge.score import ScoreSheet, score_reports
-from softcal.core.challenge.seal import Label, open_seal, seal_labels
+from softcal.core.challenge.seal import Label, Seal, open_seal, seal_labels, seed_origin
 from softcal.core.errors import InputError
+from softcal.core.gap.method import METHOD
 from softcal.core.json_input import parse_json
 from softcal.core.lot import Lot
 
@@ -44,13 +47,15 @@ def make_challenge(
     seed: int | None = None,
     line: str | None = None,
     on_case: Callable[[str], None] = lambda name: None,
+    key_file: Path | None = None,
 ) -> MadeChallenge:
     """Draw sealed cases, write recordings into a folder and labels into a separate file.
 
     Args:
         folder: where the cases go; must not exist or be empty.
-        seal_file: where the labels go; outside of `folder`.
-        seed: seed of the draw; a secret one is chosen when it is not given.
+        seal_file: where the labels go, encrypted; outside of `folder`.
+        seed: seed of the draw; a secret one is chosen when it is not given. Who knows it can make the labels.
+        key_file: where their key goes, outside of `folder`; beside the seal where None.
 
     Raises:
         InputError: the folder is not empty, the seal would lie in it or exists, a count below 1, an unknown line.
@@ -59,10 +64,13 @@ def make_challenge(
         raise InputError(f"--cases {count}: at least one case was expected")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder}: is not an empty folder; nothing was written; name a new one")
-    if seal_file.resolve().is_relative_to(folder.resolve()):
-        raise InputError(f"{seal_file}: the seal must not lie in the folder that is handed over; name another place")
-    if seal_file.exists():
-        raise InputError(f"{seal_file}: exists; a seal is never overwritten; name another file")
+    key_file = key_file or key_beside(seal_file)
+    for what, path in (("seal", seal_file), ("key", key_file)):
+        if path.resolve().is_relative_to(folder.resolve()):
+            raise InputError(f"{path}: the {what} must not lie in the folder that is handed over; name another place")
+        if path.exists():
+            raise InputError(f"{path}: exists; a {what} is never overwritten; name another file")
+    origin = "drawn" if seed is None else "stated"
     seed = secrets.randbits(SEED_BITS) if seed is None else seed
     if line is None:
         cases = draw_challenge(seed, count)
@@ -75,8 +83,8 @@ def make_challenge(
     for case in cases:
         contents[case.name] = write_case(folder / case.name, case)
         on_case(case.name)
-    seal = seal_labels(cases, contents, seed, secrets.token_hex(32))
-    write_text(seal_file, seal.text)
+    seal = seal_labels(cases, contents, seed, secrets.token_hex(32), origin)
+    write_sealed(seal_file, key_file, seal)
     published = {"schema": SCHEMA, "cases": contents, "commitment": seal.commitment, "hash": "sha256"}
     write_text(folder / FOLDER_FILE, json.dumps(published, indent=2) + "\n")
     return MadeChallenge(seal.commitment, tuple(contents))
@@ -91,6 +99,12 @@ def write_case(folder: Path, case: SealedCase) -> str:
 
 def write_run(folder: Path, case: SealedCase, run: RunOnFile) -> None:
     """Write one run as `recording.csv` and `recording.json`."""
+    for name, content in run_files(case, run).items():
+        write_text(folder / name, content)
+
+
+def run_files(case: SealedCase, run: RunOnFile) -> dict[str, str]:
+    """Return what one run is on disk, by the name of each file."""
     measured = run.measured
     metadata: dict[str, object] = {
         "serial": case.name.upper(),
@@ -106,8 +120,7 @@ def write_run(folder: Path, case: SealedCase, run: RunOnFile) -> None:
     names = list(measured.columns)
     columns = [[f"{value:.{DECIMALS[name]}f}" for value in measured.columns[name].tolist()] for name in names]
     lines = [",".join(names), *(",".join(row) for row in zip(*columns, strict=True))]
-    write_text(folder / "recording.csv", "\n".join(lines) + "\n")
-    write_text(folder / "recording.json", json.dumps(metadata, indent=2) + "\n")
+    return {"recording.csv": "\n".join(lines) + "\n", "recording.json": json.dumps(metadata, indent=2) + "\n"}
 
 
 def folder_sha256(folder: Path) -> str:
@@ -120,23 +133,43 @@ def folder_sha256(folder: Path) -> str:
     return digest.hexdigest()
 
 
-def ask_rig(folder: Path, seal_file: Path, case_name: str, experiment: str) -> Path:
-    """Run one more experiment on a sealed rig; it is added to the case as `runs/asked-<n>`.
+def ask_rig(folder: Path, ask: Callable[[str, str, int], dict[str, str]], case_name: str, experiment: str) -> Path:
+    """Have one more experiment run on a sealed rig; it is added to the case as `runs/asked-<n>`.
+
+    Args:
+        ask: returns the files of the run: `asked_run` with the seal, or a process of the examiner that has it.
+
+    Raises:
+        InputError: no such case in the folder, or whoever is asked refuses.
+    """
+    runs = folder / case_name / "runs"
+    if not runs.is_dir():
+        known = sorted(path.parent.name for path in folder.glob("*/runs"))
+        raise InputError(f"{case_name}: no case of {folder}; known are {', '.join(known)}")
+    number = 1 + sum(path.name.startswith("asked") for path in runs.iterdir())
+    for name, content in ask(case_name, experiment, number).items():
+        write_text(runs / f"asked-{number}" / Path(name).name, content)
+    return runs / f"asked-{number}"
+
+
+def asked_run(
+    folder: Path, seal_file: Path, case_name: str, experiment: str, number: int, key_file: Path | None = None
+) -> dict[str, str]:
+    """Return the files of one more run of a sealed rig, as the examiner records it.
 
     Raises:
         InputError: the seal is broken, no such case, or an experiment that is not on the menu.
     """
-    case = _labelled(folder, seal_file, case_name).case
+    case = _labelled(folder, seal_file, case_name, key_file).case
     if experiment not in EXPERIMENTS:
         raise InputError(f"{experiment}: not on the menu; known are {', '.join(EXPERIMENTS)}")
-    runs = folder / case_name / "runs"
-    number = 1 + sum(path.name.startswith("asked") for path in runs.iterdir())
     asked = case.measure(RunPlan(experiment, case.kept_back.seed + number))
-    write_run(runs / f"asked-{number}", case, RunOnFile(asked, case.rig.sample_rate_Hz))
-    return runs / f"asked-{number}"
+    return run_files(case, RunOnFile(asked, case.rig.sample_rate_Hz))
 
 
-def press_rig_lot(folder: Path, seal_file: Path, case_name: str, units: int, out: Path) -> Path:
+def press_rig_lot(
+    folder: Path, seal_file: Path, case_name: str, units: int, out: Path, key_file: Path | None = None
+) -> Path:
     """Press a lot on a sealed rig and write it as a lot folder with audits.
 
     Raises:
@@ -144,7 +177,7 @@ def press_rig_lot(folder: Path, seal_file: Path, case_name: str, units: int, out
     """
     if units < 1:
         raise InputError(f"--units {units}: at least one unit was expected")
-    case = _labelled(folder, seal_file, case_name).case
+    case = _labelled(folder, seal_file, case_name, key_file).case
     with whole_folder(out) as part:
         write_lot_toml(part, Lot(case_name, "R00", case.rig.sample_rate_Hz, "sealed rig"))
         for run in press_lot(case, units):
@@ -156,15 +189,21 @@ def press_rig_lot(folder: Path, seal_file: Path, case_name: str, units: int, out
     return out
 
 
-def _labelled(folder: Path, seal_file: Path, case_name: str) -> Label:
-    labels = {label.case.name: label for label in open_challenge(folder, seal_file)}
+def _labelled(folder: Path, seal_file: Path, case_name: str, key_file: Path | None = None) -> Label:
+    labels = {label.case.name: label for label in open_challenge(folder, seal_file, key_file)}
     if case_name not in labels:
         raise InputError(f"{case_name}: no case of {folder}; known are {', '.join(labels)}")
     return labels[case_name]
 
 
-def open_challenge(folder: Path, seal_file: Path) -> list[Label]:
+def open_challenge(
+    folder: Path, seal_file: Path, key_file: Path | None = None, commitment: str | None = None
+) -> list[Label]:
     """Open the seal of a challenge and check that its cases are those that were handed out.
+
+    Args:
+        key_file: the key of the labels; the file beside the seal where None.
+        commitment: as it was published; the one in the folder, which the examinee holds, where None.
 
     Raises:
         InputError: a file is missing, the seal is broken, or a case was changed.
@@ -172,7 +211,8 @@ def open_challenge(folder: Path, seal_file: Path) -> list[Label]:
     published = _json(folder / FOLDER_FILE)
     if published.get("schema") != SCHEMA:
         raise InputError(f"{folder / FOLDER_FILE}: schema {published.get('schema')!r}; {SCHEMA!r} was expected")
-    labels = open_seal(_text(seal_file), str(published.get("commitment")))
+    text = read_sealed(seal_file, key_file or key_beside(seal_file))
+    labels = open_seal(text, commitment or str(published.get("commitment")))
     for label in labels:
         case_folder = folder / label.case.name
         if not case_folder.is_dir() or folder_sha256(case_folder) != label.sha256:
@@ -180,13 +220,44 @@ def open_challenge(folder: Path, seal_file: Path) -> list[Label]:
     return labels
 
 
-def score_challenge(folder: Path, reports: Path, seal_file: Path) -> ScoreSheet:
+@dataclass(frozen=True)
+class ScoredChallenge:
+    """A score sheet and what stands behind it.
+
+    Args:
+        commitment: of the labels it was scored by.
+        is_stated: whether the commitment came from whoever scores, not from the folder of the examinee.
+        seed_origin: `drawn` in secret, or `stated` by whoever made the cases, who can make them again.
+    """
+
+    sheet: ScoreSheet
+    commitment: str
+    is_stated: bool
+    seed_origin: str
+    provenance: Provenance
+
+    def to_json(self) -> dict[str, Any]:
+        return self.sheet.to_record() | {
+            "commitment": self.commitment,
+            "commitment_from": "stated" if self.is_stated else "folder",
+            "seed_origin": self.seed_origin,
+            "provenance": self.provenance.to_json(),
+        }
+
+
+def score_challenge(
+    folder: Path, reports: Path, seal_file: Path, key_file: Path | None = None, commitment: str | None = None
+) -> ScoredChallenge:
     """Open the seal and score the reports `<case>.json`; an unreadable one is wrong.
+
+    Args:
+        commitment: as it was published; the one in the folder where None.
 
     Raises:
         InputError: the seal is broken, a case was changed, or the folder has no report.
     """
-    labels = open_challenge(folder, seal_file)
+    labels = open_challenge(folder, seal_file, key_file, commitment)
+    text = read_sealed(seal_file, key_file or key_beside(seal_file))
     paths = {label.case.name: reports / f"{label.case.name}.json" for label in labels}
     read: dict[str, dict[str, Any]] = {}
     for name, path in paths.items():
@@ -196,7 +267,10 @@ def score_challenge(folder: Path, reports: Path, seal_file: Path) -> ScoreSheet:
                 read[name] = _json(path)
     if not read:
         raise InputError(f"{reports}: no report of this challenge; expected files such as {labels[0].case.name}.json")
-    return score_reports(labels, read, lambda label, report: realised_shrink(label.case, report))
+    sheet = score_reports(labels, read, lambda label, report: realised_shrink(label.case, report))
+    files = [path for path in paths.values() if path.exists()]
+    provenance = record_provenance(METHOD.id, reports, files)
+    return ScoredChallenge(sheet, Seal(text).commitment, commitment is not None, seed_origin(text), provenance)
 
 
 def _text(path: Path) -> str:

@@ -5,6 +5,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +14,7 @@ import numpy as np
 from softcal.app.bootstrap import data_folder
 from softcal.app.files.atomic import whole_folder, write_bytes, write_text
 from softcal.app.files.case_folder import METADATA, RECORDING, open_case
-from softcal.app.gap.challenge import ask_rig, make_challenge, open_challenge
+from softcal.app.gap.challenge import ask_rig, asked_run, make_challenge, open_challenge
 from softcal.app.gap.diagnose import run_views
 from softcal.core.challenge.mistakes import Mistake
 from softcal.core.errors import InputError
@@ -65,7 +66,7 @@ def ask_case(case: Path, experiment: str) -> Path:
     """
     if not has_sealed_rig(case):
         raise InputError(f"{case.name}: no simulated rig belongs to this case; press {experiment!r} on the station")
-    return ask_rig(case.parent, _seal(case.parent), case.name, experiment)
+    return ask_rig(case.parent, partial(asked_run, case.parent, _seal(case.parent)), case.name, experiment)
 
 
 def truth(case: Path) -> tuple[tuple[str, ...], Mistake | None]:

@@ -138,8 +138,7 @@ def write_parameters(
     """
     if content.get("verdict") == "data":
         raise InputError(f"{source}: the recordings hold a mistake, so there are no parameters; repair it first")
-    # Where nothing explains the gap what comes nearest is no diagnosis: the refitted base alone goes on.
-    parameters = content.get("base" if content.get("verdict") == "unknown" else "parameters")
+    parameters = content.get("parameters")
     described = content.get("residual") if empirical else {}
     if not isinstance(described, Mapping):
         raise InputError(f"{source}: {NO_TERMS}")
@@ -169,7 +168,8 @@ def read_parameters(path: str | Path, simulator: Simulator) -> dict[str, float]:
     named = content.get("simulator")
     if named != simulator.name:
         raise InputError(f"{path}: parameters of simulator {named}; those of {simulator.name} were expected")
-    wanted = simulator.parameter_names
+    own = {p.name for p in simulator.run_parameters}
+    wanted = [*simulator.parameter_names, *(name for name in parameters if name.partition("@")[0] in own)]
     if set(parameters) != set(wanted):
         other = ", ".join(sorted(set(parameters) ^ set(wanted)))
         raise InputError(f"{path}: {other} stands on one side alone; diagnose simulator {simulator.name} again")

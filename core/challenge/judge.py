@@ -9,7 +9,7 @@ from softcal.core.challenge.mistakes import Mistake
 from softcal.core.challenge.seal import Label
 from softcal.core.errors import InputError
 
-VERDICTS = ("no_gap", "explained", "ambiguous", "unknown", "data")
+VERDICTS = ("no_gap", "explained", "explained_in_part", "ambiguous", "unknown", "data")
 
 VISIBLE_SIGMA = 5.0
 """A cause that stands out by less after the base is refitted counts as below the noise."""
@@ -137,19 +137,23 @@ class Judged:
         if not case.causes:
             # Noise may leave something that has no cause: only a name, or a mistake, is an alarm.
             return "abstained" if answer.verdict == "unknown" and not answer.named else "alarm"
+        # Beside a rest a name counts like anywhere: one that is not there is wrong.
+        is_false = answer.verdict in ("unknown", "explained_in_part") and bool(answer.named - truth)
         if any(cause.effect not in CATALOGUE for cause in case.causes):
-            if answer.verdict == "unknown":
+            if answer.verdict in ("unknown", "explained_in_part") and not is_false:
                 return "right"
             alias = ALIASES.get(case.causes[0].effect)
             return "set" if alias and alias in answer.candidates | {answer.first} else "wrong"
-        if answer.verdict == "explained" and answer.named == truth:
+        if is_false:
+            return "wrong"
+        if answer.verdict in ("explained", "explained_in_part") and answer.named == truth:
             return "right"
         if answer.verdict == "ambiguous":
             if answer.named == truth or (len(truth) == 1 and answer.first in truth):
                 return "right"
             if truth <= answer.candidates and len(answer.candidates) <= max(3, len(truth) + 1):
                 return "set"
-        return "abstained" if answer.verdict == "unknown" else "wrong"
+        return "abstained" if answer.verdict in ("unknown", "explained_in_part") else "wrong"
 
     @property
     def is_first_right(self) -> bool:

@@ -15,6 +15,9 @@ from softcal.core.errors import InputError
 from softcal.core.metrics import finite_or_none, wilson
 
 POOR = ("one_run", "one_speed", "no_load_cell", "no_stage", "ten_bit")
+SUREST = 1e-3
+"""Nearest a probability counts to 0 or 1."""
+
 STATED_EDGES = (0.05, 0.2, 0.5, 0.8, 0.95, 1.0)
 DISTANCE_EDGES = (0.0, 3.0, 5.0, 10.0, 30.0, 100.0, np.inf)
 """Bins of the detection curve, in units of the noise over all samples."""
@@ -63,12 +66,14 @@ class Probabilities:
         ece_first: the same for the probability of the first cause alone.
         brier: mean squared error of all stated probabilities.
         on_truth: mean probability on the true cause (FIA), singles.
+        log_score: mean of −ln of the probability of what is, over causes that are stated at 0.05 or more, or at work.
     """
 
     ece: float
     ece_first: float
     brier: float
     on_truth: float
+    log_score: float
     by_bin: "tuple[Bin, ...]" = ()
 
 
@@ -89,7 +94,7 @@ class Bin:
 
 @dataclass(frozen=True)
 class ShrinkScore:
-    """Forecast against realised shrink on a run that was in no fit; explained cases."""
+    """Forecast against realised shrink on a run that was in no fit, of every report that has one, right or wrong."""
 
     count: int
     median_realised: float
@@ -158,7 +163,11 @@ def score_reports(
             except InputError as error:
                 unread = str(error)
         shrink = float("nan")
-        if report is not None and answer is not None and answer.verdict in ("explained", "ambiguous"):
+        if (
+            report is not None
+            and answer is not None
+            and answer.verdict in ("explained", "explained_in_part", "ambiguous")
+        ):
             shrink = realised(label, report)
         judged.append(Judged(label, answer, shrink, unread))
     answered = [(j, j.answer) for j in judged if j.answer is not None]
@@ -171,6 +180,7 @@ def score_reports(
         ece_first=calibration_error(np.array([p for p, _ in first]), np.array([float(y) for _, y in first])),
         brier=float(np.mean((stated - present) ** 2)) if len(stated) else float("nan"),
         on_truth=float(np.mean(singles)) if singles else float("nan"),
+        log_score=log_score(stated, present),
         by_bin=tuple(
             Bin(low, high, float(stated[here].mean()), int(present[here].sum()), int(here.sum()))
             for low, high in pairwise(STATED_EDGES)
@@ -227,11 +237,24 @@ def calibration_error(stated: NDArray[np.float64], happened: NDArray[np.float64]
     return sum(gaps) / len(stated)
 
 
+def log_score(stated: NDArray[np.float64], present: NDArray[np.float64]) -> float:
+    """Return the mean of −ln of the probability of what is, in nats, where something is stated or at work.
+
+    What nobody states and nobody hid costs nothing, so that it would only hide what is wrong. A probability of 0 or 1
+    counts as one in a thousand short of it.
+    """
+    counts = (stated >= STATED_EDGES[0]) | (present > 0.0)
+    if not counts.any():
+        return float("nan")
+    p = np.clip(stated[counts], SUREST, 1.0 - SUREST)
+    return float(np.mean(-np.log(np.where(present[counts] > 0.0, p, 1.0 - p))))
+
+
 def _shrink(judged: Sequence[Judged]) -> ShrinkScore:
     known = [
         (j.answer, j.realised_shrink)
         for j in judged
-        if j.answer and j.outcome == "right" and np.isfinite(j.realised_shrink)
+        if j.answer and np.isfinite(j.realised_shrink) and np.isfinite(j.answer.predicted)
     ]
     measures = {
         "realised ≥ 0.95": [shrink >= 0.95 for _, shrink in known],

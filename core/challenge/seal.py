@@ -40,18 +40,26 @@ class Seal:
         return hashlib.sha256(self.text.encode()).hexdigest()
 
 
-def seal_labels(cases: Sequence[SealedCase], contents: Mapping[str, str], seed: int, nonce: str) -> Seal:
+def seal_labels(
+    cases: Sequence[SealedCase], contents: Mapping[str, str], seed: int, nonce: str, seed_origin: str = "drawn"
+) -> Seal:
     """Write the labels of a challenge as sealed text.
 
     Args:
         nonce: random text of at least 128 bits.
+        seed_origin: `drawn` in secret, or `stated`.
     """
     labels = [
         {"case": case.to_record(), "sha256": contents[case.name], "distance_sigma": round(distance_sigma(case), 3)}
         for case in cases
     ]
-    sealed = {"schema": SCHEMA, "nonce": nonce, "seed": seed, "labels": labels}
+    sealed = {"schema": SCHEMA, "nonce": nonce, "seed": seed, "seed_origin": seed_origin, "labels": labels}
     return Seal(json.dumps(sealed, sort_keys=True, separators=(",", ":"), allow_nan=False))
+
+
+def seed_origin(text: str) -> str:
+    """Return where the seed of a sealed text came from."""
+    return str(json.loads(text).get("seed_origin"))
 
 
 def open_seal(text: str, commitment: str) -> list[Label]:

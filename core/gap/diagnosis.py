@@ -1,6 +1,5 @@
 """The diagnosis of a case: where the twin is wrong, why, how sure that is, what to press next."""
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
@@ -15,7 +14,10 @@ from softcal.core.gap.gap_diagnosis import (
     DiagnosisVerdict,
     GapDiagnosis,
     GapPlace,
+    Judgement,
+    Partial,
     RankedCause,
+    beside_rest,
     judged,
     partial_of,
     places_of,
@@ -37,7 +39,7 @@ from softcal.core.gap.search import EffectSearch
 from softcal.core.gap.start import unfitted
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS, OWN_EFFECTS
-from softcal.core.twin.effects import Alias
+from softcal.core.twin.effects import Alias, Effect
 from softcal.core.twin.empirical_terms import EmpiricalTerm
 from softcal.core.twin.mechanics import elastic_force_at
 from softcal.core.twin.simulate import Twin, twin_record
@@ -68,7 +70,7 @@ class Diagnosis(GapDiagnosis[EmpiricalTerm]):
 
     @property
     def explained(self) -> Twin:
-        """The twin to go on with: with the named causes, or the refitted base where nothing explains.
+        """The twin to go on with: the refitted base with the set of causes.
 
         Raises:
             InputError: the recordings hold a mistake; a twin of them would hold it too.
@@ -76,7 +78,7 @@ class Diagnosis(GapDiagnosis[EmpiricalTerm]):
         if self.verdict == "data":
             repairs = "; ".join(f"{f.evidence}: {f.repair}" for f in self.mistakes)
             raise InputError(f"the recordings hold a mistake, so there is no twin of them: {repairs}")
-        return explained_twin(self.base if self.verdict == "unknown" else self.best)
+        return explained_twin(self.best)
 
     @property
     def empirical(self) -> Twin | None:
@@ -84,17 +86,6 @@ class Diagnosis(GapDiagnosis[EmpiricalTerm]):
         if self.residual is None:
             return None
         return explained_twin(self.residual.fit, [one.term for one in self.residual.terms])
-
-    @property
-    def on_bound(self) -> dict[str, float]:
-        """Base parameters left on a bound, with values: often the recordings are to blame."""
-        stuck = {}
-        for p, is_free in zip(BASE, self.named.problem.is_free, strict=True):
-            value, own = getattr(self.named.base, p.name), self.named.problem.scale.sized(p)
-            near = 1e-9 * own.usual
-            if is_free and any(math.isclose(value, end, rel_tol=1e-9, abs_tol=near) for end in (own.low, own.high)):
-                stuck[p.name] = value
-        return stuck
 
     @property
     def offsets(self) -> list[Offsets]:
@@ -119,7 +110,6 @@ class Diagnosis(GapDiagnosis[EmpiricalTerm]):
             "unseen_stages": list(self.case.unseen_stages),
             "plugins": [effect_id for effect_id in EFFECTS if effect_id not in OWN_EFFECTS],
             "base": {p.name: getattr(self.named.base, p.name) for p in BASE},
-            "on_bound": self.on_bound,
             "noise": {
                 _short(channel): {"white": sigma, "fading": fades.spread, "fading_s": fades.fading_s}
                 for channel, sigma in self.named.problem.sigma.items()
@@ -140,17 +130,19 @@ def diagnose(
     case: Case,
     progress: Callable[[str], None] | None = None,
     on_fits: Callable[[Mapping[tuple[str, ...], Fit]], None] | None = None,
+    effects: Mapping[str, Effect] = EFFECTS,
 ) -> Diagnosis:
     """Diagnose the gap between the base twin and the recordings of a case.
 
     Args:
         on_fits: called with every hypothesis that was fitted; not where the verdict is `data`.
+        effects: the list that is searched; one that is left out can only be a rest.
     """
     say = progress or (lambda _: None)
     say("looking for mistakes in the recordings")
     if spoilt := mistakes(case):
         return _stopped(unfitted(case), spoilt)
-    search = EffectSearch.of(case, say)
+    search = EffectSearch.of(case, say, effects=effects)
     runs_tell = told_by(search)
     for untold in reasons(runs_tell):
         say(str(untold))
@@ -158,43 +150,39 @@ def diagnose(
         return _stopped(search.base, (odd,))
     search.run()
     if not search.is_clean(search.best) or loose_noise(search.best) is not None:
-        search = under_its_floor(search, lambda problem: EffectSearch.of(case, say, problem), is_noise, say)
+        search = under_its_floor(search, lambda problem: EffectSearch.of(case, say, problem, effects), is_noise, say)
     if (odd := outlier_run_beside(search)) is not None:
         return _stopped(search.base, (odd,))
     if search.stranger is None:
         search.hold_open()
-    group, quantified, verdict, chances = judged(
-        search, EFFECTS, say, with_constants, lambda fitted: loose_noise(fitted) is not None
-    )
-    best, told = search.best, with_constants(search.best)
+    judgement = judged(search, effects, say, with_constants, lambda fitted: loose_noise(fitted) is not None)
+    verdict, group = judgement.verdict, judgement.group
+    best, told = judgement.best, with_constants(judgement.best)
     if on_fits is not None:
         on_fits(search.fits)
     say("refitting the three maps separately")
     maps = three_maps(case)
     named = tuple(in_catalogue_form(found) for found in group)
-    causes = ranked_causes(search, best, EFFECTS.values(), named, chances, quantified.shrink.held_out)
+    held_out = judgement.quantified.shrink.held_out
+    causes = ranked_causes(search, best, effects.values(), named, judgement.chances, held_out)
     found_regimes = tuple(replace(r, channel=_short(r.channel)) for r in regimes(search.base))
-    partial = partial_of(search) if verdict == "unknown" else None
     say("describing what is left")
-    beside = {"unknown": (search.base, told), "explained": (told,), "ambiguous": (told,)}
+    beside = {"unknown": (search.base, told), "no_gap": ()}
     return Diagnosis.of(
         search.base,
-        best,
-        group,
-        quantified,
-        verdict=verdict,
+        judgement,
         best=told,
         named=named[0],
         rivals=group,
         causes=causes,
-        places=_places(search, causes, maps, found_regimes, verdict),
+        places=_places(search, causes, maps, found_regimes, judgement),
         maps=maps,
         regimes=found_regimes,
         next_experiment=_next(case, search, group, verdict),
-        explained_share=search.explained_share(best) if partial is None else partial.share,
+        explained_share=search.explained_share(best),
         mistakes=doubts(case),
-        partial=partial,
-        residual=learned(search.base, beside.get(verdict, ()), terms_of_twin),
+        partial=partial_of(search, judgement),
+        residual=learned(search.base, beside.get(verdict, (told,)), terms_of_twin),
         told=runs_tell,
     )
 
@@ -222,15 +210,16 @@ def _places(
     causes: tuple[RankedCause, ...],
     maps: tuple[Map, ...],
     found: tuple[Regime, ...],
-    verdict: DiagnosisVerdict,
+    judgement: Judgement,
 ) -> tuple[GapPlace, ...]:
+    verdict = judgement.verdict
     if verdict == "no_gap":
         return ()
     dirty = [reason("gap.map", map=m.name) for m in maps if m.structure.is_significant]
     detail = reason("gap.seen.maps", maps=several(dirty or [Reason("gap.map.none")], "gap.list"))
     channel, regime = _loudest(found)
     if verdict == "unknown":
-        places = _unknown_places(search, maps, found, detail)
+        places = _unknown_places(search, maps, found, detail, partial_of(search, judgement))
     else:
         named = [c for c in causes if c.effect in search.best.ids]
         of_causes = places_of(named, channel, regime, lambda i: reason("gap.seen.effect", effect=i, seen=detail))
@@ -244,6 +233,9 @@ def _places(
             seen = reason("gap.seen.alias", alias=Reason.of(alias.detail))
             places.append(replace(place, share=(1.0 - alias.share) * place.share))
             places.append(replace(place, stage=alias.stage, share=alias.share * place.share, detail=seen))
+        if verdict == "explained_in_part":
+            left = 1.0 - search.explained_share(search.best)
+            places = beside_rest(places, GapPlace("unknown", channel, regime, left))
     at = max(places, key=lambda p: p.share).stage
     return (*places, *regime_places(at, found, "gap.seen.energy"))
 
@@ -259,11 +251,14 @@ def _open_aliases(best: Fit) -> dict[str, Alias]:
 
 
 def _unknown_places(
-    search: EffectSearch, maps: tuple[Map, ...], found: tuple[Regime, ...], detail: Reason
+    search: EffectSearch,
+    maps: tuple[Map, ...],
+    found: tuple[Regime, ...],
+    detail: Reason,
+    partial: Partial | None,
 ) -> list[GapPlace]:
     """Where a gap lies that nothing in the catalogue explains: the likeliest stage first."""
     channel, regime = _loudest(found)
-    partial = partial_of(search)
     share = partial.share if partial is not None else 0.0
     loose = loose_noise(search.best)
     stages: tuple[str, ...] = likely_stages(search.base, maps)
@@ -287,9 +282,9 @@ def _unknown_places(
 def _next(case: Case, search: EffectSearch, group: tuple[Fit, ...], verdict: DiagnosisVerdict) -> NextExperiment:
     # Where something is left besides, causes that look alike are told apart all the same.
     proposed = propose(case, group, search.extent)
-    if proposed is not None and (verdict != "unknown" or proposed.profile != "none"):
+    if proposed is not None and (verdict not in ("unknown", "explained_in_part") or proposed.profile != "none"):
         return proposed
-    if verdict == "unknown":
+    if verdict in ("unknown", "explained_in_part"):
         seen, unseen = Reason("gap.next.what_follows"), Reason("gap.next.what_follows_unseen")
         return NextExperiment("rate_sweep", seen if case.has("stage_mm") else unseen)
     if verdict == "no_gap":

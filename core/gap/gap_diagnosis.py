@@ -1,7 +1,8 @@
 """What the diagnosis of the twin and that of another simulator judge, hold and report alike."""
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Generic, Literal, Self, TypeVar
 
 import numpy as np
@@ -24,6 +25,7 @@ from softcal.core.gap.posterior import (
     probabilities,
     rivals,
 )
+from softcal.core.gap.presence import consistency_of, list_completeness, rest_energy
 from softcal.core.gap.problem import Problem
 from softcal.core.gap.residual import Regime
 from softcal.core.gap.search import EffectSearch
@@ -34,7 +36,7 @@ from softcal.core.words.reason import Reason, in_words, reason, several
 
 CONFIG = METHOD.verdict
 
-DiagnosisVerdict = Literal["no_gap", "explained", "ambiguous", "unknown", "data"]
+DiagnosisVerdict = Literal["no_gap", "explained", "explained_in_part", "ambiguous", "unknown", "data"]
 
 
 @dataclass(frozen=True)
@@ -52,17 +54,20 @@ class RankedCause:
     """One effect of the catalogue and how it stands.
 
     Args:
-        shrink: share of the gap that goes when it is added, of the explained whole.
-        parameters: by the catalogue's equation; empty where it is not in the best hypothesis.
+        shrink: share of the gap that goes with it, of what the set takes; None where it is not in the set.
+        parameters: by the catalogue's equation; empty where no hypothesis has it.
         form: the other equation that fits better, empty where the catalogue's does.
+        alone, added: share of the gap that goes with it alone, and that comes back without it; None where not fitted.
     """
 
     effect: str
     stage: str
     probability: float
-    shrink: float
+    shrink: float | None
     parameters: dict[str, ParameterEstimate]
     form: str = ""
+    alone: float | None = None
+    added: float | None = None
 
 
 @dataclass(frozen=True)
@@ -73,7 +78,7 @@ class GapPlace:
     channel: str
     regime: Reason
     share: float
-    detail: Reason
+    detail: Reason = Reason("gap.map.none")
 
     def record(self) -> dict[str, object]:
         return in_words(vars(self), "regime", "detail")
@@ -101,14 +106,33 @@ def on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...], 
     return tuple(in_play), idle
 
 
+@dataclass(frozen=True)
+class Judgement:
+    """What a search comes to: the one set of causes that every section of a report is of.
+
+    Args:
+        best: the set of causes, the base alone where none lowers the gap on samples held back.
+        group: the set and what cannot be told apart from it.
+        chances: probability of every effect that it is there, whatever else is left.
+        list_complete: probability that nothing unmodelled is left.
+    """
+
+    best: Fit
+    group: tuple[Fit, ...]
+    quantified: Quantified
+    verdict: DiagnosisVerdict
+    chances: dict[str, float]
+    list_complete: float
+
+
 def judged(
     search: EffectSearch,
     effects: Iterable[str],
     say: Callable[[str], None],
     as_told: Callable[[Fit], Fit] = lambda found: found,
     is_uneven: Callable[[Fit], bool] = lambda _: False,
-) -> tuple[tuple[Fit, ...], Quantified, DiagnosisVerdict, dict[str, float]]:
-    """Return a search's best and rival hypotheses, the shrink held out, verdict, chances of effects.
+) -> Judgement:
+    """Return the set of causes of a search, the shrink held out, verdict, and chances of effects.
 
     Args:
         as_told: the best hypothesis as it is handed on.
@@ -130,17 +154,54 @@ def judged(
     say("measuring the shrink on samples no fit has seen")
     quantified = quantify(search.base, as_told(best), search.fits.values())
     verdict = _verdict(search, group, quantified, is_uneven)
-    # Where nothing explains the gap the truth is most likely none of the effects.
-    trust = 1.0 if quantified.stands or not best.ids else CONFIG.imitated_trust
-    trust = CONFIG.unknown_trust * search.explained_share(best) if verdict == "unknown" else trust
+    every = _presence(search, logs, effects, is_uneven)
     # Of a cause held open beside the best hypothesis the mean counts of two readings: every equation may be a little
     # wrong, or they hold exactly.
     larger = [f for f in group if set(f.ids) > set(best.ids)]
     exact = probabilities({f.ids: exact_log_evidence(f) for f in (best, *larger)}, effects)
     open_ = {i for f in larger for i in f.ids}.difference(best.ids)
-    every = {i: 0.5 * (p + exact[i]) if i in open_ else p for i, p in probabilities(logs, effects).items()}
-    chances = {i: p * trust * (CONFIG.imitated_trust if i in doubted else 1.0) for i, p in every.items()}
-    return group, quantified, verdict, chances
+    every = {i: 0.5 * (p + exact[i]) if i in open_ else p for i, p in every.items()}
+    trust = dict.fromkeys(effects if best.ids and not quantified.stands else doubted, CONFIG.imitated_trust)
+    chances = {i: p * trust.get(i, 1.0) for i, p in every.items()}
+    if verdict == "unknown" and search.stranger is None:
+        if quantified.stands and any(chances[i] >= METHOD.presence.certain for i in best.ids):
+            verdict = "explained_in_part"
+        elif (best := search.closest_set()) is not search.best:
+            group, quantified = (best,), quantify(search.base, as_told(best), is_given=True)
+    if best.ids and not quantified.stands:
+        best, group, quantified = search.base, (search.base,), quantify(search.base, search.base)
+    search.best = best
+    return Judgement(best, group, quantified, verdict, chances, _completeness(search, best, is_uneven))
+
+
+def _completeness(search: EffectSearch, found: Fit, is_uneven: Callable[[Fit], bool]) -> float:
+    has_unlisted = search.stranger is not None or is_uneven(found)
+    gap, chance = max(search.base.chi2 - search.base.problem.count, 1.0), search.noise_chance(found)
+    rest = min(rest_energy(found, chance) / gap, 1.0) if found.ids else 1.0
+    return list_completeness(chance, rest, has_unlisted)
+
+
+def _presence(
+    search: EffectSearch,
+    logs: Mapping[tuple[str, ...], float],
+    effects: Iterable[str],
+    is_uneven: Callable[[Fit], bool],
+) -> dict[str, float]:
+    """Return for every effect the probability that it is there, an unmodelled rest or not.
+
+    Every hypothesis counts by its evidence. In one that leaves a rest a cause may be what imitates a part of it.
+    """
+    top = max(logs.values())
+    weights = {ids: float(np.exp(value - top)) for ids, value in logs.items()}
+    total, chances = sum(weights.values()), dict.fromkeys(effects, 0.0)
+    for ids, weight in weights.items():
+        if ids and weight > METHOD.presence.negligible * total:
+            found = search.fits[ids]
+            complete, rest = _completeness(search, found, is_uneven), rest_energy(found, search.noise_chance(found))
+            for i in ids:
+                genuine = consistency_of(found, i, rest).genuine_chance
+                chances[i] += weight / total * (complete + (1.0 - complete) * genuine)
+    return chances
 
 
 S = TypeVar("S", bound=EffectSearch)
@@ -174,13 +235,6 @@ def _verdict(
     return "ambiguous" if len(group) > 1 else "explained"
 
 
-def nearest(search: EffectSearch) -> Fit:
-    """Return the simplest hypothesis that takes nearly the most of the gap away."""
-    most = max(search.share(found) for found in search.fits.values())
-    near = [found for found in search.fits.values() if search.share(found) >= most - CONFIG.near_share]
-    return min(near, key=lambda found: (len(found.ids), found.chi2))
-
-
 def estimates_of(found: Fit, effect_id: str) -> dict[str, ParameterEstimate]:
     """Return value and 90 % interval of an effect's parameters; none where the fit lacks it."""
     effect = next((e for e in found.effects if e.id == effect_id), None)
@@ -195,6 +249,25 @@ def estimates_of(found: Fit, effect_id: str) -> dict[str, ParameterEstimate]:
         value, low, high = (float(np.nan_to_num(v, posinf=p.high, neginf=p.low)) for v in three)
         out[p.name] = ParameterEstimate(value, low, high, p.unit)
     return out
+
+
+def bounds_reached(found: Fit) -> dict[str, float]:
+    """Return the parameters that a fit left on a bound, with values; a cause's as `cause.parameter`.
+
+    A bound that switches a cause off is none.
+    """
+    base, rows = found.hypothesis.split(found.coordinates)
+    free = [p for p, is_free in zip(found.hypothesis.of_all, found.problem.is_free, strict=True) if is_free]
+    pairs = [(p.name, p, v) for p, v in zip(found.hypothesis.of_all, base, strict=True) if p in free]
+    for effect, values in zip(found.effects, rows, strict=True):
+        pairs += [(f"{effect.id}.{p.name}", p, v) for p, v in zip(effect.parameters, values, strict=True)]
+    reached = {}
+    for name, parameter, value in pairs:
+        own = found.problem.scale.sized(parameter)
+        ends = [end for end in (own.low, own.high) if np.isfinite(end) and end != own.neutral and not own.is_fixed]
+        if any(math.isclose(value, end, rel_tol=1e-6, abs_tol=1e-9 * abs(own.usual)) for end in ends):
+            reached[name] = value
+    return reached
 
 
 SCHEMA = "softcal.gap/1"
@@ -212,6 +285,7 @@ class GapDiagnosis(Generic[T]):
         mistakes: in the recordings; with another verdict than `data` they are questions.
         residual: empirical terms for what no named cause explains, if they hold on runs held back.
         told: what the runs tell of the base and of every effect; None where there is a mistake.
+        list_complete: probability that nothing unmodelled is left.
     """
 
     verdict: DiagnosisVerdict
@@ -231,6 +305,7 @@ class GapDiagnosis(Generic[T]):
     partial: Partial | None = None
     residual: LearnedResidual[T] | None = None
     told: Identifiability | None = None
+    list_complete: float = 0.0
 
     @classmethod
     def stopped(cls, base: Fit, effects: Iterable[Effect], mistakes: tuple[DataMistake, ...], **own: Any) -> Self:
@@ -239,7 +314,7 @@ class GapDiagnosis(Generic[T]):
             verdict="data",
             base=base,
             best=base,
-            causes=tuple(RankedCause(effect.id, effect.stage, 0.0, 0.0, {}) for effect in effects),
+            causes=tuple(RankedCause(effect.id, effect.stage, 0.0, None, {}) for effect in effects),
             gap=gap_of_base(base),
             next_experiment=NextExperiment("none", several([one.repair for one in mistakes])),
             mistakes=mistakes,
@@ -247,18 +322,26 @@ class GapDiagnosis(Generic[T]):
         )
 
     @classmethod
-    def of(cls, base: Fit, found: Fit, group: tuple[Fit, ...], quantified: Quantified, **own: Any) -> Self:
-        """Return the diagnosis of a base and its rivals, with what follows from them alone."""
+    def of(cls, base: Fit, judgement: Judgement, **own: Any) -> Self:
+        """Return the diagnosis of a base and its judgement, with what follows from them alone."""
+        found, quantified = judgement.group[0], judgement.quantified
         return cls(
             base=base,
+            verdict=judgement.verdict,
             gap=quantified.gap,
             shrink=quantified.shrink,
             protocol=quantified.protocol,
             chosen=quantified.chosen,
-            ambiguous_with=confused_pairs(group),
+            ambiguous_with=confused_pairs(judgement.group),
             hidden_fraction={i: hidden_fraction(found, i) for i in found.ids},
+            list_complete=judgement.list_complete,
             **own,
         )
+
+    @property
+    def on_bound(self) -> dict[str, float]:
+        """Parameters of base and causes left on a bound, with values: often the recordings are to blame."""
+        return bounds_reached(self.best)
 
     @property
     def case(self) -> Case:
@@ -286,6 +369,8 @@ class GapDiagnosis(Generic[T]):
             "explained_share": self.explained_share,
             "partial": None if self.partial is None else vars(self.partial) | {"effects": list(self.partial.effects)},
             "residual": None if self.residual is None else self.residual.record(),
+            "list_complete": self.list_complete,
+            "on_bound": self.on_bound,
         }
 
 
@@ -293,8 +378,14 @@ def places_of(
     causes: Sequence[RankedCause], channel: str, regime: Reason, detail: Callable[[str], Reason]
 ) -> list[GapPlace]:
     """Return the places of named causes, each with its part of what all of them take."""
-    total = sum(c.shrink for c in causes) or 1.0
-    return [GapPlace(c.stage, channel, regime, c.shrink / total, detail(c.effect)) for c in causes]
+    total = sum(c.shrink or 0.0 for c in causes) or 1.0
+    return [GapPlace(c.stage, channel, regime, (c.shrink or 0.0) / total, detail(c.effect)) for c in causes]
+
+
+def beside_rest(places: Sequence[GapPlace], rest: GapPlace) -> list[GapPlace]:
+    """Return the places of causes, scaled by what they take, with the place of a rest."""
+    rest = replace(rest, detail=reason("gap.seen.rest", share=rest.share))
+    return [*(replace(place, share=(1.0 - rest.share) * place.share) for place in places), rest]
 
 
 def regime_places(stage: str, seen: Sequence[Regime], code: str) -> list[GapPlace]:
@@ -302,11 +393,20 @@ def regime_places(stage: str, seen: Sequence[Regime], code: str) -> list[GapPlac
     return [GapPlace(stage, r.channel, r.name, r.share, reason(code, share=r.share, lift=r.lift)) for r in seen[:4]]
 
 
-def partial_of(search: EffectSearch) -> Partial | None:
-    """Return the causes that come nearest, and their share; None where none takes anything."""
-    closest = nearest(search)
+def partial_of(search: EffectSearch, judgement: Judgement) -> Partial | None:
+    """Return the set and its share of the gap where a rest is left; what comes nearest where no set stands."""
+    if judgement.verdict not in ("unknown", "explained_in_part"):
+        return None
+    closest = judgement.best if judgement.best.ids else nearest(search)
     share = search.explained_share(closest)
     return Partial(closest.ids, share) if closest.ids and share > 0.0 else None
+
+
+def nearest(search: EffectSearch) -> Fit:
+    """Return the simplest hypothesis that takes nearly the most of the gap away."""
+    most = max(search.share(found) for found in search.fits.values())
+    near = [found for found in search.fits.values() if search.share(found) >= most - CONFIG.near_share]
+    return min(near, key=lambda found: (len(found.ids), found.chi2))
 
 
 def ranked_causes(
@@ -324,20 +424,34 @@ def ranked_causes(
         held_out: share of the gap that goes on samples held back, split among the best causes.
     """
     ids = best.ids
+    excess = max(search.base.chi2 - search.base.problem.count, 0.0)
+    one_less = {i: search.fits.get(tuple(j for j in ids if j != i)) for i in ids}
     # The explained χ² is split among several causes: the mean of adding each first and last.
     worth = dict.fromkeys(ids, 1.0)
     for effect_id in ids if len(ids) > 1 else ():
-        alone, rest = search.fits.get((effect_id,)), search.fits.get(tuple(i for i in ids if i != effect_id))
+        alone, rest = search.fits.get((effect_id,)), one_less[effect_id]
         first = search.base.chi2 - alone.chi2 if alone else 0.0
         last = rest.chi2 - best.chi2 if rest else 0.0
         worth[effect_id] = max(0.5 * (first + last), 0.0)
     total = sum(worth.values()) or 1.0
     forms = {e.id: form_of(e) for e in best.effects}
 
+    def share_of(better: Fit | None, worse: Fit | None) -> float | None:
+        if better is None or worse is None or excess <= 0.0:
+            return None
+        return float(np.clip((worse.chi2 - better.chi2) / excess, 0.0, 1.0))
+
     def cause(effect: Effect) -> RankedCause:
         found = next((f for f in fits if effect.id in f.ids), search.fits.get((effect.id,)))
-        parameters = estimates_of(found, effect.id) if found is not None else {}
-        share = worth.get(effect.id, 0.0) / total * held_out
-        return RankedCause(effect.id, effect.stage, chances[effect.id], share, parameters, forms.get(effect.id, ""))
+        return RankedCause(
+            effect.id,
+            effect.stage,
+            chances[effect.id],
+            worth[effect.id] / total * held_out if effect.id in worth else None,
+            estimates_of(found, effect.id) if found is not None else {},
+            forms.get(effect.id, ""),
+            alone=share_of(search.fits.get((effect.id,)), search.base),
+            added=share_of(best, one_less.get(effect.id)),
+        )
 
-    return tuple(sorted(map(cause, effects), key=lambda c: (-c.probability, -c.shrink)))
+    return tuple(sorted(map(cause, effects), key=lambda c: (-c.probability, -(c.shrink or 0.0))))

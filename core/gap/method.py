@@ -347,6 +347,8 @@ class ShrinkConfig:
         beyond: standard errors by which χ² must fall on samples held back.
         block_s: length of the stretches that are held back where whole runs cannot be.
         least_margin: one recording does not know its own forecast better than that.
+        contradicts: distance of what was measured from the interval of a forecast, or the interval's own width where
+            that is more, from which the forecast is left out.
     """
 
     parts: int = setting(4)
@@ -355,6 +357,7 @@ class ShrinkConfig:
     beyond: float = setting(1.64, "95 % of a normal distribution: by chance it does once in twenty")
     block_s: float = setting(0.6)
     least_margin: float = setting(0.02)
+    contradicts: float = setting(0.1)
 
 
 @dataclass(frozen=True)
@@ -413,13 +416,15 @@ class VerdictConfig:
     """From a search to a verdict and to probabilities (`gap_diagnosis.py`).
 
     Args:
-        unknown_trust: how far probabilities are trusted beside an unknown gap, for a share of 1.
+        unknown_trust: how far probabilities of a lot are trusted beside an unknown gap.
         doubted_chance: how likely noise leaves as much, below which what causes leave is none. At any
             stricter level a cause might take much of a small gap and its rest pass for noise; one
             right cause in twenty of a small gap is given up for it.
         down_to_noise: share of the gap, held out too, from which the rest is the difference between two
             equations of one cause.
         near_share: of the gap that one cause more must take to be told as what comes nearest.
+        most_tried: sets that leave least, tried on samples held back beside the best of every size.
+        near_error: share of its error on runs held back that one cause more must take to be in the set.
         imitated_trust: in a cause that another equation of those beside it would explain as well.
     """
 
@@ -431,7 +436,40 @@ class VerdictConfig:
         "most is 0.70; they were looked at for it and test nothing",
     )
     near_share: float = setting(0.01)
+    most_tried: int = setting(4)
+    near_error: float = setting(0.02)
     imitated_trust: float = setting(0.4)
+
+
+@dataclass(frozen=True)
+class PresenceConfig:
+    """Whether a cause is there, and whether the list is complete (`presence.py`).
+
+    Args:
+        parts: of every run, in which a cause may ask for a size of its own.
+        acts: share of a cause's energy from which a part tells of its size.
+        share_odds, of_share: log odds of cause over rest at which it is as likely an imitation, and their weight.
+        disagreement, of_disagreement: relative disagreement of the parts at which it is so, and its weight.
+        certain: probability from which a cause is named beside a rest.
+        complete_odds: prior odds that nothing is left where noise explains all.
+        half_share: share of the gap whose rest is as likely another law of the same cause as something unmodelled.
+        open_law: how sure that is at best.
+        negligible: weight of a hypothesis below which it says nothing of its causes.
+        unlisted: completeness where a departure outside the list explains more.
+    """
+
+    parts: int = setting(4)
+    acts: float = setting(1e-3)
+    share_odds: float = setting(2.2)
+    of_share: float = setting(3.0)
+    disagreement: float = setting(0.13)
+    of_disagreement: float = setting(2.0)
+    certain: float = setting(0.9)
+    complete_odds: float = setting(9.0)
+    half_share: float = setting(0.02)
+    open_law: float = setting(0.95)
+    negligible: float = setting(1e-3)
+    unlisted: float = setting(0.05)
 
 
 @dataclass(frozen=True)
@@ -471,6 +509,7 @@ class GapMethod(NumberedMethod):
     learn: LearnConfig = field(default_factory=LearnConfig)
     telling: TellingConfig = field(default_factory=TellingConfig)
     verdict: VerdictConfig = field(default_factory=VerdictConfig)
+    presence: PresenceConfig = field(default_factory=PresenceConfig)
     worth: WorthConfig = field(default_factory=WorthConfig)
 
 

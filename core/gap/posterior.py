@@ -61,7 +61,7 @@ def penalty(found: Fit) -> float:
     """Return the penalty where a loose lead is one cause, however often it gaps.
 
     Each episode was paid for in full when it was placed. A size that these runs hardly determine pays
-    less than Schwarz's ln n: −2·ln of posterior over prior (Laplace).
+    less than Schwarz's ln n: −2·ln of posterior over prior (Laplace). An unusual size is less likely.
     """
     problem, most = found.problem, float(np.log(found.problem.count))
     more = max(found.hypothesis.episode_count - 1, 0)
@@ -69,7 +69,7 @@ def penalty(found: Fit) -> float:
     if problem.is_driven_by_force:
         # What its noise feigns is in the floor already.
         cheaper += EVIDENCE.driven_cost * len(found.ids)
-    spared, on_bound = 0.0, 0
+    spared, unusual, on_bound = 0.0, 0.0, 0
     for effect, values in zip(found.effects, found.effect_values, strict=True):
         size, at = problem.scale.sized(effect.parameters[0]), found.hypothesis.place_of(effect.id)
         ends = [end for end in (size.low, size.high) if end not in (0.0, size.neutral)]
@@ -78,7 +78,10 @@ def penalty(found: Fit) -> float:
         if variance > 0.0 and not effect.is_episodic:
             width = EVIDENCE.usual_range * fit_scale(size) / np.sqrt(2.0 * np.pi * variance)
             spared += size.weight * max(0.0, most - 2.0 * float(np.log(max(width, 1.0))))
-    return found.penalty - (cheaper + spared) + EVIDENCE.bound_cost * on_bound
+        if size.neutral == 0.0:
+            # Of two sets that these runs cannot tell apart the one of usual sizes is likelier: Cauchy's prior.
+            unusual += 2.0 * float(np.log1p((values[0] / (EVIDENCE.usual_range * size.usual)) ** 2))
+    return found.penalty - (cheaper + spared) + unusual + EVIDENCE.bound_cost * on_bound
 
 
 def log_evidences(fits: Fits) -> dict[tuple[str, ...], float]:

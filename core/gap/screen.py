@@ -1,6 +1,6 @@
 """Which effects a case can show and which are worth a full fit: score tests of every probe."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -45,16 +45,16 @@ def extent_of(base: Fit) -> Extent:
     )
 
 
-def visible_effects(case: Case) -> tuple[Effect, ...]:
-    """Return the effects that the recorded channels can show at all."""
-    seen = [effect for effect in EFFECTS.values() if effect.stage not in case.unseen_stages]
+def visible_effects(case: Case, effects: Mapping[str, Effect] = EFFECTS) -> tuple[Effect, ...]:
+    """Return the effects of a list that the recorded channels can show at all."""
+    seen = [effect for effect in effects.values() if effect.stage not in case.unseen_stages]
     return tuple(effect for effect in seen if all(map(case.changes, effect.signs.needs)))
 
 
-def probes(case: Case, extent: Extent) -> tuple[Probe, ...]:
+def probes(case: Case, extent: Extent, effects: Mapping[str, Effect] = EFFECTS) -> tuple[Probe, ...]:
     """Return the probes of every visible effect whose place in time need not be searched first."""
-    sized = RigScale.of(case).sized
-    return tuple(Probe(e, row, e.is_one_sided) for e in visible_effects(case) for row in e.probes(extent, sized))
+    sized, visible = RigScale.of(case).sized, visible_effects(case, effects)
+    return tuple(Probe(e, row, e.is_one_sided) for e in visible for row in e.probes(extent, sized))
 
 
 def is_told(case: Case, alias: Alias) -> bool:

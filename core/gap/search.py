@@ -17,7 +17,7 @@ from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.residual import is_clean
 from softcal.core.gap.screen import Probe, extent_of, hiding, joined, probes, screen, visible_effects
 from softcal.core.gap.start import base_fit, rough_start, with_driving_noise
-from softcal.core.twin.catalogue import FORMS
+from softcal.core.twin.catalogue import EFFECTS, FORMS
 from softcal.core.twin.effects import Effect, Form, Placing
 from softcal.core.twin.probes import Extent
 
@@ -48,14 +48,20 @@ class EffectSearch:
         """Causes that another equation of those beside them explains as well, with fits."""
 
     @classmethod
-    def of(cls, case: Case, say: Progress = lambda _: None, problem: Problem | None = None) -> "EffectSearch":
-        """Return the search over the catalogue for a case, under the noise of a problem if given."""
+    def of(
+        cls,
+        case: Case,
+        say: Progress = lambda _: None,
+        problem: Problem | None = None,
+        effects: Mapping[str, Effect] = EFFECTS,
+    ) -> "EffectSearch":
+        """Return the search over a list of effects for a case, under the noise of a problem if given."""
         say("fitting the base twin to all runs")
         base = base_fit(case)
         base = base if problem is None else fit(problem, Hypothesis(), base.coordinates)
         extent = extent_of(base)
-        to_place = [e for e in visible_effects(case) if e.signs.placing is not None]
-        return cls(base, probes(case, extent), to_place, extent, METHOD.search, say)
+        to_place = [e for e in visible_effects(case, effects) if e.signs.placing is not None]
+        return cls(base, probes(case, extent, effects), to_place, extent, METHOD.search, say)
 
     def run(self) -> None:
         """Grow the hypotheses until no effect promises anything more."""
@@ -199,6 +205,10 @@ class EffectSearch:
     def closest(self) -> Fit:
         """The fit that leaves least, however many causes it takes."""
         return min(self.fits.values(), key=lambda found: found.chi2)
+
+    def closest_set(self) -> Fit:
+        """Return the set of causes to go on with where none is certain: the likeliest."""
+        return self.best
 
     def is_clean(self, found: Fit) -> bool:
         """Whether a hypothesis leaves no structure."""

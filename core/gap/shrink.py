@@ -28,12 +28,24 @@ class ChannelGap:
 
 @dataclass(frozen=True)
 class Shrink:
-    """1 − (after − floor)/(before − floor): forecast with 90 % interval, and on unseen samples."""
+    """1 − (after − floor)/(before − floor): forecast with 90 % interval, and on unseen samples.
 
-    predicted: float
-    low: float
-    high: float
+    There is no forecast where the unseen samples of the same runs contradict it already.
+    """
+
+    predicted: float | None
+    low: float | None
+    high: float | None
     held_out: float
+
+    @classmethod
+    def checked(cls, forecast: tuple[float, float, float], held_out: float) -> "Shrink":
+        """Return a forecast beside what was measured, left out where that lies far outside its interval."""
+        _, low, high = forecast
+        far = max(high - low, CONFIG.contradicts)
+        if low - far <= held_out <= high + far:
+            return cls(*forecast, held_out)
+        return cls(None, None, None, held_out)
 
 
 @dataclass(frozen=True)
@@ -101,7 +113,7 @@ def quantify(base: Fit, best: Fit, others: Iterable[Fit] = (), is_given: bool = 
     ]
     chosen = seen if is_given else [fold.chosen(rivals) for fold in seen]
     gap = {c: _channel_gap(chosen, best.problem, c) for c in best.problem.scored_channels}
-    shrink = Shrink(*_forecast(seen, best), _shrink_of(gap.values()))
+    shrink = Shrink.checked(_forecast(seen, best), _shrink_of(gap.values()))
     ids = tuple(fold.after.ids for fold in chosen)
     return Quantified(gap, shrink, protocol, ids, *_held_out_gain(chosen, best.problem))
 
@@ -124,6 +136,16 @@ def _refit(base: Fit, best: Fit, unseen: Mask) -> _Fold:
     before = fit(problem, base.hypothesis, base.coordinates, steps=6)
     after = before if best is base else fit(problem, best.hypothesis, best.coordinates, steps=6)
     return _Fold(unseen, before, after)
+
+
+def held_out_error(base: Fit, found: Fit) -> float:
+    """Return the error of a hypothesis on samples held back in turn, RMS in units of the noise."""
+    problem, squares, count = found.problem, 0.0, 0
+    for unseen in _folds(problem, found.hypothesis)[0]:
+        after = _refit(base, found, unseen).after
+        errors = problem.whitened(problem.measured - after.predicted)[unseen]
+        squares, count = squares + energy(errors), count + len(errors)
+    return float(np.sqrt(squares / max(count, 1)))
 
 
 def _pooled(folds: list[_Fold], problem: Problem, channel: str, errors: list[Array]) -> float:
@@ -201,7 +223,7 @@ def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
         slopes = fit(whole, found.hypothesis, found.coordinates, steps=0).slopes
         carried = np.array([combine(row, slopes) for row in found.covariance])
         spreads.append(np.asarray(np.sqrt(np.maximum(np.sum(carried * slopes, axis=0), 0.0))))
-    is_noise, likely, pessimist = is_clean(best), [], []
+    is_noise, likely, pessimist, optimist = is_clean(best), [], [], []
     for channel in problem.scored_channels:
         floor = problem.floor(channel)
         # What the hypothesis leaves above the floor. Where a measured force drives the chain its noise is part of it:
@@ -217,6 +239,8 @@ def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
         likely.append(ChannelGap(before[0], float(np.sqrt(floor**2 + unexplained**2 + spread**2)), floor))
         after = float(np.sqrt(floor**2 + (1.6 * left) ** 2 + (2.0 * spread) ** 2))
         pessimist.append(ChannelGap(before[1], after, floor))
+        # What these runs do not tell of a parameter may turn out to be right.
+        optimist.append(ChannelGap(before[0], float(np.sqrt(floor**2 + unexplained**2)), floor))
     predicted = _shrink_of(likely)
     margin = max(CONFIG.least_margin, predicted - _shrink_of(pessimist))
-    return predicted, max(0.0, predicted - margin), min(1.0, predicted + margin)
+    return predicted, max(0.0, predicted - margin), min(1.0, max(predicted + margin, _shrink_of(optimist)))

@@ -161,6 +161,8 @@ class Simulator:
         per_run: by channel, what each run may have of its own and no cause has to explain: `zero` in the channel's
             unit, `gain` as a share, `delay` in s, `drift` in the channel's unit per s; each with the largest that is
             taken off. A gain that all runs share belongs to the base.
+        run_parameters: what each run has of its own and the simulator must be told, such as where it begins. They are
+            fitted run by run, and called `name@run` in a report.
 
     Raises:
         InputError: two parts have the same name, or a part that must be there is missing.
@@ -174,11 +176,12 @@ class Simulator:
     candidates: tuple[Effect, ...]
     experiments: Mapping[str, Experiment] = field(default_factory=dict)
     per_run: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    run_parameters: tuple[Parameter, ...] = ()
 
     def __post_init__(self) -> None:
         for what, names in (
             ("channel", self.channels),
-            ("base parameter", [p.name for p in self.base]),
+            ("base parameter", [p.name for p in (*self.base, *self.run_parameters)]),
             ("candidate", [c.id for c in self.candidates]),
         ):
             if not names:
@@ -200,7 +203,7 @@ class Simulator:
 
     def _check_bounds(self) -> None:
         of_causes = [(f"{effect.id}.{p.name}", p) for effect in self.candidates for p in effect.parameters]
-        for name, p in (*((p.name, p) for p in self.base), *of_causes):
+        for name, p in (*((p.name, p) for p in (*self.base, *self.run_parameters)), *of_causes):
             bounds = f"simulator {self.name}: {name} has the bounds {p.low:g} and {p.high:g} {p.unit}".rstrip()
             if not -np.inf < p.low < p.high < np.inf:
                 raise InputError(f"{bounds}; two numbers were expected, the smaller first")
@@ -214,6 +217,22 @@ class Simulator:
         """Channel and kind of what each run may have of its own; delays have a straightness."""
         own = [(channel, kind) for channel, kinds in self.per_run.items() for kind in kinds]
         return (*own, *((channel, STRAIGHT) for channel, kind in own if kind == "delay"))
+
+    def of_runs(self, names: Sequence[str]) -> "Simulator":
+        """Return the simulator with a base parameter for each run of these names in place of its own parameters."""
+        own = tuple(replace(p, name=f"{p.name}@{name}") for name in names for p in self.run_parameters)
+        return replace(self, base=(*self.base, *own), run_parameters=())
+
+    def parameters_of(self, parameters: Mapping[str, float], run_name: str) -> Mapping[str, float]:
+        """Return parameters as `run` takes them for one run: what that run has of its own by its plain name."""
+        own = {name: value for name, value in parameters.items() if "@" in name}
+        usual = {p.name: p.usual for p in self.run_parameters if p.name not in parameters}
+        if not own and not usual:
+            return parameters
+        mine = {name.partition("@")[0]: value for name, value in own.items() if name.endswith(f"@{run_name}")}
+        # A run that is not recorded yet begins where the first one did.
+        first = {name.partition("@")[0]: value for name, value in reversed(own.items())}
+        return usual | {name: value for name, value in parameters.items() if name not in own} | first | mine
 
     @property
     def parameter_names(self) -> list[str]:
@@ -236,8 +255,11 @@ class Simulator:
             out |= {f"{effect.id}.{p.name}": value for p, value in zip(effect.parameters, row, strict=True)}
         return out
 
-    def __call__(self, inputs: Columns, parameters: Mapping[str, float]) -> Columns:
+    def __call__(self, inputs: Columns, parameters: Mapping[str, float], run_name: str = "") -> Columns:
         """Return the predicted channels of a run.
+
+        Args:
+            run_name: whose own parameters are taken, of those called `name@run`; the first run's where "".
 
         Raises:
             SimulatorFailed: it raises, a channel is missing, has another length, or is not finite.
@@ -245,7 +267,7 @@ class Simulator:
         try:
             # What overflows is found below, and is said once.
             with np.errstate(all="ignore"):
-                found = self.run(inputs, parameters)
+                found = self.run(inputs, self.parameters_of(parameters, run_name))
         except Exception as error:
             lines = [one.lineno for one in traceback.extract_tb(error.__traceback__) if one.filename == self._file]
             line = f", line {lines[-1]}" if lines else ""

@@ -108,7 +108,7 @@ def check_calls(simulator: Simulator, runs: Sequence[SimulatorRun]) -> None:
     Raises:
         InputError: equal calls differ, an input is written into, channels are rounded, or a parameter is never read.
     """
-    calls, usual = _Calls(simulator, runs), {p.name: p.usual for p in simulator.base}
+    calls, usual = _Calls(simulator, runs), {p.name: p.usual for p in _of_base(simulator)}
     off, on = usual | simulator.neutral_values, usual | {name: p.usual for name, p in _of_candidates(simulator)}
     try:
         plain = calls.first(off)
@@ -127,6 +127,10 @@ def check_calls(simulator: Simulator, runs: Sequence[SimulatorRun]) -> None:
     _refuse_unread(calls, on)
 
 
+def _of_base(simulator: Simulator) -> tuple[Parameter, ...]:
+    return (*simulator.base, *simulator.run_parameters)
+
+
 def _of_candidates(simulator: Simulator) -> list[tuple[str, Parameter]]:
     return [(f"{effect.id}.{p.name}", p) for effect in simulator.candidates for p in effect.parameters]
 
@@ -142,7 +146,7 @@ def _refuse_differing(simulator: Simulator, one: Array, other: Array, when: str)
 def _moved(simulator: Simulator, values: Mapping[str, float], steps: float) -> dict[str, float]:
     """Return the parameters, each moved by so many steps of the fit's difference quotients."""
     out = {}
-    for name, p in (*((p.name, p) for p in simulator.base), *_of_candidates(simulator)):
+    for name, p in (*((p.name, p) for p in _of_base(simulator)), *_of_candidates(simulator)):
         x, step = to_fit(p, values[name]), steps * DIFFERENCE * fit_scale(p)
         out[name] = (
             values[name]
@@ -165,7 +169,7 @@ def _refuse_unread(calls: _Calls, values: Mapping[str, float]) -> None:
     What these runs alone do not excite is left to the diagnosis, which says that they cannot tell it.
     """
     simulator = calls.simulator
-    for name, p in (*((p.name, p) for p in simulator.base), *_of_candidates(simulator)):
+    for name, p in (*((p.name, p) for p in _of_base(simulator)), *_of_candidates(simulator)):
         if name in calls.names or p.is_fixed:
             continue
         makes = (calls.every, calls.excited) if calls.is_iterated else ()

@@ -20,10 +20,10 @@ from softcal.core.gap.gap_diagnosis import (
     DiagnosisVerdict,
     GapDiagnosis,
     GapPlace,
-    Partial,
     RankedCause,
+    beside_rest,
     judged,
-    nearest,
+    partial_of,
     places_of,
     ranked_causes,
     regime_places,
@@ -34,11 +34,10 @@ from softcal.core.gap.next_experiment import MenuEntry, NextExperiment
 from softcal.core.gap.problem import Block, Hypothesis, Problem
 from softcal.core.gap.residual import Regime, shares_of_gap, structure
 from softcal.core.gap.search import EffectSearch, Progress
-from softcal.core.gap.shrink import quantify
 from softcal.core.gap.simulator import Simulator, SimulatorRun, SimulatorTerm, planned, terms_of
 from softcal.core.gap.simulator_check import check_calls
 from softcal.core.gap.simulator_plausibility import against_others, cut_off, shown
-from softcal.core.gap.simulator_problem import Failures, SimulatorProblem, followed, is_high, is_quick, runs_of
+from softcal.core.gap.simulator_problem import Failures, SimulatorProblem, followed, is_high, is_quick
 from softcal.core.gap.simulator_search import SimulatorSearch, base_fit
 from softcal.core.metrics import finite_or_none
 from softcal.core.recording import Array
@@ -72,6 +71,8 @@ def _places(
     else:
         named = [c for c in causes if c.effect in best.ids]
         places = places_of(named, channel, regime, lambda effect_id: reason("gap.effect", effect=effect_id))
+        if verdict == "explained_in_part":
+            places = beside_rest(places, GapPlace("unknown", channel, regime, 1.0 - search.explained_share(best)))
     return (*places, *regime_places(places[0].stage, seen, "gap.seen.energy_of_all"))
 
 
@@ -154,7 +155,9 @@ def diagnose_simulator(
     if not runs:
         raise InputError(f"simulator {simulator.name}: no run was given; a diagnosis needs one")
     say = progress or (lambda _: None)
-    case = Case(serial, tuple(runs))
+    say("calling the simulator a few times")
+    check_calls(simulator, runs)
+    case, simulator = Case(serial, tuple(runs)), simulator.of_runs([run.name for run in runs])
     base, mistakes, questions = _base_and_mistakes(simulator, case, say)
     if mistakes:
         return SimulatorDiagnosis.stopped(base, simulator.candidates, mistakes, simulator=simulator)
@@ -162,40 +165,27 @@ def diagnose_simulator(
     for untold in reasons(told):
         say(str(untold))
     search = _searched(simulator, base, told, say)
-    group, quantified, verdict, chances = judged(search, [c.id for c in simulator.candidates], say)
-    best = search.best
-    if verdict == "unknown":
-        best = nearest(search)
-        quantified = quantify(search.base, best, is_given=True)
-        if not quantified.stands:
-            best = search.base
-            quantified = quantify(search.base, best)
-    elif verdict == "no_gap" and best.ids:
-        best, group = search.base, (search.base,)
-        quantified = quantify(search.base, best)
-    share = search.explained_share(best)
-    ids, held_out = best.ids, quantified.shrink.held_out
-    causes = ranked_causes(search, best, simulator.candidates, (best, *group), chances, held_out)
+    judgement = judged(search, [c.id for c in simulator.candidates], say)
+    best, verdict = judgement.best, judgement.verdict
+    held_out = judgement.quantified.shrink.held_out
+    causes = ranked_causes(search, best, simulator.candidates, judgement.group, judgement.chances, held_out)
     diagnosis = SimulatorDiagnosis.of(
         search.base,
-        best,
-        group,
-        quantified,
+        judgement,
         simulator=simulator,
-        verdict=verdict,
         best=best,
         causes=causes,
         places=_places(search, best, causes, verdict),
-        next_experiment=_next(simulator, group, verdict),
-        explained_share=share,
+        next_experiment=_next(simulator, judgement.group, verdict),
+        explained_share=search.explained_share(best),
         told=told,
         mistakes=questions,
-        partial=Partial(ids, share) if verdict == "unknown" and ids else None,
+        partial=partial_of(search, judgement),
     )
     if verdict == "no_gap":
         return diagnosis
     say("describing what is left")
-    parents = (search.base, best) if verdict == "unknown" else (best,)
+    parents = (search.base, best) if verdict == "unknown" and best.ids else (best,)
     return replace(diagnosis, residual=learned(search.base, parents, partial(terms_of, simulator)))
 
 
@@ -209,7 +199,8 @@ def check_simulator(
     """
     if not runs:
         raise InputError(f"simulator {simulator.name}: no run was given; a check needs one")
-    case = Case("", tuple(runs))
+    check_calls(simulator, runs)
+    case, simulator = Case("", tuple(runs)), simulator.of_runs([run.name for run in runs])
     base, mistakes, questions = _base_and_mistakes(simulator, case, lambda _: None)
     return (mistakes, None) if mistakes else (questions, told_by(simulator, base))
 
@@ -218,8 +209,6 @@ def _base_and_mistakes(
     simulator: Simulator, case: Case, say: Progress
 ) -> tuple[Fit, tuple[DataMistake, ...], tuple[DataMistake, ...]]:
     """Return the fitted base, the mistakes that stop a diagnosis, and those that are a question beside it."""
-    say("calling the simulator a few times")
-    check_calls(simulator, runs_of(case))
     say("looking for mistakes in the recordings")
     mistakes = shown(simulator, case)
     say(f"fitting {simulator.name} to all runs")
@@ -272,6 +261,8 @@ def menu_of(simulator: Simulator) -> list[MenuEntry]:
 def _next(simulator: Simulator, group: tuple[Fit, ...], verdict: DiagnosisVerdict) -> NextExperiment:
     if verdict == "unknown":
         return NextExperiment("none", Reason("gap.next.add_candidate"))
+    if verdict == "explained_in_part" and len(group) < 2:
+        return NextExperiment("none", Reason("gap.next.name_rest"))
     if len(group) < 2:
         no_gap, separated = Reason("gap.next.no_gap"), Reason("gap.next.separated_here")
         return NextExperiment("none", no_gap if verdict == "no_gap" else separated)

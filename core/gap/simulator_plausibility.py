@@ -174,7 +174,7 @@ def _fitted(problem: SimulatorProblem, runs: Sequence[SimulatorRun]) -> Fit:
 
 def _repaired(simulator: Simulator, others: Fit, run: SimulatorRun, number: int) -> Iterator[tuple[DataMistake, float]]:
     said = simulator.named(others.hypothesis, others.coordinates)
-    gives = simulator(run.columns, said)
+    gives = simulator(run.columns, said, run.name)
     off = [c for c in simulator.channels if _share(run.columns[c], gives[c]) < CONFIG.bad]
     for channel in off if len(off) == 1 else ():
         slope = float(np.polyfit(gives[channel], run.columns[channel], 1)[0]) if np.ptp(gives[channel]) > 0.0 else 0.0
@@ -183,7 +183,7 @@ def _repaired(simulator: Simulator, others: Fit, run: SimulatorRun, number: int)
             yield _of_factor(channel, number, 1.0 / slope), share
     for name in simulator.inputs if off else ():
         for factor in (-1.0, *FACTORS.values()):
-            moved = simulator({**run.columns, name: factor * run.columns[name]}, said)
+            moved = simulator({**run.columns, name: factor * run.columns[name]}, said, run.name)
             if (share := min(_share(run.columns[c], moved[c]) for c in simulator.channels)) > CONFIG.good:
                 yield _of_factor(name, number, factor), share
 

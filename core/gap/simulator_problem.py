@@ -163,7 +163,7 @@ class SimulatorProblem(Problem):
                 last = block.run
                 inputs = {name: self.recorded(last, name) for name in ("t_s", *self.of.inputs)}
                 try:
-                    channels = dict(self.of(inputs, parameters))
+                    channels = dict(self.of(inputs, parameters, self._runs[last].name))
                 except SimulatorFailed as error:
                     self.failures.count += 1
                     self.failures.first = self.failures.first or str(error)

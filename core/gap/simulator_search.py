@@ -18,6 +18,7 @@ from softcal.core.gap.offsets import rows_of_runs
 from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.screen import Probe, Tangent
 from softcal.core.gap.search import EffectSearch, Progress
+from softcal.core.gap.shrink import held_out_error
 from softcal.core.gap.simulator import Simulator
 from softcal.core.gap.simulator_problem import SimulatorProblem, followed, rough_problem
 from softcal.core.gap.start import best_start, likeliest, noise_levels, scattered
@@ -46,6 +47,17 @@ class SimulatorSearch(EffectSearch):
 
     def is_clean(self, found: Fit) -> bool:
         return self.noise_chance(found) > METHOD.floor.chance
+
+    def closest_set(self) -> Fit:
+        """Return the smallest set whose error on samples held back is near the least: a few sets are tried."""
+        every = list(self.fits.values())
+        tried = {f.ids: f for f in (self.best, *sorted(every, key=lambda f: f.chi2)[: METHOD.verdict.most_tried])}
+        for size in {len(f.ids) for f in every}:
+            one = min((f for f in every if len(f.ids) == size), key=lambda f: f.chi2)
+            tried[one.ids] = one
+        errors = {ids: held_out_error(self.base, found) for ids, found in tried.items()}
+        near = min(errors.values()) * (1.0 + METHOD.verdict.near_error)
+        return tried[min((ids for ids, error in errors.items() if error <= near), key=lambda i: (len(i), errors[i]))]
 
     def _start_again(self) -> None:
         """Fit every cause and every pair from several starts where structure is left.

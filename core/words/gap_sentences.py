@@ -48,6 +48,7 @@ gap.seen.better: {seen}; the known effects explain {share:.0%} of the gap that i
   less well than this
 gap.seen.same_maps: as possible, by the same measurements
 gap.seen.nearest: {causes} explains {share:.0%} of it
+gap.seen.rest: a rest that no cause explains, {share:.0%} of the gap
 gap.seen.no_candidate: no candidate explains any of it
 gap.seen.tone: a tone in the {channel} ({frequency_Hz:.1f} Hz, {rms:.1f} x its noise)
 gap.seen.spikes: spikes in the output while little moves (samples: {count})
@@ -83,6 +84,7 @@ gap.next.what_follows_unseen: press at several speeds with holds between; this s
 gap.next.slow: no gap is seen here; slow creep, drift and ageing would show first in a long hold
 gap.next.alias: {effect} may as well be {alias}; {advice}
 gap.next.separated: these runs tell the causes apart; apply them to the twin
+gap.next.name_rest: a rest has no name; ask the engineer for an effect that acts at the place where it stands out
 gap.next.add_candidate: none of the effects explains the gap; ask the engineer to add one that acts
   at the place where the gap stands out
 gap.next.no_gap: no gap is seen on these runs

@@ -61,6 +61,8 @@ SIMULATOR = Simulator(
         Parameter("pump", "1/s", 0.001, 1.0, 0.05, scale="log"),
         Parameter("upper_valve", "√V/s", 0.001, 1.0, 0.05, scale="log"),
         Parameter("lower_valve", "√V/s", 0.001, 1.0, 0.05, scale="log"),
+    ),
+    run_parameters=(
         Parameter("upper_start", "V", 0.0, 12.0, 4.0),
         Parameter("lower_start", "V", 0.0, 12.0, 4.0),
     ),

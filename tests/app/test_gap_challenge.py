@@ -1,13 +1,24 @@
 """`softcal gap challenge`, `ask` and `score` on disk."""
 
 import json
+import shutil
+from functools import partial
 from pathlib import Path
+from threading import Thread
 
 import pytest
 
 from softcal.app.cli.main import command_parser
 from softcal.app.files.lot_folder import open_lot_folder
-from softcal.app.gap.challenge import ask_rig, make_challenge, open_challenge, press_rig_lot, score_challenge
+from softcal.app.gap.challenge import (
+    ask_rig,
+    asked_run,
+    make_challenge,
+    open_challenge,
+    press_rig_lot,
+    score_challenge,
+)
+from softcal.app.gap.sealed_file import Examiner, ask_examiner, key_beside, read_sealed
 from softcal.core.errors import InputError
 
 
@@ -47,12 +58,12 @@ def test_the_commitment_is_printed_before_anything_is_diagnosed(
     assert run("challenge", "--cases", 1, "--out", tmp_path / "sealed") == 0
     commitment = json.loads((tmp_path / "sealed/challenge.json").read_text())["commitment"]
     assert commitment in capsys.readouterr().out
-    assert (tmp_path / "sealed.seal.json").exists()
+    assert (tmp_path / "sealed.seal.json").exists() and (tmp_path / "sealed.seal.key").stat().st_mode & 0o77 == 0
 
 
 def test_a_challenge_without_a_seed_takes_one_of_128_bits(tmp_path: Path) -> None:
     first, second = (make_challenge(tmp_path / name, tmp_path / f"{name}.json", 1) for name in "ab")
-    seeds = [json.loads((tmp_path / f"{name}.json").read_text())["seed"] for name in "ab"]
+    seeds = [json.loads(read_sealed(tmp_path / f"{name}.json", tmp_path / f"{name}.key"))["seed"] for name in "ab"]
     assert min(seed.bit_length() for seed in seeds) > 96 and seeds[0] != seeds[1]
     assert first.commitment != second.commitment
 
@@ -66,11 +77,76 @@ def test_scores_are_written_and_their_check_fails_on_silence(made: tuple[Path, P
     assert run(*words, "--check") == 1
 
 
+def test_labels_cannot_be_read_without_the_key(made: tuple[Path, Path], tmp_path: Path) -> None:
+    folder, seal = made
+    effects = {cause.effect for label in open_challenge(folder, seal) for cause in label.case.causes}
+    for path in (seal, *folder.rglob("*.*")):
+        assert effects and not any(effect in path.read_text() for effect in effects)
+    key = key_beside(seal)
+    assert not key.is_relative_to(folder)
+    moved = key.rename(tmp_path / "examiner.key")
+    with pytest.raises(InputError, match="cannot be read"):
+        open_challenge(folder, seal)
+    assert len(open_challenge(folder, seal, moved)) == 3
+    make_challenge(tmp_path / "other", tmp_path / "other.json", 1)
+    with pytest.raises(InputError, match="is not the key"):
+        open_challenge(folder, seal, tmp_path / "other.key")
+
+
 def test_a_changed_label_breaks_the_seal(made: tuple[Path, Path]) -> None:
     folder, seal = made
-    seal.write_text(seal.read_text().replace("case-001", "case-009"))
-    with pytest.raises(InputError):
+    sealed = json.loads(seal.read_text())
+    at = len(sealed["labels"]) // 2
+    other = "A" if sealed["labels"][at] != "A" else "B"
+    seal.write_text(json.dumps(sealed | {"labels": sealed["labels"][:at] + other + sealed["labels"][at + 1 :]}))
+    with pytest.raises(InputError, match="the seal is broken"):
         open_challenge(folder, seal)
+
+
+def test_labels_made_afterwards_are_noticed_by_the_published_commitment(
+    made: tuple[Path, Path], tmp_path: Path
+) -> None:
+    folder, seal = made
+    published = json.loads((folder / "challenge.json").read_text())["commitment"]
+    assert len(open_challenge(folder, seal, commitment=published)) == 3
+    # Another challenge, whose folder agrees with itself.
+    make_challenge(tmp_path / "new", tmp_path / "new.json", count=3, seed=3)
+    assert len(open_challenge(tmp_path / "new", tmp_path / "new.json")) == 3
+    with pytest.raises(InputError, match="the seal is broken"):
+        open_challenge(tmp_path / "new", tmp_path / "new.json", commitment=published)
+
+
+def test_an_examiner_answers_where_the_examinee_has_neither_seal_nor_key(
+    made: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, seal = made
+    handed = tmp_path / "handed"
+    shutil.copytree(folder, handed)
+    with Examiner(partial(asked_run, folder, seal)) as examiner:
+        Thread(target=examiner.serve_forever, daemon=True).start()
+        assert run("ask", handed, "case-001", "--experiment", "rate_sweep", "--examiner", examiner.address) == 0
+        asked = Path(capsys.readouterr().out.strip())
+        with pytest.raises(InputError, match="rate_sweep"):
+            ask_examiner(examiner.address, "case-001", "dance", 1)
+        with pytest.raises(InputError, match="does not know"):
+            ask_examiner(f"{examiner.address}x", "case-001", "rest", 1)
+        examiner.shutdown()
+    mine = ask_rig(folder, partial(asked_run, folder, seal), "case-001", "rate_sweep")
+    for name in ("recording.csv", "recording.json"):
+        assert (asked / name).read_bytes() == (mine / name).read_bytes()
+    with pytest.raises(InputError, match="no answer"):
+        ask_examiner("127.0.0.1:1:x", "case-001", "rest", 1)
+
+
+def test_a_sheet_says_by_what_it_was_scored(made: tuple[Path, Path]) -> None:
+    folder, seal = made
+    published = json.loads((folder / "challenge.json").read_text())["commitment"]
+    reports = write_reports(folder.parent / "reports", ["case-001"])
+    sheet = score_challenge(folder, reports, seal, commitment=published).to_json()
+    assert (sheet["commitment"], sheet["commitment_from"]) == (published, "stated")
+    assert sheet["seed_origin"] == "stated"
+    assert list(sheet["provenance"]["inputs"]) == ["case-001.json"] and sheet["provenance"]["version"]
+    assert score_challenge(folder, reports, seal).to_json()["commitment_from"] == "folder"
 
 
 def test_a_changed_recording_is_noticed(made: tuple[Path, Path]) -> None:
@@ -83,8 +159,8 @@ def test_a_changed_recording_is_noticed(made: tuple[Path, Path]) -> None:
 
 def test_an_experiment_is_added_and_the_case_stays_sealed(made: tuple[Path, Path]) -> None:
     folder, seal = made
-    asked = ask_rig(folder, seal, "case-001", "rate_sweep")
-    again = ask_rig(folder, seal, "case-001", "dummy_resistor")
+    asked = ask_rig(folder, partial(asked_run, folder, seal), "case-001", "rate_sweep")
+    again = ask_rig(folder, partial(asked_run, folder, seal), "case-001", "dummy_resistor")
     assert asked.name == "asked-1" and again.name == "asked-2"
     assert json.loads((again / "recording.json").read_text())["dummy_ohm"] > 0
     assert len(open_challenge(folder, seal)) == 3
@@ -116,9 +192,9 @@ def test_reports_that_are_not_there_are_named(made: tuple[Path, Path]) -> None:
 def test_unknown_names_are_answered_with_the_known_ones(made: tuple[Path, Path], tmp_path: Path) -> None:
     folder, seal = made
     with pytest.raises(InputError, match="rate_sweep"):
-        ask_rig(folder, seal, "case-001", "dance")
+        ask_rig(folder, partial(asked_run, folder, seal), "case-001", "dance")
     with pytest.raises(InputError, match="case-003"):
-        ask_rig(folder, seal, "case-9", "rest")
+        ask_rig(folder, partial(asked_run, folder, seal), "case-9", "rest")
     with pytest.raises(InputError, match="usual"):
         make_challenge(tmp_path / "x", tmp_path / "x.json", 1, line="odd")
 

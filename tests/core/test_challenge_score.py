@@ -14,7 +14,7 @@ from softcal.core.challenge.judge import Judged, read_answer
 from softcal.core.challenge.mistakes import Mistake
 from softcal.core.challenge.realised import BASE, PER_RUN, realised_shrink
 from softcal.core.challenge.rig import Cause
-from softcal.core.challenge.score import calibration_error, score_reports
+from softcal.core.challenge.score import calibration_error, log_score, score_reports
 from softcal.core.challenge.seal import Label
 from softcal.core.errors import InputError
 from softcal.core.metrics import wilson
@@ -69,7 +69,8 @@ def outcome(truth: Label, said: dict[str, Any]) -> str:
         (label(), report("explained", {"backlash": 0.9}), "alarm"),
         (label(), report("unknown", {"backlash": 0.2}), "abstained"),
         (label(), report("unknown", {"backlash": 0.9}), "alarm"),
-        (label("slip"), report("unknown", {"backlash": 0.9}), "right"),
+        (label("slip"), report("unknown", {"backlash": 0.4}), "right"),
+        (label("slip"), report("unknown", {"backlash": 0.9}), "wrong"),
         (label("slip"), report("explained", {"backlash": 0.9}), "wrong"),
     ],
 )
@@ -190,3 +191,27 @@ def test_a_unit_of_the_whole_case_may_be_asked_about_beside_any_verdict() -> Non
     asked = {**report("no_gap", {}), "data": [{"what": "unit_factor", "channel": "force", "runs": "all"}]}
     assert outcome(replace(label(), case=case), asked) == "right"
     assert outcome(replace(label(), case=case), report("no_gap", {})) == "wrong"
+
+
+def test_a_forecast_of_a_wrong_cause_is_scored_too() -> None:
+    labels = [label("channel_creep"), label("channel_creep", name="case-2")]
+    reports = {"case-1": report("explained", {"channel_creep": 0.9}), "case-2": report("explained", {"backlash": 0.9})}
+    realised = iter((0.98, -0.5))
+    sheet = score_reports(labels, reports, lambda label, report: next(realised))
+    assert [j.outcome for j in sheet.judged] == ["right", "wrong"] and sheet.shrink.count == 2
+    assert [row.hits for row in sheet.shrink.rows] == [1, 1, 1]
+
+
+def test_the_log_score_is_that_of_what_is_stated_or_at_work() -> None:
+    stated, present = np.array([0.9, 0.0, 0.3, 0.0, 0.02]), np.array([1.0, 0.0, 0.0, 1.0, 0.0])
+    expected = -np.mean(np.log([0.9, 0.7, 1e-3]))
+    assert log_score(stated, present) == pytest.approx(expected)
+    assert np.isnan(log_score(np.zeros(25), np.zeros(25)))
+
+
+@pytest.mark.parametrize("verdict", ["unknown", "explained_in_part"])
+def test_a_false_name_beside_a_rest_is_wrong(verdict: str) -> None:
+    labels = [label("slip"), label("slip", name="case-2"), label("channel_creep", name="case-3")]
+    told = [report(verdict, {"backlash": 0.6}), report(verdict, {"backlash": 0.4}), report(verdict, {"backlash": 0.6})]
+    sheet = score_reports(labels, {f"case-{k}": one for k, one in enumerate(told, start=1)})
+    assert [j.outcome for j in sheet.judged] == ["wrong", "right", "wrong"]

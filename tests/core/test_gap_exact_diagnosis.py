@@ -95,7 +95,8 @@ def test_the_forecast_is_by_the_errors_of_the_parameters():
     worst = shrunk(np.sqrt(FLOOR**2 + part**2 + left**2), np.sqrt(FLOOR**2 + (1.6 * left) ** 2 + (2.0 * wide) ** 2))
     margin = max(METHOD.shrink.least_margin, shrunk(before, after) - worst)
     assert found.predicted - found.low == pytest.approx(margin, abs=5e-3)
-    assert found.high == pytest.approx(min(1.0, found.predicted + margin), abs=5e-3)
+    known = shrunk(before, FLOOR)
+    assert found.high == pytest.approx(min(1.0, max(found.predicted + margin, known)), abs=5e-3)
     assert abs(found.held_out - found.predicted) < 0.1
 
 
@@ -438,18 +439,20 @@ def test_the_nearest_is_the_simplest_that_takes_nearly_the_most():
     search = hand_search()
     gap = search.base.chi2 - N
     near = METHOD.verdict.near_share
+    none = SimpleNamespace(best=search.base, verdict="unknown")
     for lacks, ids in ((0.5 * near, ("bend",)), (1.5 * near, ("bend", "ripple"))):
         both = replace(search.fits["bend", "ripple"], chi2=N + 0.10 * gap)
         one = replace(search.fits["bend",], chi2=N + (0.10 + lacks) * gap)
         stub = SimpleNamespace(fits={(): search.base, ("bend",): one, ("bend", "ripple"): both}, share=search.share,
                                explained_share=search.explained_share)  # fmt: skip
         assert nearest(stub).ids == ids
-        assert partial_of(stub).effects == ids
-        assert partial_of(stub).share == pytest.approx(0.9 - (lacks if ids == ("bend",) else 0.0))
-    assert (
-        partial_of(SimpleNamespace(fits={(): search.base}, share=search.share, explained_share=search.explained_share))
-        is None
-    )
+        assert partial_of(stub, none).effects == ids
+        assert partial_of(stub, none).share == pytest.approx(0.9 - (lacks if ids == ("bend",) else 0.0))
+        # Where a set stands it is that one.
+        assert partial_of(stub, SimpleNamespace(best=one, verdict="explained_in_part")).effects == ("bend",)
+        assert partial_of(stub, SimpleNamespace(best=one, verdict="explained")) is None
+    alone = SimpleNamespace(fits={(): search.base}, share=search.share, explained_share=search.explained_share)
+    assert partial_of(alone, none) is None
 
 
 def test_what_several_causes_take_is_split_by_the_mean_of_first_and_last():
@@ -466,11 +469,15 @@ def test_what_several_causes_take_is_split_by_the_mean_of_first_and_last():
         assert row.shrink == pytest.approx(0.8 * worth[row.effect] / sum(worth.values()))
         assert row.parameters["size"].value == pytest.approx(best.effect_values[best.ids.index(row.effect)][0])
         assert row.stage == f"part of {row.effect}"
-    assert rows[2].shrink == 0.0
+    assert rows[2].shrink is None and rows[2].alone is None and rows[2].added is None
+    excess = chi2[()] - N
+    for row, other in zip(rows[:2], ("bend", "ripple"), strict=True):
+        assert row.alone == pytest.approx(np.clip((chi2[()] - chi2[row.effect,]) / excess, 0.0, 1.0))
+        assert row.added == pytest.approx((chi2[other,] - chi2["bend", "ripple"]) / excess)
     (alone, *_) = ranked_causes(search, search.fits["bend",], CAUSES, (best,), {**chances, "bend": 1.0}, 0.8)
     assert (alone.effect, alone.shrink) == ("bend", pytest.approx(0.8))
     nothing = ranked_causes(search, search.base, CAUSES, (), chances, 0.8)
-    assert all(r.shrink == 0.0 for r in nothing)
+    assert all(r.shrink is None for r in nothing)
     places = places_of(rows[:2], "y", Reason("gap.regime.everywhere"), lambda i: reason("gap.effect", effect=i))
     assert [p.share for p in places] == pytest.approx([r.shrink / 0.8 for r in rows[:2]])
     assert [p.stage for p in places] == [r.stage for r in rows[:2]]

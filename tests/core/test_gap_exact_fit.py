@@ -194,7 +194,9 @@ def test_a_size_pays_what_its_data_tell_of_it():
         variance = sigma**2 * np.linalg.inv(design(RUNS, "bend").T @ design(RUNS, "bend"))[2, 2]
         width = EVIDENCE.usual_range * 0.2 / np.sqrt(2.0 * np.pi * variance)
         pays = min(np.log(N), 2.0 * np.log(max(width, 1.0)))
-        expected = 2.0 * np.log(N) - 2.0 * np.log(EVIDENCE.prior_odds) + pays
+        # A size beyond the usual ones pays −2·ln of Cauchy's density, relative to that of none.
+        unusual = 2.0 * np.log(1.0 + (found.effect_values[0][0] / (EVIDENCE.usual_range * 0.2)) ** 2)
+        expected = 2.0 * np.log(N) - 2.0 * np.log(EVIDENCE.prior_odds) + pays + unusual
         assert penalty(found) == pytest.approx(expected, rel=1e-4)
 
 
@@ -205,7 +207,8 @@ def test_a_size_on_its_bound_pays_for_it(low, high, bounds):
     spared = np.log(N) - 2.0 * np.log(
         max(EVIDENCE.usual_range * 0.2 / np.sqrt(2 * np.pi * found.covariance[2, 2]), 1.0)
     )
-    paid = penalty(found) - found.penalty + max(spared, 0.0)
+    unusual = 2.0 * np.log(1.0 + (found.effect_values[0][0] / (EVIDENCE.usual_range * 0.2)) ** 2)
+    paid = penalty(found) - found.penalty + max(spared, 0.0) - unusual
     assert paid == pytest.approx(bounds * EVIDENCE.bound_cost, abs=1e-6)
 
 

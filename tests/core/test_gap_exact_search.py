@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -112,13 +111,14 @@ def test_a_report_can_be_written_and_its_twin_run(drifting):
 
 def test_a_base_parameter_on_its_bound_is_told(drifting):
     assert drifting.on_bound == {}
-    base = replace(drifting.named.base, k3_N_mm3=0.0)
-    problem = drifting.named.problem
-    stuck = replace(drifting, named=SimpleNamespace(problem=problem, base=base))
-    assert stuck.on_bound == {"k3_N_mm3": 0.0}
-    free = np.array([True, True, False, True, True])
-    held = SimpleNamespace(problem=SimpleNamespace(is_free=free, scale=problem.scale), base=base)
-    assert replace(drifting, named=held).on_bound == {}
+    best = drifting.best
+    coordinates = best.coordinates.copy()
+    coordinates[2] = 0.0
+    stuck = replace(best, coordinates=coordinates)
+    assert replace(drifting, best=stuck).on_bound == {"k3_N_mm3": 0.0}
+    fixed = replace(best.problem)
+    fixed.__dict__["is_free"] = np.array([True, True, False, True, True])
+    assert replace(drifting, best=replace(stuck, problem=fixed)).on_bound == {}
 
 
 def test_sound_recordings_have_no_gap():

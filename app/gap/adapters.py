@@ -1,0 +1,107 @@
+"""Simulators that are no function of columns: a right-hand side for SciPy, and a command that reads and writes CSV.
+
+SIMULATOR = Simulator(name="pendulum", run=integrate_rhs(swing, start=lambda p: (p["angle"], 0.0),
+                      read_out=lambda t_s, state, p: {"angle_rad": state[0]}), ...)
+SIMULATOR = Simulator(name="rig", run=run_command(["./rig_model"], channels=("force_N",)), ...)
+"""
+
+import csv
+import json
+import subprocess
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from itertools import count
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from softcal.core.gap.simulator import Columns, Simulate
+from softcal.core.recording import Array
+
+Parameters: TypeAlias = Mapping[str, float]
+
+Rhs: TypeAlias = Callable[[float, Array, Mapping[str, float], Parameters], Sequence[float]]
+"""(time in s, state, inputs at that time, parameters) -> rates of the state."""
+
+ReadOut: TypeAlias = Callable[[Array, Array, Parameters], Columns]
+"""(times in s, (states, times), parameters) -> channels."""
+
+MAX_RATES = 1000
+"""Calls of a right-hand side per sample beyond which it has run away."""
+
+TOLERANCE = 1e-9
+"""Relative tolerance of the integrator: derivatives of the fit are taken as differences."""
+
+
+def integrate_rhs(
+    rhs: Rhs, start: Callable[[Parameters], Sequence[float]], read_out: ReadOut, method: str = "LSODA"
+) -> Simulate:
+    """Return a simulator's `run` that integrates a right-hand side from sample to sample (`scipy.integrate.solve_ivp`).
+
+    Inputs are straight lines between samples; runs may be sampled unevenly.
+
+    Args:
+        start: the state at the first sample.
+        method: a method of `solve_ivp`.
+    """
+
+    def run(inputs: Columns, parameters: Parameters) -> Columns:
+        t_s = np.asarray(inputs["t_s"])
+        driving = {name: np.asarray(values) for name, values in inputs.items() if name != "t_s"}
+
+        calls = count(1)
+
+        def rates(t: float, state: Array) -> Sequence[float]:
+            if next(calls) > MAX_RATES * len(t_s):
+                raise ArithmeticError(f"the integrator does not get beyond {t:.4g} s")
+            now = {name: float(np.interp(t, t_s, values)) for name, values in driving.items()}
+            return rhs(t, state, now, parameters)
+
+        solved = solve_ivp(
+            rates,
+            (float(t_s[0]), float(t_s[-1])),
+            np.asarray(start(parameters), dtype=np.float64),
+            method=method,
+            t_eval=t_s,
+            rtol=TOLERANCE,
+            atol=TOLERANCE,
+            max_step=float(np.max(np.diff(t_s))),
+        )
+        if not solved.success:
+            raise ArithmeticError(f"the integrator stopped at {solved.t[-1] if len(solved.t) else t_s[0]:.4g} s")
+        return read_out(t_s, solved.y, parameters)
+
+    return run
+
+
+def run_command(words: Sequence[str], channels: Sequence[str], timeout_s: float = 600.0) -> Simulate:
+    """Return a simulator's `run` that calls a command: `WORDS inputs.csv parameters.json outputs.csv`.
+
+    The command reads the columns of a run and the parameters by name, and writes the channels as columns, a row a
+    sample. It must give them in full precision.
+
+    Args:
+        channels: columns that it writes.
+        timeout_s: seconds after which a call has failed.
+    """
+
+    def run(inputs: Columns, parameters: Parameters) -> Columns:
+        with tempfile.TemporaryDirectory() as folder:
+            given, said, out = (Path(folder) / name for name in ("inputs.csv", "parameters.json", "outputs.csv"))
+            with given.open("w", newline="") as file:
+                writer = csv.writer(file)
+                writer.writerow(inputs)
+                writer.writerows(zip(*(map(repr, np.asarray(v).tolist()) for v in inputs.values()), strict=True))
+            said.write_text(json.dumps({k: v if np.isfinite(v) else None for k, v in parameters.items()}))
+            called = [*words, str(given), str(said), str(out)]
+            done = subprocess.run(called, capture_output=True, text=True, timeout=timeout_s, check=False)
+            if done.returncode != 0:
+                last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+                raise RuntimeError(f"{words[0]} ended with exit code {done.returncode}: {last}")
+            with out.open(newline="") as file:
+                rows = list(csv.DictReader(file))
+        return {channel: np.array([float(row[channel]) for row in rows]) for channel in channels}
+
+    return run

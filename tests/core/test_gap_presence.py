@@ -1,0 +1,159 @@
+"""Presence and completeness are two numbers: on a line with a rest of known size, and on a measured axis."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softcal.core.gap.gap_diagnosis import bounds_reached
+from softcal.core.gap.presence import Consistency, consistency_of, list_completeness, rest_energy
+from softcal.core.gap.shrink import Shrink
+from softcal.core.gap.simulator import Simulator, candidate, recorded
+from softcal.core.gap.simulator_diagnosis import diagnose_simulator
+from softcal.core.twin.effects import Parameter
+from tests.core.linear_mechanism import BEND, LINE, RIPPLE, SIGMA, design, fitted, left_of, measured, problem_of
+
+RIG = Path(os.environ.get("SOFTCAL_DATA", Path(__file__).parents[3] / "shared" / "data")) / "rigs" / "axis"
+
+
+def with_rest(size, bend=0.5, seed=5):
+    """Recorded runs of a line that moves smoothly, bent or not, with a cube that no candidate has."""
+    rng, runs = np.random.default_rng(seed), []
+    for run, count in enumerate((160, 171, 148)):
+        t_s = 0.05 * np.arange(count)
+        x = 0.3 * run - 0.2 + (1.5 + 0.2 * run) * np.sin(t_s * (0.9 + 0.3 * run))
+        y = 1.0 + 2.0 * x + bend * x**2 + size * x**3 + rng.normal(0.0, SIGMA, count)
+        runs.append(recorded(LINE, str(run + 1), {"t_s": t_s, "x": x, "y": y}))
+    return runs
+
+
+@pytest.fixture(scope="module")
+def in_part():
+    return diagnose_simulator(LINE, with_rest(0.08))
+
+
+def test_a_cause_beside_a_rest_is_named_and_the_list_is_not_complete(in_part):
+    assert in_part.verdict == "explained_in_part" and "bend" in in_part.best.ids
+    (first, *others) = in_part.causes
+    assert (first.effect, first.probability > 0.9) == ("bend", True)
+    assert all(c.probability < 0.5 for c in others)
+    assert first.parameters["size"].value == pytest.approx(0.5, rel=0.2)
+    assert in_part.list_complete < 0.5
+
+
+def test_every_section_is_of_one_set(in_part):
+    report = in_part.report()
+    held = {c["effect"] for c in report["causes"] if c["shrink"] is not None}
+    assert held == set(report["partial"]["effects"]) == set(in_part.best.ids)
+    off = LINE.neutral_values
+    assert {n.partition(".")[0] for n, v in report["parameters"].items() if n in off and v != off[n]} == held
+    places = report["where"][: len(held) + 1]
+    assert {place["stage"] for place in places} == {f"part of {cause}" for cause in held} | {"unknown"}
+    assert sum(place["share"] for place in places) == pytest.approx(1.0)
+    assert places[-1]["share"] == pytest.approx(1.0 - report["partial"]["share"])
+    value = next(c for c in report["causes"] if c["effect"] == "bend")["parameters"]["size"]["value"]
+    assert value == pytest.approx(report["parameters"]["bend.size"])
+
+
+def test_a_rest_alone_names_nothing():
+    found = diagnose_simulator(LINE, with_rest(0.15, bend=0.0))
+    assert found.verdict == "unknown" and found.list_complete < 0.05
+    assert all(c.probability < 0.5 for c in found.causes)
+
+
+def test_how_a_cause_stands_to_a_rest_is_that_of_its_algebra():
+    """Of the bend's column only what the others leave counts; what each quarter of a run asks for is its own slope."""
+    runs = with_rest(0.2)
+    found = fitted(problem_of(runs), BEND, RIPPLE)
+    columns, y = design(runs, "bend", "ripple"), measured(runs)
+    size = found.effect_values[0][0]
+    seen = left_of(np.delete(columns, 2, axis=1), columns[:, 2]) * size / SIGMA
+    left = left_of(columns, y) / SIGMA
+    rest = left @ left - len(y)
+    assert rest_energy(found, 0.0) == pytest.approx(rest, rel=1e-3)
+    assert rest_energy(found, 0.5) == 0.0
+    got, asked, start = consistency_of(found, "bend", rest), 0.0, 0
+    for run in runs:
+        for part in np.array_split(np.arange(start, start + len(run)), 4):
+            asked += (seen[part] @ left[part]) ** 2 / (seen[part] @ seen[part])
+        start += len(run)
+    assert got.taken == pytest.approx(seen @ seen / (seen @ seen + rest), rel=1e-3)
+    assert got.disagreement == pytest.approx(np.sqrt(asked / (seen @ seen)), rel=1e-2)
+
+
+def test_more_of_the_gap_and_less_disagreement_make_a_cause_likelier():
+    chances = [Consistency(taken, 0.15).genuine_chance for taken in (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.0)]
+    assert chances == sorted(chances) and chances[0] == 0.0 and chances[-1] == 1.0
+    chances = [Consistency(0.9, apart).genuine_chance for apart in (0.5, 0.2, 0.1, 0.01)]
+    assert chances == sorted(chances)
+    assert Consistency(0.75, 0.4).genuine_chance < 0.05 < 0.9 < Consistency(0.97, 0.1).genuine_chance
+
+
+def test_noise_leaves_a_list_complete_and_a_departure_outside_does_not():
+    assert list_completeness(0.4, 0.5, False) > 0.8
+    assert list_completeness(1e-9, 0.3, False) < 0.05
+    assert list_completeness(0.4, 0.0, True) < 0.1
+    rests = [list_completeness(1e-12, share, False) for share in (0.001, 0.01, 0.05, 0.2, 1.0)]
+    assert rests == sorted(rests, reverse=True)
+
+
+def test_a_forecast_that_its_own_samples_contradict_is_left_out():
+    assert Shrink.checked((0.0, 0.0, 0.02), 0.83) == Shrink(None, None, None, 0.83)
+    assert Shrink.checked((0.9, 0.8, 0.95), 0.83).predicted == 0.9
+
+
+@pytest.mark.parametrize(("low", "high", "reached"), [(-50.0, 0.1, 0.1), (0.9, 50.0, 0.9), (-50.0, 50.0, None)])
+def test_a_cause_on_its_bound_is_told(low, high, reached):
+    cause = candidate("bend", "shape", Parameter("size", "", low, high, 0.2, neutral=0.0))
+    found = bounds_reached(fitted(problem_of(with_rest(0.0)), cause))
+    assert found == ({} if reached is None else {"bend.size": pytest.approx(reached)})
+
+
+def test_a_bound_that_switches_a_cause_off_is_none():
+    cause = candidate("bend", "shape", Parameter("size", "", 0.0, 50.0, 0.2, neutral=0.0))
+    assert bounds_reached(fitted(problem_of(with_rest(0.0, bend=-0.5)), cause)) == {}
+
+
+def force(inputs, p):
+    v = inputs["v_m_s"]
+    out = p["mass"] * inputs["a_m_s2"] + p["viscous"] * v + p["dry_friction.size"] * np.sign(v) + p["offset.size"]
+    out = out + p["drag.size"] * v * np.abs(v) + p["spring.size"] * inputs["q_m"]
+    return {"F_N": out + p["stribeck.size"] * np.sign(v) * np.exp(-np.abs(v) / p["stribeck.speed"])}
+
+
+def sized(name, usual, limit, *more):
+    return candidate(name, "axis", Parameter("size", "N", -limit, limit, usual, neutral=0.0), *more)
+
+
+AXIS = Simulator(
+    "axis",
+    force,
+    ("q_m", "v_m_s", "a_m_s2"),
+    ("F_N",),
+    (Parameter("mass", "kg", 0.0, 1e3, 80.0), Parameter("viscous", "N·s/m", 0.0, 5e3, 200.0)),
+    (
+        sized("dry_friction", 10.0, 500.0),
+        sized("offset", 2.0, 100.0),
+        sized("drag", 50.0, 1e4),
+        sized("stribeck", 5.0, 100.0, Parameter("speed", "m/s", 1e-3, 0.1, 0.01, scale="log")),
+        sized("spring", 10.0, 1e3),
+    ),
+)
+
+
+@pytest.mark.skipif(not RIG.is_dir(), reason=f"no measured axis in {RIG}; name the folder of data by SOFTCAL_DATA")
+def test_the_friction_of_a_measured_axis_is_named_in_its_published_size():
+    """Published by Janot, Gautier and Brunot (2019): dry friction 20.4 N, offset −3.2 N, mass 95 kg."""
+    runs = []
+    for number in "123":
+        table = np.genfromtxt(RIG / "runs" / number / "recording.csv", delimiter=",", names=True)
+        runs.append(recorded(AXIS, number, {name: table[name] for name in table.dtype.names or ()}))
+    report = diagnose_simulator(AXIS, runs).report()
+    first = report["causes"][0]
+    assert (first["effect"], report["verdict"]) == ("dry_friction", "explained_in_part")
+    assert first["probability"] > 0.9 > 0.5 > report["list_complete"]
+    assert first["parameters"]["size"]["value"] == pytest.approx(20.4, rel=0.03)
+    assert report["parameters"]["offset.size"] == pytest.approx(-3.2, rel=0.1)
+    assert report["parameters"]["mass"] == pytest.approx(95.0, rel=0.01)
+    assert first["alone"] > 0.5
