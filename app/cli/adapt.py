@@ -51,7 +51,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add("--out", required=True, metavar="OUT", help="CSV or Parquet; live also - or tcp://HOST:PORT")
     add_shared(parser, "serial")
     add("--revision", **COUNT, help="calibration to start from; default: the current one")
-    modes = ("improved", "basic", "none", "ot", "ot-improved")
+    modes = ("improved", "none", "ot", "ot-improved")
     add("--mode", choices=modes, default="improved", help=MODE_HELP)
     add("--queue", **COUNT, help="windows in a queue of ot and ot-improved; default 512")
     add("--stream", metavar="NAME", help="name of the stream in the registry; default: from its content")
@@ -71,7 +71,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 MODE_HELP = (
-    "improved (default): compare with the calibration and with uses learnt since. basic: with the calibration alone. "
+    "improved (default): compare with the calibration and with uses learnt since. "
     "none: leave the map as it is. ot: the method of Kim et al. (2020). A queue of windows is mapped onto those of the "
     "source by optimal transport; its map holds once the next queue is full. ot-improved: the same, and each queue "
     "with its best estimates is the source of the next. Both take a change of use for drift"

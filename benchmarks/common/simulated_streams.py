@@ -176,6 +176,11 @@ def drifts_at_once(x: Array, rng: Random) -> tuple[Array, Array]:
     return 1 + _sign(rng) * rng.uniform(0.05, 0.2) * early, _sign(rng) * rng.uniform(0.05, 0.2) * early
 
 
+def ages_on(x: Array, rng: Random) -> tuple[Array, Array]:
+    """Fast at first, slower and slower."""
+    return 1 + _sign(rng) * rng.uniform(0.05, 0.2) * np.log1p(4 * x) / np.log(5), np.zeros_like(x)
+
+
 def seasons(x: Array, rng: Random) -> tuple[Array, Array]:
     """There and back, as temperature does."""
     wave = np.sin(2 * np.pi * (x * rng.uniform(0.5, 3.0) + rng.random()))
@@ -274,12 +279,14 @@ class Kind:
         drift, use: of the sensor, and of whoever uses it.
         bend: by how much the characteristic bends, in shares of its span.
         is_about_rest: whether the gain turns about the output without load.
+        is_under_way: whether the drift began with the calibration; a machine did that, and times the use.
     """
 
     drift: Drift
     use: Use
     bend: float = 0.0
     is_about_rest: bool = False
+    is_under_way: bool = False
 
 
 KINDS: Mapping[str, Kind] = {
@@ -307,6 +314,15 @@ KINDS: Mapping[str, Kind] = {
     "drift while the first use is learnt": Kind(drifts_at_once, same),
     "the characteristic bends": Kind(ages, same, 0.3),
 }
+
+AGEING: Mapping[str, Kind] = {
+    "ages on": Kind(ages_on, same, is_under_way=True),
+    "ages on about a standing rest": Kind(ages_on, same, is_about_rest=True, is_under_way=True),
+    "ages on, loads x 1.3": Kind(ages_on, times(1.3), is_about_rest=True, is_under_way=True),
+    "ages on, load and pace change": Kind(ages_on, changes, is_about_rest=True, is_under_way=True),
+    "ages on, use grows slowly": Kind(ages_on, slowly_harder, is_about_rest=True, is_under_way=True),
+}
+"""Kinds of sensors that drift from the calibration on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -355,25 +371,29 @@ class Stream:
         return round(activity.cycle_s * activity.rate_Hz)
 
 
-def draw(number: int, seed: int) -> Stream:
+def draw(number: int, seed: int, kinds: Mapping[str, Kind] = KINDS) -> Stream:
     """Draw the stream of a number: the kinds in turn, everything else at random."""
     rng = np.random.default_rng([seed, number])
-    kind = list(KINDS)[number % len(KINDS)]
+    kind = list(kinds)[number % len(kinds)]
     name, curve = (str(rng.choice(list(names))) for names in (ACTIVITIES, CURVES))
     # A machine or a person.
-    activity, of = replace(ACTIVITIES[name], scatter=float(rng.choice([0.004, 0.04]))), KINDS[kind]
+    activity, of = replace(ACTIVITIES[name], scatter=float(rng.choice([0.004, 0.04]))), kinds[kind]
+    if of.is_under_way:
+        activity = replace(activity, scatter=0.004)
     # Every third unit was calibrated on the station, under another programme than its use.
-    is_on_station = bool(rng.random() < 1 / 3) or of.drift is drifts_at_once
+    is_on_station = (bool(rng.random() < 1 / 3) or of.drift is drifts_at_once) and not of.is_under_way
     load = of.use(activity, SAMPLES, rng)
+    before = CALIBRATION if of.is_under_way else 0
+    gain, shift = of.drift(np.linspace(0, 1, before + SAMPLES), rng)
     x = np.linspace(0, 1, SAMPLES)
-    gain, shift = of.drift(x, rng)
     ends = CURVES[curve](np.array([0.0, 1.0]))
     if of.is_about_rest:
         shift = shift + (1 - gain) * ends[0] / abs(ends[1] - ends[0])
-    output = read(curve, load, activity.rate_Hz, rng, gain, shift)
+    output = read(curve, load, activity.rate_Hz, rng, gain[before:], shift[before:])
     share = (output - ends[0]) / (ends[1] - ends[0])
     output = output + of.bend * _late(x) * (ends[1] - ends[0]) * share * (1 - share)
     profile = station(CALIBRATION, activity.rate_Hz, rng) if is_on_station else cycles(activity, CALIBRATION, rng)
-    calibrated = _recording("unit", read(curve, profile, activity.rate_Hz, rng), activity.rate_Hz)
+    then = (gain[:before], shift[:before]) if of.is_under_way else (1.0, 0.0)
+    calibrated = _recording("unit", read(curve, profile, activity.rate_Hz, rng, *then), activity.rate_Hz)
     used = _recording("unit", output, activity.rate_Hz)
     return Stream(kind, name, curve, is_on_station, bench(curve, activity.rate_Hz), calibrated, used, load)

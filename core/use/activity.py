@@ -5,6 +5,7 @@ that drift cannot change (standardised distribution, speed, duration) are within
 that drift does change (level and scale) then measure the drift.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -23,13 +24,14 @@ class Activity:
     Args:
         level, log_scale: mean, and log standard deviation.
         shape, first_shape: (q,) standardised quantiles now, and when the activity was first seen.
+        course, course_tolerance: (q,) mean course of a cycle over its time, and the largest difference (RMS) from it.
         rest: level of the unloaded turning point.
         rest_scatter: its standard deviation.
         features: (3, 3) covariance of one cycle's rest, level and scale about their trend.
         bias, noise: (2,) mean and (2, 2) covariance of the drift that `drift_of` finds in its own cycles.
         tolerance: (3,) largest differences in shape, log speed and log duration.
         doubt: (2, 2) covariance of the mean drift of its own cycles.
-        is_imposed: whether a machine times its cycles: their durations are equal.
+        regularity: how regularly its cycles come: 1 where a machine times them, 0 where a person does.
         pivots: (2, u) log gains that a change of its loads shows, rising, and the level each leaves where it was.
     """
 
@@ -37,6 +39,8 @@ class Activity:
     log_scale: float
     shape: Array = field(metadata=array("q"))
     first_shape: Array = field(metadata=array("q"))
+    course: Array = field(metadata=array("q"))
+    course_tolerance: float
     log_speed: float
     log_duration: float
     rest: float
@@ -47,9 +51,13 @@ class Activity:
     noise: Array = field(metadata=array(2, 2))
     tolerance: Array = field(metadata=array(3))
     doubt: Array = field(metadata=array(2, 2))
-    is_imposed: bool
+    regularity: float
     pivots: Array = field(metadata=array(2, "u"))
-    least_gain: float
+
+    @property
+    def is_imposed(self) -> bool:
+        """Whether a machine times its cycles."""
+        return self.regularity == 1
 
     def drift_of(self, cycle: Cycle, rest_is_low: bool) -> Array:
         """Return the (2,) shift and log gain under which a cycle is one of this activity.
@@ -62,7 +70,7 @@ class Activity:
         seen = np.array([cycle.rest(rest_is_low), cycle.level, cycle.scale / np.exp(self.log_scale)])
         weighted = np.linalg.solve(self.features, design)
         shift, gain = np.linalg.solve(design.T @ weighted, weighted.T @ seen)
-        return np.array([shift, np.log(max(gain, self.least_gain))]) - self.bias
+        return np.array([shift, np.log(max(gain, 1e-6))]) - self.bias
 
     def strangeness(self, cycle: Cycle) -> float:
         """Return the largest difference of a cycle from this activity, 1 at its tolerance.
@@ -75,6 +83,13 @@ class Activity:
             abs(np.log(cycle.duration_s) - self.log_duration),
         )
         return float(np.max(difference / self.tolerance))
+
+    def likeness(self, cycle: Cycle) -> float:
+        """Return how like the course of a cycle is to this activity's: 1 where an affine map joins them, to 0.
+
+        The course holds the order of loads within a cycle, its rise against its fall, its loop and its onset.
+        """
+        return max(0.0, 1.0 - float(np.mean((cycle.course - self.course) ** 2)) / self.course_tolerance**2)
 
     def refreshed(self, cycle: Cycle, weight: float) -> "Activity":
         """Return the activity with its shape moved towards a cycle, never further than its tolerance from the first."""
@@ -130,6 +145,8 @@ def learn_activity(
         return Lesson(None, reason, trend)
     shapes = np.array([c.shape for c in cycles])
     shape = shapes.mean(axis=0)
+    courses = np.array([c.course for c in cycles])
+    course = courses.mean(axis=0)
     speed, duration = np.log([c.speed for c in cycles]), np.log([c.duration_s for c in cycles])
     spread = np.array([np.sqrt(np.mean((shapes - shape) ** 2)), speed.std(), duration.std()])
     least = np.array(config.tolerance)
@@ -142,6 +159,8 @@ def learn_activity(
         log_scale=float(position[:, 1].mean()),
         shape=shape,
         first_shape=shape,
+        course=course,
+        course_tolerance=max(least[0], config.tolerance_sigmas * float(np.sqrt(np.mean((courses - course) ** 2)))),
         log_speed=float(speed.mean()),
         log_duration=float(duration.mean()),
         rest=float(rests.mean()),
@@ -152,9 +171,8 @@ def learn_activity(
         noise=np.zeros((2, 2)),
         tolerance=tolerance,
         doubt=np.zeros((2, 2)),
-        is_imposed=timing_scatter(duration, config) < config.least_scatter,
+        regularity=timing_regularity(duration, config),
         pivots=np.zeros((2, 0)),
-        least_gain=1e-6,
     )
     # The estimator is not linear in the gain: what it finds in the activity's own cycles is its bias, and how much
     # that scatters is the measurement noise of the filter.
@@ -162,8 +180,7 @@ def learn_activity(
     noise = _covariance(drifts, config.least_scatter)
     pivots = blank.pivots if curve is None else _pivots(blank, rest_is_low, curve, config.uses)
     activity = replace(blank, bias=drifts.mean(axis=0), noise=noise, doubt=noise / len(cycles), pivots=pivots)
-    # Of a least squares slope over an index from -1/2 to 1/2.
-    return Lesson(activity, "", trend, scatter * np.sqrt(12 / len(cycles)))
+    return Lesson(activity, "", trend, trend_sd(scatter, len(cycles)))
 
 
 def _covariance(values: Array, least_scatter: float) -> Array:
@@ -182,7 +199,9 @@ def _pivots(activity: Activity, rest_is_low: bool, curve: RestCurve, shares: tup
     usual = activity.level + np.exp(activity.log_scale) * activity.shape
 
     def drift_of(output: Array) -> Array:
-        cycle = Cycle(output.mean(), output.std(), output[0], output[-1], activity.shape, 1.0, 1.0, 0.0, True)
+        cycle = Cycle(
+            output.mean(), output.std(), output[0], output[-1], activity.shape, activity.course, 1, 1, 0, True
+        )
         return activity.drift_of(cycle, rest_is_low)
 
     shifts, log_gains = np.array([drift_of(curve.pressed(usual, share)) - drift_of(usual) for share in shares]).T
@@ -192,11 +211,17 @@ def _pivots(activity: Activity, rest_is_low: bool, curve: RestCurve, shares: tup
     return np.array([log_gains, -shifts / np.expm1(log_gains)])
 
 
-def timing_scatter(log_durations: Array, config: ActivityConfig) -> float:
-    """Return the standard deviation of (n,) log durations without the few that are furthest from the median."""
+def timing_regularity(log_durations: Array, config: ActivityConfig) -> float:
+    """Return 1 for (n,) log durations that scatter as a machine's do, to 0 at twice that; a few outliers aside."""
     distance = np.abs(log_durations - np.median(log_durations))
-    nearest = np.argsort(distance, kind="stable")[: len(distance) - max(1, len(distance) // config.machine_cycles)]
-    return float(log_durations[nearest].std())
+    count = len(distance) - max(1, len(distance) // config.machine_cycles)
+    nearest = np.argsort(distance, kind="stable")[: max(1, count)]
+    return float(np.clip(2 - log_durations[nearest].std() / config.least_scatter, 0, 1))
+
+
+def trend_sd(scatter: Array | float, count: int) -> Array:
+    """Return the standard deviation of a least squares slope over an index from -1/2 to 1/2."""
+    return np.asarray(scatter * np.sqrt(12 / count))
 
 
 def _trend(values: Array) -> tuple[Array, Array]:
@@ -262,11 +287,17 @@ def learn_use(
         scale = float(np.exp(np.mean([np.log(c.scale) for c in cycles])))
     if curve is not None:
         curve = RestCurve((curve.output - mean) / scale, curve.load)
-    lesson = learn_activity([c.standardised(mean, scale) for c in cycles], rest_is_low, method, curve)
+    standard = [c.standardised(mean, scale) for c in cycles]
+    lesson = learn_activity(standard, rest_is_low, method, curve)
     if not is_covered:
         lesson = Lesson(None, "the calibration recording is no sequence of cycles", np.zeros(2))
     usual_s = float(np.median([c.duration_s for c in cycles])) if cycles else longest / recording.sample_rate_Hz
     usual = recording.sample_rate_Hz * usual_s
+    # A sensor that creeps takes a while to settle under a use that begins: that is no drift.
+    if len(settled := standard[math.ceil(method.intake.settling / usual) :]) > 2:
+        slope, scatter = _trend(np.array([[c.level, np.log(c.scale)] for c in settled]))
+        sd = trend_sd(np.maximum(scatter, method.activity.least_scatter), len(settled))
+        lesson = replace(lesson, trend=slope * len(cycles) / len(settled), trend_sd=sd * len(cycles) / len(settled))
     duration_s = float(np.ptp(recording.t_s))
     zero = None if zero_output is None else (zero_output - mean) / scale
     return CalibratedUse(mean, scale, low, high, duration_s, usual, usual_s, longest, rest_is_low, zero, lesson, curve)

@@ -23,7 +23,7 @@ from softcal.core.use.state_json import restored
 from softcal.core.use.tracker import DriftTracker
 from softcal.core.windows import resting
 
-FILTERS = ("none", "basic", "improved")
+FILTERS = ("none", "improved")
 QUEUES = ("ot", "ot-improved")
 MODES = (*FILTERS, *QUEUES)
 STATE_FORMAT = 1
@@ -43,9 +43,9 @@ class AdaptConfig:
     """How a unit in use is followed.
 
     Args:
-        mode: `none` leaves the map as it is; `basic` compares the use with the calibration recording alone; `improved`
-            also learns other uses from the best estimates so far (Kim et al. 2020, Fig. 5). `ot` and `ot-improved` are
-            those of `queued.QueuedTransport`.
+        mode: `none` leaves the map as it is; `improved` compares the use with the calibration recording and with uses
+            learnt from the best estimates so far (Kim et al. 2020, Fig. 5). `ot` and `ot-improved` are those of
+            `queued.QueuedTransport`.
         method: every number that decides.
     """
 
@@ -97,7 +97,7 @@ class Adapter(Batches):
         use, method = self._use, self._method
         return (
             CycleCutter(use.low, use.high, use.usual, use.longest, method.cycle),
-            DriftTracker(use, self._config.mode == "improved", method),
+            DriftTracker(use, method),
         )
 
     @property
@@ -158,7 +158,7 @@ class Adapter(Batches):
         if self._of_use.why and verdict == FOLLOWED:
             verdict, reason = HELD, self._of_use.why
         # Not even a cycle was seen: that must not read as if nothing had drifted.
-        if verdict == START and self._tracker.is_learning:
+        if verdict == START and self._is_watched and self._tracker.is_learning:
             verdict, reason = UNWATCHED, NOT_WATCHED
         now_s = self._current.t_s if last is None else last.t_s
         predicted, alarm = self._predicted_rmse(doubt.growth), self._alarm() or self._tracker.alarm

@@ -31,14 +31,10 @@ class JumpReaction:
 
 
 class Changes:
-    """Finds changes and reacts to them, in the state of a tracker.
+    """Finds changes and reacts to them, in the state of a tracker."""
 
-    Args:
-        is_improved: whether new activities are learnt; otherwise every cycle is compared with the calibration alone.
-    """
-
-    def __init__(self, use: CalibratedUse, method: UseMethod, is_improved: bool) -> None:
-        self._use, self._method, self._is_improved = use, method, is_improved
+    def __init__(self, use: CalibratedUse, method: UseMethod) -> None:
+        self._use, self._method = use, method
         self._floor = method.trust.step, method.jump.log_gain
 
     def surprise(self, now: TrackerState, cycle: Cycle, index: int) -> tuple[Array, Array]:
@@ -106,7 +102,7 @@ class Changes:
             now.unresolved = 0.0
             if not stands:
                 now.stray = max(now.stray, math.sqrt(0.5) * abs(moved))
-            if self._is_improved and len(now.jumps) == most and self._learn(now, now.jumps):
+            if len(now.jumps) == most and self._learn(now, now.jumps):
                 now.jumps.clear()
             return JumpReaction(HELD, USE_CHANGED if stands else PRELOAD_GONE)
         before, after = drift[0], drift[0] + moved
@@ -205,8 +201,8 @@ class Changes:
             oldest = 1 if self._use.lesson.activity is not None else 0
             del now.activities[oldest]
             now.filter = now.filter.without(oldest)
-        is_imposed = activity.is_imposed and len(cycles) >= self._method.activity.machine_cycles
-        now.activities.append(replace(activity, is_imposed=is_imposed))
+        regularity = activity.regularity if len(cycles) >= self._method.activity.machine_cycles else 0.0
+        now.activities.append(replace(activity, regularity=regularity))
         now.stray_before = now.stray
         now.filter = now.filter.with_learnt(activity.doubt)
         now.latest, now.recent = len(now.activities) - 1, []

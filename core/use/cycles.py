@@ -28,6 +28,7 @@ class Cycle:
         scale: standard deviation, in the same unit.
         low, high: mean of the lowest and highest sixteenth of the samples: the turning points.
         shape: (q,) standardised quantiles, (quantile - level) / scale.
+        course: (q,) standardised means of as many parts of its time, first to last.
         speed: RMS change over one window, in units of `scale`.
         duration_s: how long it took.
         end_s: time of its last sample.
@@ -39,6 +40,7 @@ class Cycle:
     low: float
     high: float
     shape: Array = field(metadata=array("q"))
+    course: Array = field(metadata=array("q"))
     speed: float
     duration_s: float
     end_s: float
@@ -204,6 +206,8 @@ class CycleCutter:
 
     def _finish(self, is_complete: bool) -> Cycle:
         now, config = self._now, self._config
+        parts = np.array_split(now.kept, config.quantiles)
+        course = np.array([part.mean() if len(part) else now.kept[-1] for part in parts])
         values = np.sort(now.kept)
         level, scale = float(values.mean()), float(values.std())
         # Means of many samples: single extremes would follow the noise.
@@ -217,6 +221,7 @@ class CycleCutter:
             low=low,
             high=high,
             shape=(quantiles - level) / max(scale, 1e-300),
+            course=(course - course.mean()) / max(float(course.std()), 1e-300),
             speed=float(speed),
             duration_s=now.end_s - now.start_s,
             end_s=now.end_s,

@@ -7,7 +7,6 @@ So an upgrade that changes a number shows in the record of the stream (`changes`
 from dataclasses import dataclass, field
 
 from softcal.core.settings import NumberedMethod, setting
-from softcal.core.unit.trim import TrimConfig
 
 HARM = "streams of benchmarks/long_use.py --seed 0, which docs do not report"
 """Origin of what was chosen on simulated streams; docs/long-term.md reports other seeds."""
@@ -203,11 +202,10 @@ class UseMethod(NumberedMethod):
 
     Args:
         version: raised when the code computes otherwise from the same numbers.
-        intake, cycle, activity, drift, jump, learning, trust, doubt, trim, online: a section a module or concern.
-            No stream reads `trim`: it stays so that the identity of streams followed earlier stays.
+        intake, cycle, activity, drift, jump, learning, trust, doubt, online: a section a module or concern.
     """
 
-    version: int = setting(8, "raised by hand")
+    version: int = setting(9, "raised by hand")
     intake: IntakeConfig = field(default_factory=IntakeConfig)
     cycle: CycleConfig = field(default_factory=CycleConfig)
     activity: ActivityConfig = field(default_factory=ActivityConfig)
@@ -216,7 +214,6 @@ class UseMethod(NumberedMethod):
     learning: LearningConfig = field(default_factory=LearningConfig)
     trust: TrustConfig = field(default_factory=TrustConfig)
     doubt: DoubtConfig = field(default_factory=DoubtConfig)
-    trim: TrimConfig = field(default_factory=TrimConfig)
     online: OnlineConfig = field(default_factory=OnlineConfig)
 
     def changes(self, earlier: "UseMethod") -> list[str]:

@@ -61,6 +61,8 @@ class TrackerState:
         stray_before: the same when these cycles began.
         recent, recent_of: log gains of the last few cycles that were compared, and their activity.
         away: how far the latest strange cycles rest from all that are known, be it chance or not.
+        believed: (2,) part of the drift that the same use of an ageing sensor shows.
+        likeness: how like the latest cycles were to the calibrated ones, 0 to 1.
         opening, opening_sd: level over the first cycles, in scales; 0 and 0 while single cycles are compared.
     """
 
@@ -70,6 +72,7 @@ class TrackerState:
     to_settle: int
     trend: Array = field(metadata=array(2, 2))
     carried: Array = field(metadata=array(2))
+    believed: Array = field(metadata=array(2))
     strangers: list[Cycle] = field(metadata=parts(Cycle))
     jumps: list[Cycle] = field(metadata=parts(Cycle))
     latest: int = 0
@@ -89,6 +92,7 @@ class TrackerState:
     recent_of: int = -1
     timing: list[float] = field(default_factory=list)
     away: float = 0.0
+    likeness: float = 1.0
     opening: float = 0.0
     opening_sd: float = 0.0
 
@@ -101,8 +105,16 @@ class TrackerState:
         return self.filter.seen_by(0)[1] if self.activities else self.filter.doubt()
 
     @property
+    def sensor(self) -> Array:
+        """(2,) shift and log gain believed to be the sensor's: never more than is estimated."""
+        return np.clip(self.believed, np.minimum(self.filter.drift, 0), np.maximum(self.filter.drift, 0))
+
+    @property
     def applied(self) -> Array:
         """(2,) shift and log gain that the correction takes out."""
         if self.to_settle:
             return self.carried
-        return np.asarray(self.trust.applied(self.filter.drift, self.seen) + np.array([self.trial, 0.0]))
+        drift, sensor, sure = self.filter.drift, self.sensor, self.trust.applied(self.filter.drift, self.seen)
+        # Each is a lower bound of what is drift.
+        applied = np.where(np.abs(drift - sensor) < np.abs(drift - sure), sensor, sure)
+        return np.asarray(applied + np.array([self.trial, 0.0]))

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.use.activity import CalibratedUse, timing_scatter
+from softcal.core.use.activity import CalibratedUse, timing_regularity, trend_sd
 from softcal.core.use.changes import Changes
 from softcal.core.use.cycles import Cycle
 from softcal.core.use.doubt import Doubt, Evidence, doubt
@@ -44,19 +44,10 @@ from softcal.core.use.trust import Trust
 
 
 class DriftTracker:
-    """Follows the drift of one unit, cycle by cycle.
+    """Follows the drift of one unit, cycle by cycle; learns new activities from the best estimates so far."""
 
-    Improved, it learns new activities from the best estimates so far, and shapes may move; otherwise every cycle is
-    compared with the calibration recording alone.
-    """
-
-    def __init__(
-        self,
-        use: CalibratedUse,
-        is_improved: bool,
-        method: UseMethod = UseMethod(),  # noqa: B008 - frozen
-    ) -> None:
-        self._use, self._is_improved, self._method = use, is_improved, method
+    def __init__(self, use: CalibratedUse, method: UseMethod = UseMethod()) -> None:  # noqa: B008 - frozen
+        self._use, self._method = use, method
         known, drift = use.lesson.activity, method.drift
         # Without a calibrated activity the drift is counted from the first one learnt.
         state = DriftFilter.start(np.array(drift.start_doubt) * (known is not None))
@@ -65,8 +56,14 @@ class DriftTracker:
         # A trend seen in the calibration recording itself may go on.
         spread = np.array(drift.prior) ** 2 + use.lesson.trend**2 * (known is not None)
         self._walk = np.diag(spread) / use.duration_s
+        self._drift_share = 0.0
+        if known is not None:
+            # What moved while a machine repeated its loads was the sensor, beyond what its least scatter makes of one.
+            chance = float(trend_sd(method.activity.least_scatter, 1))
+            sure = Trust(use.zero, config=method.trust).sure_size(use.lesson.trend, use.lesson.trend_sd)
+            self._drift_share = known.regularity * sure**2 / (sure**2 + chance**2)
         self._overdue_s = method.cycle.overdue * use.usual_s
-        self._changes = Changes(use, method, is_improved)
+        self._changes = Changes(use, method)
         self._settling = max(1, math.ceil(method.intake.settling / use.usual))
         self._now = TrackerState(
             filter=state,
@@ -75,6 +72,7 @@ class DriftTracker:
             to_settle=self._settling,
             trend=np.zeros((2, 2)),
             carried=np.zeros(2),
+            believed=np.zeros(2),
             strangers=[],
             jumps=[],
         )
@@ -92,7 +90,7 @@ class DriftTracker:
     @property
     def is_learning(self) -> bool:
         """Whether no use is known yet that could be compared with."""
-        return self._is_improved and not self._now.activities
+        return not self._now.activities
 
     @property
     def least_s(self) -> float:
@@ -115,6 +113,9 @@ class DriftTracker:
             return self._held(cycle, "no cycle of use was completed in the longest time one may take")
         standard = cycle.standardised(self._use.mean, self._use.scale)
         candidates = [k for k, activity in enumerate(now.activities) if activity.strangeness(standard) <= 1]
+        # A cycle of no known activity is not like the calibrated ones.
+        likeness = now.activities[0].likeness(standard) if candidates else 0.0
+        now.likeness += (likeness - now.likeness) / self._method.drift.memory_cycles
         if not candidates:
             return self._meet_stranger(standard)
         now.strangers.clear()
@@ -172,7 +173,7 @@ class DriftTracker:
                 chance=float(np.trace(now.filter.doubt())),
                 walked=float(np.trace(self._walked(t_s))),
                 moved=now.trust.moved,
-                use_doubt=now.trust.use_doubt(drift, applied),
+                use_doubt=now.trust.use_doubt(drift, applied - now.sensor),
                 unseen=unseen,
                 is_learning=self._is_learning(t_s),
                 unresolved=now.unresolved,
@@ -187,7 +188,7 @@ class DriftTracker:
     def _is_learning(self, t_s: float) -> bool:
         """Return whether no use is known yet, and the time in which one may be learnt is not over."""
         now = self._now
-        if not self._is_improved or now.activities or now.first_s is None:
+        if now.activities or now.first_s is None:
             return False
         return t_s - now.first_s < self._method.learning.first_use_s
 
@@ -214,8 +215,7 @@ class DriftTracker:
         if np.any(np.abs(measured.drift) > self._method.drift.largest):
             now.alarm = "the drift has left the range that is followed"
             return self._held(cycle, now.alarm, index)
-        if self._is_improved:
-            now.activities[index] = activity.refreshed(cycle, 1 / self._method.drift.memory_cycles)
+        now.activities[index] = activity.refreshed(cycle, 1 / self._method.drift.memory_cycles)
         # A person who has just put the sensor on presses otherwise for a while.
         now.to_settle = max(0, now.to_settle - 1)
         # The log gain of the last few cycles of one activity.
@@ -224,28 +224,36 @@ class DriftTracker:
         now.recent, now.recent_of = [*before[-self._method.activity.min_cycles + 1 :], log_gain], index
         self._accept(measured, index)
         now.jumps = jumps
-        if now.trust.is_use_as_likely(now.filter.drift, now.seen):
+        if now.trust.is_use_as_likely(now.filter.drift, now.seen, now.applied):
             return self._observation(cycle.end_s, HELD, USE_OR_GAIN, index)
         is_preload = now.trust.may_be_preload and np.any(now.applied)
         return self._observation(cycle.end_s, FOLLOWED, PRELOADED if is_preload else "", index)
 
     def _accept(self, measured: DriftFilter, index: int) -> None:
         now = self._now
+        now.believed = now.believed + self._belief() * (measured.drift - now.filter.drift)
         now.filter, now.latest, now.unseen_s = measured, index, 0.0
         # A use that was known before the latest was learnt shows where the sensor is.
         if index < len(now.activities) - 1:
             now.stray = now.stray_before = 0.0
         activity = now.activities[index]
         # A person may go on with what a machine was calibrated with.
-        config = self._method.activity
-        is_timed = (
-            len(now.timing) >= config.min_cycles
-            and timing_scatter(np.array(now.timing), config) < 2 * config.least_scatter
-        )
-        known = replace(activity, is_imposed=activity.is_imposed and is_timed)
+        is_timed = len(now.timing) >= self._method.activity.min_cycles and self._regularity() > 0
+        known = activity if is_timed else replace(activity, regularity=0.0)
         now.trust = now.trust.after(known, measured.drift, now.seen, 1 / self._settling)
         now.jumps.clear()
         now.alarm, now.unresolved = "", 0.0
+
+    def _belief(self) -> float:
+        """Return the weight of drift against use for what cycles show now, 0 to 1.
+
+        It is the product of how surely the sensor drifted while it was calibrated, how like the calibrated ones the
+        latest cycles are, and how regularly they come.
+        """
+        return self._drift_share * self._now.likeness * self._regularity()
+
+    def _regularity(self) -> float:
+        return timing_regularity(np.array(self._now.timing), self._method.activity)
 
     def _pace(self, surprise: Array, expected: Array) -> float:
         """Return the factor on the process noise: above 1 while innovations keep one sign beyond chance."""
@@ -271,8 +279,6 @@ class DriftTracker:
             if self._changes.try_rest(now, cycle, now.latest):
                 now.unresolved = abs(now.trial)
                 return self._observation(cycle.end_s, TRIED, REST_MOVED, -1)
-        if not self._is_improved:
-            return self._held(cycle, "the use is not that of the calibration recording")
         if not self._changes.take(now, cycle):
             return self._held(cycle, "the use is none of those known")
         learnt = self._held(cycle, "a new use was learnt from the estimates so far", len(now.activities) - 1)

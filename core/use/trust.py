@@ -188,10 +188,9 @@ class Trust:
         moved = movement(applied, level) if self.may_be_preload else 0.0
         return 0.5 * (float(applied[1]) ** 2 * (1 + level**2) + moved**2)
 
-    def is_use_as_likely(self, drift: Array, covariance: Array) -> bool:
-        """Return whether most of a sure log gain is not applied because use explains it as well."""
-        log_gain = self._sure(float(drift[1]), covariance)
-        return bool(abs(self.applied(drift, covariance)[1]) < 0.5 * abs(log_gain))
+    def is_use_as_likely(self, drift: Array, covariance: Array, applied: Array) -> bool:
+        """Return whether most of a sure log gain is not among what is applied, for use explains it as well."""
+        return bool(abs(applied[1]) < 0.5 * abs(self._sure(float(drift[1]), covariance)))
 
     def gain_per_shift(self, level: float) -> float:
         """Return the log gain about a level that moves the mean of the calibrated use, 0, as far as a shift of 1.

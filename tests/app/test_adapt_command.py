@@ -299,7 +299,7 @@ def test_next_file_goes_on_with_the_queue_of_the_last(bench: Path, stream: Path,
     [
         (("--mode", "ot", "--queue", "14"), "15"),
         (("--mode", "ot-improved", "--queue", "100000"), "100014 rows"),
-        (("--mode", "basic", "--queue", "200"), "--queue"),
+        (("--mode", "none", "--queue", "200"), "--queue"),
     ],
 )
 def test_a_queue_that_cannot_be_is_refused_in_one_line(

@@ -26,7 +26,7 @@ def test_larger_cycles_about_a_rest_that_stands_are_use() -> None:
     trust = Trust(zero=REST, rest=REST)
 
     np.testing.assert_allclose(trust.applied(about(REST, 0.3), SURE), [0.0, 0.0], atol=1e-9)
-    assert trust.is_use_as_likely(about(REST, 0.3), SURE)
+    assert trust.is_use_as_likely(about(REST, 0.3), SURE, trust.applied(about(REST, 0.3), SURE))
 
 
 def test_larger_cycles_of_a_preloaded_use_are_use() -> None:
