@@ -24,7 +24,7 @@ from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.verdict import VERDICTS
 
 BEFORE, DEFAULT = "before (no map)", "softcal default"
-FAST = (BEFORE, DEFAULT, "label_shift", "monotone", "ot.da.EMDTransport", "ot.da.LinearTransport")
+FAST = (BEFORE, DEFAULT, "two_point", "monotone", "ot.da.EMDTransport", "ot.da.LinearTransport")
 FLAGGED = 1.15
 """Units beyond this ratio are to be flagged: not passed."""
 

@@ -35,7 +35,7 @@ from softcal.core.recording import LabelledRecording, OutputRecording
 
 DAYS = ("calibration", "validation_1")
 PLACES = ("left", "middle", "right")
-METHOD_NAMES = ("before (no map)", "label_shift", "monotone", "softcal default", "ot.da.EMDTransport")
+METHOD_NAMES = ("before (no map)", "two_point", "monotone", "softcal default", "ot.da.EMDTransport")
 LOADS = (1, 2, 3, 5)
 
 
@@ -143,7 +143,7 @@ def two_known(case: Case, networks: Networks) -> tuple[float, float, float]:
     loads = known_loads(case.use, 2) or Anchors(np.empty(0), np.empty(0))
     problem = FitProblem(case.source, network, case.unit, loads)
     maps = [choose_map(problem).unit_map]
-    for name in ("between", "label_shift"):
+    for name in ("averaged", "two_point"):
         maps.append(refine(problem, family(name).fit(problem), loads, "").unit_map)
     default, half, line = (one.apply(case.test.windows) for one in maps)
     span, middle = float(np.ptp(case.source.unlabelled.output)), float(np.median(line))

@@ -35,7 +35,7 @@ from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.unit_problem import UnitProblem
 
-FAMILIES = ("identity", "affine", "label_shift", "monotone", "between")
+FAMILIES = ("identity", "affine", "two_point", "monotone", "averaged")
 KNOWN = ("before (no map)", "softcal default", "ot.da.EMDTransport")
 COPIES, GAIN_SPREAD, LEVEL_SPREAD = 6, 0.25, 0.1
 """Copies of the source; spread of log gain; spread of the level over the source's span."""

@@ -12,7 +12,7 @@ from softcal.app.api.recording import Recording, labelled_of, recording_of
 from softcal.app.api.unit import Unit, unit_frame, unit_row
 from softcal.app.batch.calibrating import LotFacts, UnitInputs
 from softcal.core.errors import InputError, UnitRefused
-from softcal.core.maps.catalogue import family as family_named
+from softcal.core.maps.catalogue import check_family
 from softcal.core.maps.config import DEFAULT
 from softcal.core.maps.interface import Anchors
 from softcal.core.unit.calibrate import calibrate
@@ -142,7 +142,8 @@ def fit_map(
             rate. A reference, if it has one, is not looked at. Or many of these: a dict by serial, or a list, where
             what has no serial is called `unit-1`, `unit-2` and so on by its position.
         sample_rate_Hz: samples a second, where the data have no time of their own; by default the source's.
-        family: `auto` lets the recording choose; or a family such as `affine` (`softcal batch --help` lists them).
+        family: `auto` lets the recording choose; `exact` and `joint` are the paper's optimal transport, windows alone
+            (eq. 3) or with their loads (eq. 5); `softcal batch --help` lists all.
         limit_rmse: largest acceptable error in the reference unit; by default derived from the source's own error.
         anchors: a few known loads: (outputs, references), or a DataFrame with these columns; for many units a dict of
             them by serial.
@@ -178,6 +179,23 @@ def fit_map(
     return UnitTable(tuple(rows))
 
 
+def named_recordings(network: SourceNetwork, units: Any, facts: Mapping[str, Any]) -> list[Recording]:
+    """Return the recordings of many units, each with its own serial.
+
+    Raises:
+        InputError: it is one recording or none, a serial stands twice, or an output is unusable.
+    """
+    if not _is_many(units):
+        raise InputError(f"units is {shown(units)}; a dict {{serial: recording}} or a list of recordings was expected")
+    fit = _MapFit.prepare(network, DEFAULT, None)
+    given = [*units.items()] if isinstance(units, dict) else [(None, one) for one in units]
+    serials = [_serial_of(name, one, position) for position, (name, one) in enumerate(given, 1)]
+    return [
+        _recording_of_unit(one, name, serial, serials.count(serial), fit, facts)
+        for serial, (name, one) in zip(serials, given, strict=True)
+    ]
+
+
 @dataclass(frozen=True, eq=False)
 class _MapFit:
     """What all units of one call are fitted with."""
@@ -189,8 +207,7 @@ class _MapFit:
         expect("network", network, SourceNetwork, "what softcal.fit_network returned")
         model = network.model
         if text("family", family) != DEFAULT:
-            family_named(family)
-            method = Method(map=replace(model.method.map, family=str(family)))
+            method = Method.with_family(check_family(family))
             model = make_source_model(model.source, model.network, network.held_out, method)
         limit = None if limit_rmse is None else number("limit_rmse", limit_rmse, "a number in the reference unit")
         return cls(LotFacts((model,), stated_limit(network.reference_unit, limit)))

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from softcal.app.batch.audit import update_lot
 from softcal.app.batch.judging import judge_leaning
-from softcal.app.batch.known import KeptFacts, lot_facts, state_line, state_sources
+from softcal.app.batch.known import KeptFacts, lot_facts, lot_method, state_family, state_line, state_sources
 from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
 from softcal.app.batch.release import judge_lot
 from softcal.app.batch.report import BatchReport, unused_audits
@@ -42,7 +42,9 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     sources, actor, lot_id = [one.labelled(folder.lot.reference_unit) for one in looked], config.actor, folder.lot.id
     source, read = sources[0], [ReadFile.from_recording(one, one.remarks) for one in looked]
     trained = [train_or_find(folder.lot, one, registry, config.network, actor, watch.on_epoch) for one in sources]
-    models = [make_source_model(one, found.network) for one, found in zip(sources, trained, strict=True)]
+    state_family(registry, lot_id, config.family or folder.family, actor)
+    method = lot_method(registry, lot_id)
+    models = [make_source_model(one, found.network, method=method) for one, found in zip(sources, trained, strict=True)]
     lot, run = registry.lots.get(lot_id), folder.read_golden()
     state_line(registry, lot_id, folder.line, actor)
     state_sources(registry, lot_id, [model.network.id for model in models[1:]], actor)

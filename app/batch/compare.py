@@ -9,7 +9,6 @@ import numpy as np
 from softcal.app.batch.calibrating import calibrate_unit
 from softcal.app.batch.known import KeptFacts, lot_facts
 from softcal.app.registry.lot_recordings import source_model, unlabelled
-from softcal.core.maps.config import MapConfig
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import Verdict
@@ -35,7 +34,7 @@ def compare_on_lot(registry: Registry, request: Mapping[str, Any], tell: Tell) -
     rows: list[dict[str, object]] = []
     for k, (network_id, family) in enumerate(pairs):
         tell(k / len(pairs), f"{network_id[:12]}, {family}")
-        model = source_model(registry, network_id, Method(map=MapConfig(family)))
+        model = source_model(registry, network_id, Method.with_family(family))
         facts = lot_facts(registry, lot, [model], golden=kept.golden_runs)
         made = [calibrate_unit(facts, recording, known) for recording, known in units]
         records = [one for one in made if isinstance(one, CalibrationRecord)]

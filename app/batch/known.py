@@ -17,12 +17,13 @@ from softcal.core.maps.interface import Anchors
 from softcal.core.network.config import NetworkConfig
 from softcal.core.unit.bridge import Bridge
 from softcal.core.unit.line_spread import LineSpread
+from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.verdict import default_limit, stated_limit
 from softcal.db.entries import NetworkEntry
 from softcal.db.registry import Registry
 
-LINE, SOURCES = "line_spread", "lot_sources"
+LINE, SOURCES, FAMILY = "line_spread", "lot_sources", "map_family"
 
 
 def state_line(registry: Registry, lot_id: str, line: LineSpread | None, actor: str | None = None) -> None:
@@ -47,6 +48,18 @@ def stated_sources(registry: Registry, lot_id: str) -> list[str]:
     """Return the networks of a lot's further sources, in its order."""
     facts = stated(registry, SOURCES, (lot_id,))
     return [] if facts is None else list(facts["networks"])
+
+
+def state_family(registry: Registry, lot_id: str, family: str | None, actor: str | None = None) -> None:
+    """Store the family of a lot's maps where somebody states it anew."""
+    if family is not None and family != lot_method(registry, lot_id).map.family:
+        state(registry, FAMILY, (lot_id,), {"family": family}, reason="stated with the lot", actor=actor)
+
+
+def lot_method(registry: Registry, lot_id: str) -> Method:
+    """Return this version's method with the map family that was stated last for a lot."""
+    facts = stated(registry, FAMILY, (lot_id,))
+    return Method() if facts is None else Method.with_family(facts["family"])
 
 
 def config_of(network: NetworkEntry) -> NetworkConfig:

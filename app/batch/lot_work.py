@@ -70,6 +70,7 @@ class BatchConfig:
         score_own: whether own calibrations are trained on audits, for comparison.
         refit: whether units are fitted again although the registry has their result.
         anchors: known loads by serial.
+        family: of every unit's map, or `auto`; None takes the one stated with the lot.
         actor: who asks, for the audit trail; None is the user the registry was opened by.
     """
 
@@ -80,6 +81,7 @@ class BatchConfig:
     refit: bool = False
     release: Release = Release.PASS
     anchors: Mapping[str, Anchors] = field(default_factory=dict)
+    family: str | None = None
     unit_limit_s: float = 900.0
     actor: str | None = None
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = """examples:
   softcal batch lot-1
+  softcal batch lot-1 --map exact
   softcal batch lot-1 --jobs 2 --out calibration-files --json report.json
   softcal batch lot-1 --engine dask --scheduler tcp://10.0.0.5:8786 --registry postgresql://line@db/softcal
 
@@ -54,6 +55,16 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="known loads: columns serial, output, reference; default: LOT/anchors.csv, where there is one",
     )
     add("--no-own", action="store_true", help="do not train own calibrations on audits for comparison")
+    add(
+        "--map",
+        metavar="FAMILY",
+        dest="family",
+        help="how every unit's map is found: auto (default: by each unit's evidence); the paper's optimal transport of "
+        "windows, exact (discrete plan, eq. 3) or joint (map and network together, eq. 5); one-dimensional transport, "
+        "monotone (equal quantiles); pairs, synchronous (equal time) or stage_matched (equal stage position); "
+        "two_point (rest and peak), averaged (of monotone and two_point), affine (two quantiles), identity; or one of "
+        "a plug-in. Kept with the lot until another is given; lot.toml states it as [map] family",
+    )
     add("--refit", action="store_true", help="fit again what the registry already has")
     add(
         "--parquet",
@@ -80,6 +91,7 @@ def run(options: argparse.Namespace) -> int:
     from softcal.app.extras import lacking
     from softcal.app.files.anchors import read_anchors
     from softcal.app.files.lot_folder import open_lot_folder
+    from softcal.core.maps.catalogue import check_family
     from softcal.core.unit.verdict import Release
 
     folder = open_lot_folder(options.lot)
@@ -93,6 +105,7 @@ def run(options: argparse.Namespace) -> int:
         engine=EngineChoice(options.engine, options.jobs, options.scheduler),
         score_own=not options.no_own and lack is None,
         refit=options.refit,
+        family=None if options.family is None else check_family(options.family),
         release=Release(options.release),
     )
     with registry_of(options, create=True) as registry:

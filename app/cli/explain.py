@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> None:
         ours = Method()
         here = {name: value for name, value, _ in ours.numbers()}
         if answer(options, "method/1", {"id": method.id, "numbers": dict(method.to_json())}):
-            stale = "" if method == ours else ", stale: this version uses another"
+            stale = "" if method.is_current else ", stale: this version uses another"
             print(f"{options.serial}: method {method.id[:12]}{stale}")
             for name, value, origin in method.numbers():
                 now = "" if here.get(name) == value else f"; this version: {here.get(name)}"

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from softcal.app.api.estimators import MapTransformer, NetworkRegressor
     from softcal.app.api.example import simulate_recordings
     from softcal.app.api.fitting import UnitTable, fit_map
+    from softcal.app.api.lot_fit import LotMaps, compare_sources, fit_lot
     from softcal.app.api.network import SourceNetwork, fit_network
     from softcal.app.api.recording import Recording
     from softcal.app.api.registry import open_registry
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 _WHERE = {
     "InputError": "softcal.core.errors:InputError",
+    "LotMaps": "softcal.app.api.lot_fit:LotMaps",
     "MapTransformer": "softcal.app.api.estimators:MapTransformer",
     "NetworkRegressor": "softcal.app.api.estimators:NetworkRegressor",
     "Recording": "softcal.app.api.recording:Recording",
@@ -37,7 +39,9 @@ _WHERE = {
     "Unit": "softcal.app.api.unit:Unit",
     "UnitRefused": "softcal.core.errors:UnitRefused",
     "UnitTable": "softcal.app.api.fitting:UnitTable",
+    "compare_sources": "softcal.app.api.lot_fit:compare_sources",
     "diagnose": "softcal.app.api.diagnosis:diagnose",
+    "fit_lot": "softcal.app.api.lot_fit:fit_lot",
     "fit_map": "softcal.app.api.fitting:fit_map",
     "fit_network": "softcal.app.api.network:fit_network",
     "open_registry": "softcal.app.api.registry:open_registry",
@@ -46,6 +50,7 @@ _WHERE = {
 
 __all__ = [
     "InputError",
+    "LotMaps",
     "MapTransformer",
     "NetworkRegressor",
     "Recording",
@@ -56,7 +61,9 @@ __all__ = [
     "UnitRefused",
     "UnitTable",
     "__version__",
+    "compare_sources",
     "diagnose",
+    "fit_lot",
     "fit_map",
     "fit_network",
     "open_registry",

@@ -26,6 +26,7 @@ from softcal.app.tables.options import TableOptions
 from softcal.app.tables.read import READERS, read_table
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial, row_name, serial_key
+from softcal.core.maps.catalogue import check_family
 from softcal.core.maps.interface import Anchors
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.budget import DAYS, NUMBERS, SIMULATED, Reference
@@ -45,6 +46,7 @@ KNOWN_KEYS = {
     "output": {"unit", "sample_rate_Hz", "source"},
     "limit": {"rmse"},
     "line": {"load_spread", "day_spread"},
+    "map": {"family"},
     "table": {"delimiter", "decimal", "encoding", "header_row", "sheet", "time_format", "missing", *COLUMN_KEYS},
 }
 """Keys of lot.toml by table. Two bare keys may also stand where TOML puts what follows."""
@@ -71,6 +73,7 @@ class LotFolder:
         golden_path: the source pressed again in the units' sitting; None without.
         anchors_path: known loads of units (`serial, output, reference`); None without.
         names: columns and layout of the recordings, where `lot.toml` states them.
+        family: of every unit's map, or `auto`; None where `lot.toml` states none.
         problems: why recordings of `unit_paths` are not used, by their row: no serial, or one that is given twice.
     """
 
@@ -88,6 +91,7 @@ class LotFolder:
     more_source_paths: Mapping[str, Path] = field(default_factory=dict)
     problems: Mapping[str, Reason] = field(default_factory=dict)
     names: ColumnNames = PLAIN
+    family: str | None = None
 
     def read_anchors(self) -> Mapping[str, Anchors]:
         """Read the known loads of the lot's units by serial; empty where there are none.
@@ -162,7 +166,7 @@ def open_lot_folder(folder: Path) -> LotFolder:
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such lot folder; make one with `softcal import`")
-    lot, line, reference, more, remarks, names = _read_lot_toml(folder / "lot.toml")
+    lot, line, reference, more, remarks, names, of_maps = _read_lot_toml(folder / "lot.toml")
     listed = {name: _recordings(folder / name) for name in ("source", "units", "audit", GOLDEN)}
     sources = listed["source"].usable
     for serial in (lot.source, *more):
@@ -184,7 +188,21 @@ def open_lot_folder(folder: Path) -> LotFolder:
     run = golden.get(lot.source)
     not_used = unused_of_lot(folder, {lot.source: source, **further}, units)
     return LotFolder(
-        folder, lot, source, units, audits, remarks, not_used, line, reference, run, loads, further, problems, names
+        folder,
+        lot,
+        source,
+        units,
+        audits,
+        remarks,
+        not_used,
+        line,
+        reference,
+        run,
+        loads,
+        further,
+        problems,
+        names,
+        of_maps,
     )
 
 
@@ -224,14 +242,16 @@ def _recordings(folder: Path) -> _Listing:
     return _Listing(paths, problems)
 
 
-LotToml = tuple[Lot, LineSpread | None, Reference | None, tuple[str, ...], tuple[str, ...], ColumnNames]
-"""What lot.toml says: the lot, its line, the source's reference, further sources, remarks, how its tables are read."""
+LotToml = tuple[Lot, LineSpread | None, Reference | None, tuple[str, ...], tuple[str, ...], ColumnNames, str | None]
+"""What lot.toml says: the lot, its line, the source's reference, further sources, remarks, how its tables are read, and
+the family of its maps.
+"""
 
 
 def _read_lot_toml(path: Path) -> LotToml:
     content = read_toml(path, "`softcal import` writes one", path.parent)
     with naming(path):
-        tables = {name: content.get(name, {}) for name in ("lot", "reference", "output", "limit", "line", "table")}
+        tables = {name: content.get(name, {}) for name in KNOWN_KEYS if name}
         for name, table in tables.items():
             if not isinstance(table, dict):
                 raise InputError(f"[{name}] must be a table")
@@ -270,6 +290,7 @@ def _read_lot_toml(path: Path) -> LotToml:
             serials,
             tuple(_unknown_keys(path, content)),
             _column_names(tables["table"], lot.sample_rate_Hz),
+            check_family(typed("[map] family", str, tables["map"]["family"])) if "family" in tables["map"] else None,
         )
 
 

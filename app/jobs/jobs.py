@@ -241,12 +241,12 @@ def demo(registry: Registry, job: Job, tell: Teller) -> Outcome:
 
 
 def calibrate(registry: Registry, job: Job, tell: Teller) -> Outcome:
-    """Calibrate every unit of a lot, or again; request: lot. What is known is not computed anew."""
+    """Calibrate every unit of a lot, or again; request: lot, map. What is known is not computed anew."""
     from softcal.app.batch.batch import run_batch
     from softcal.app.batch.front_door import lot_files, network_of
 
     lot_id = job.request["lot"]
-    config = BatchConfig(network=network_of(registry, lot_id), actor=job.actor)
+    config = BatchConfig(network=network_of(registry, lot_id), family=job.request.get("map"), actor=job.actor)
     with lot_files(registry, lot_id, lambda done, total: tell.step(0.0, "read", done=done, total=total)) as folder:
         report = run_batch(folder, registry, config, lot_watch(tell))
     new = sum(unit.is_new for unit in report.units)

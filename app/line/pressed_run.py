@@ -10,7 +10,7 @@ from functools import lru_cache, partial
 
 from softcal.app.batch.calibrating import Refusal, calibrate_unit
 from softcal.app.batch.judging import judge_again
-from softcal.app.batch.known import KeptFacts, config_of, keep_result, lot_facts, stated_sources
+from softcal.app.batch.known import KeptFacts, config_of, keep_result, lot_facts, lot_method, stated_sources
 from softcal.app.batch.release import LineRelease
 from softcal.app.batch.train import train_or_find
 from softcal.app.line.gate_facts import SHIFT, check_golden, quarantine
@@ -23,11 +23,12 @@ from softcal.app.registry.lot_recordings import source_model
 from softcal.app.registry.reference import state_reference
 from softcal.core.errors import BadReply, InputError
 from softcal.core.lot import Lot, check_serial
+from softcal.core.maps.config import AnchorConfig
 from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.orders import Order, OrderKind, Progress, RunState
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.budget import Reference
-from softcal.core.unit.method import Method
+from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.verdict import Verdict
 from softcal.core.words.reason import Reason, joined, reason
 from softcal.db.entries import NetworkEntry
@@ -63,8 +64,8 @@ class RunKeeper:
         sitting: timedelta = SHIFT,
     ) -> None:
         self._registry, self._station, self._reference = registry, station, reference
-        self._network, self._method, self._sitting = network, Method(), sitting
-        self._source_model = lru_cache(MOST_SOURCES)(lambda network: source_model(registry, network, self._method))
+        self._network, self._sitting = network, sitting
+        self._source_model = lru_cache(MOST_SOURCES)(partial(source_model, registry))
         self._cross = lru_cache(MOST_SOURCES)(partial(bridge_over, registry))
         self._loads = LoadReadings()
         self._release = LineRelease(registry)
@@ -94,7 +95,7 @@ class RunKeeper:
             # Loads of a lot that could not be used are refused while nothing has moved yet.
             entry, loads = released_network(self._registry, lot.id), self._registry.lots.line_rules(lot).loads
             if entry is not None and loads:
-                check_stated(loads, self._source_model(entry.id).source, self._method.map.anchors)
+                check_stated(loads, self._source(lot.id, entry.id).source, AnchorConfig())
 
     def keep(self, order: Order, recording: StationRecording | RestReading, tell: Tell) -> Progress:
         """Store a finished run and do what follows from it; return how the order ended.
@@ -134,8 +135,8 @@ class RunKeeper:
 
     def _keep_reading(self, order: Order, reading: RestReading, tell: Tell, done: Progress) -> Progress:
         entry = released_network(self._registry, order.lot_id)
-        source = self._source_model(entry.id).source if entry else None
-        said = self._loads.take(order, reading.output[:, 0], source, self._method.map.anchors)
+        source = self._source(order.lot_id, entry.id).source if entry else None
+        said = self._loads.take(order, reading.output[:, 0], source, AnchorConfig())
         if isinstance(said, Reason):
             return replace(done, message=(said,))
         unit, loads = said
@@ -149,7 +150,7 @@ class RunKeeper:
         labelled = recording.labelled_recording()
         own_lot = golden_lot(self._registry, order.serial)
         entry = None if own_lot is None else released_network(self._registry, own_lot)
-        source = None if entry is None else self._source_model(entry.id)
+        source = None if own_lot is None or entry is None else self._source(own_lot, entry.id)
         lot_id = own_lot or self._registry.calibrations.get(order.serial).lot_id
         sha256 = self._registry.recordings.add(lot_id, labelled, "audit", actor=order.actor or None)
         run = check_golden(self._registry, self._station, labelled, order.actor, recording_sha256=sha256, source=source)
@@ -199,7 +200,7 @@ class RunKeeper:
             keep_golden_of(registry, lot.id, {sha256: (unit.serial, golden)}, actor=actor)
         kept = KeptFacts(registry, lot.id, [unit.serial])
         others = [network for network in stated_sources(registry, lot.id) if network != entry.id]
-        models = [self._source_model(network) for network in (entry.id, *others)]
+        models = [self._source(lot.id, network) for network in (entry.id, *others)]
         facts = lot_facts(registry, lot, models, config_of(entry), kept.golden_runs, cross=self._cross)
         done = registry.calibrations.known_inputs(lot.id, [unit.serial]).get(unit.serial, ())
         made = calibrate_unit(facts, unit, kept.of(unit.serial), done)
@@ -209,6 +210,9 @@ class RunKeeper:
             self._release.press(lot.id, unit.serial, actor)
         standing = registry.pages.standings(lot.id, [unit.serial])[unit.serial]
         return sha256, (standing.verdict, standing.reasons)
+
+    def _source(self, lot_id: str, network: str) -> SourceModel:
+        return self._source_model(network, lot_method(self._registry, lot_id))
 
     def _known_lot(self, lot_id: str) -> Lot | None:
         return next((lot for lot in self._registry.lots.all() if lot.id == lot_id), None)

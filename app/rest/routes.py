@@ -28,6 +28,7 @@ from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import told
 from softcal.core.errors import InputError, NoSuchUnit
 from softcal.core.lot import Lot, escape_serial
+from softcal.core.maps.catalogue import check_family
 from softcal.core.unit.verdict import Release
 from softcal.db.access.people import PERMISSIONS, may, permissions
 from softcal.db.entries import User
@@ -265,7 +266,8 @@ def start(
 ) -> dict[str, Any]:
     """Start a batch over a lot. Ask the job how far it is; a key makes it safe to ask twice."""
     registry.lots.get(wanted.lot)
-    request, board = {"lot": wanted.lot}, registry.job_board
+    family = {} if wanted.map is None else {"map": check_family(wanted.map)}
+    request, board = {"lot": wanted.lot, **family}, registry.job_board
     job_id = None
     if idempotency_key is not None:
         job_id = hashlib.sha256(f"{user.name}\n{idempotency_key}".encode()).hexdigest()[:32]

@@ -143,6 +143,7 @@ class JobRequest(_Answer):
 
     kind: Literal["calibrate"] = "calibrate"
     lot: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .+-]{0,63}$")]
+    map: Annotated[str | None, Field(description="family of every map, as `softcal batch --map`")] = None
 
 
 class JobAnswer(_Answer):

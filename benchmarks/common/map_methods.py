@@ -139,7 +139,7 @@ METHODS: Mapping[str, Method] = {
     "before (no map)": one_family("identity"),
     "softcal default": default,
     "affine (two extremes)": one_family("affine"),
-    "label_shift": one_family("label_shift"),
+    "two_point": one_family("two_point"),
     "monotone": one_family("monotone"),
     "exact": one_family("exact"),
     "joint": one_family("joint"),

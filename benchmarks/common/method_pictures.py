@@ -20,8 +20,8 @@ SEED = 3
 SHOWN_S = 25.0
 FAMILIES = {
     "monotone": "whole distribution (monotone)",
-    "label_shift": "rest and peak (label_shift)",
-    "phase": "pairs (phase)",
+    "two_point": "rest and peak (two_point)",
+    "stage_matched": "pairs (stage_matched)",
 }
 SIZE = ViewportSize(width=1100, height=430)
 
@@ -79,7 +79,7 @@ def pairs(problem: FitProblem) -> go.Figure:
     of_unit = problem.target.windows[target_rows[thin]].mean(axis=1)
     of_source = problem.source.windows[source_rows[thin]].mean(axis=1)
     load_N = problem.source.window_reference[source_rows[thin]]
-    fitted = family("phase").fit(problem)
+    fitted = family("stage_matched").fit(problem)
     levels = np.linspace(float(of_unit.min()), float(of_unit.max()), 100)
     dots = {"mode": "markers", "marker": {"size": 3, "opacity": 0.4}}
     figure.add_scatter(x=of_unit, y=of_source, name="a pair", row=1, col=1, **dots)

@@ -11,7 +11,7 @@ from softcal.core.recording import Array, Arrays
 from softcal.core.windows import windows
 from softcal.core.words.reason import reason
 
-IDENTITY, AFFINE, LABEL_SHIFT = "identity", "affine", "label_shift"
+IDENTITY, AFFINE, TWO_POINT = "identity", "affine", "two_point"
 
 
 @dataclass(frozen=True)
@@ -61,11 +61,11 @@ def fit_affine(problem: FitProblem) -> AffineMap:
     return AffineMap(gain, float(source_low - gain * low))
 
 
-def fit_label_shift(problem: FitProblem) -> AffineMap:
+def fit_two_point(problem: FitProblem) -> AffineMap:
     """Match rest and peak of the two outputs, blind to how long and how fast each unit was pressed.
 
     What units pressed between the same rest and peaks share, however the time between is spent, are these two levels.
     The peak is read off the crossing measure, N(x) the number of times the output crosses level x, which does not
     change when presses are held longer or made faster.
     """
-    return AffineMap(problem.ends.gain, problem.ends.offset, LABEL_SHIFT)
+    return AffineMap(problem.ends.gain, problem.ends.offset, TWO_POINT)

@@ -7,17 +7,17 @@ from functools import lru_cache
 import numpy as np
 
 from softcal.core.errors import UnitRefused
-from softcal.core.maps.affine_map import AFFINE, IDENTITY, LABEL_SHIFT, fit_label_shift
+from softcal.core.maps.affine_map import AFFINE, IDENTITY, TWO_POINT, fit_two_point
 from softcal.core.maps.anchors import refine, source_bend
 from softcal.core.maps.catalogue import family
 from softcal.core.maps.config import DEFAULT
 from softcal.core.maps.crossing import CACHED, swings
 from softcal.core.maps.interface import FitProblem, UnitMap
-from softcal.core.maps.monotone import BETWEEN, MONOTONE
-from softcal.core.maps.paired import PHASE, SYNCHRONOUS
+from softcal.core.maps.monotone import AVERAGED, MONOTONE
+from softcal.core.maps.paired import STAGE_MATCHED, SYNCHRONOUS
 from softcal.core.recording import Array, OutputRecording
 
-_KIND = {SYNCHRONOUS: "paired", PHASE: "stage"}
+_KIND = {SYNCHRONOUS: "paired", STAGE_MATCHED: "stage"}
 """How the loads behind a family are known; any other rests on distributions."""
 
 
@@ -53,12 +53,12 @@ def choose_map(problem: FitProblem) -> ChosenMap:
     evidence: Mapping[str, float | str]
     forced = problem.config.family
     if forced != DEFAULT:
-        candidates = {forced: family(forced).fit(problem)} | _fitted(problem, IDENTITY, LABEL_SHIFT)
+        candidates = {forced: family(forced).fit(problem)} | _fitted(problem, IDENTITY, TWO_POINT)
         # The others are fitted all the same: where they disagree the estimate is uncertain.
         name, evidence = forced, {"decision": f"{forced}, as configured"}
     else:
         # Pairs need what not every recording has; these need the output alone.
-        candidates = _fitted(problem, IDENTITY, AFFINE, LABEL_SHIFT, MONOTONE, BETWEEN)
+        candidates = _fitted(problem, IDENTITY, AFFINE, TWO_POINT, MONOTONE, AVERAGED)
         name, evidence = _decide(problem, candidates)
     chosen = candidates.pop(name)
     if problem.anchors is None:
@@ -106,9 +106,9 @@ def _fitted(problem: FitProblem, *names: str) -> dict[str, UnitMap]:
 
 def _decide(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple[str, dict[str, float | str]]:
     """Name the candidate to take and why; paired candidates are added where pairs are to be had."""
-    if LABEL_SHIFT not in candidates:
+    if TWO_POINT not in candidates:
         # Raises the reason in words: the output makes no swing.
-        fit_label_shift(problem)
+        fit_two_point(problem)
     synchrony = problem.synchrony
     is_opening = bool(np.isfinite(synchrony.until_s))
     evidence: dict[str, float | str] = {
@@ -118,7 +118,7 @@ def _decide(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple[str, d
     # In order of trust: the first that can be fitted is taken, since a known pair beats any matched distribution.
     for name, is_offered, why in (
         (SYNCHRONOUS, synchrony.is_synchronous and not is_opening, "pressed by the source's load at the same time"),
-        (PHASE, problem.target.stage_mm is not None, "windows paired at equal stage position and history"),
+        (STAGE_MATCHED, problem.target.stage_mm is not None, "windows paired at equal stage position and history"),
         (SYNCHRONOUS, synchrony.is_synchronous, "opened by the source's load at the same time: that part is paired"),
     ):
         paired = _fitted(problem, name) if is_offered else {}
@@ -143,7 +143,7 @@ def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple
     )
     # Noise that passes for presses shows as far more swings than the source has.
     rate = target_rate / max(source_rate, 1e-9)
-    mapped = candidates[LABEL_SHIFT].apply(problem.target.windows)
+    mapped = candidates[TWO_POINT].apply(problem.target.windows)
     dwell = dwell_distance(problem.source.unlabelled, mapped, config.dwell_cells)
     numbers: dict[str, float | str] = {
         "swing_rate_ratio": rate,
@@ -154,7 +154,7 @@ def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple
     }
     if rate > config.unlike_rate:
         why = "swings far more often than the source: only rest level and hardest presses are matched; abstain"
-        return LABEL_SHIFT, numbers | {"decision": why}
+        return TWO_POINT, numbers | {"decision": why}
     # Both gain and rest must be within two standard errors: a map that is not needed only adds its own error.
     is_same_gain = abs(np.log(match.gain)) < 2 * match.gain_error
     is_same_rest = abs(match.rest_shift) < 2 * match.rest_error
@@ -165,12 +165,12 @@ def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple
     known = 0 if problem.anchors is None else len(problem.anchors.reference)
     if known > 1 and (bend := source_bend(problem.source, problem.config)) < problem.config.anchors.straight:
         why = "known loads give gain and level, and the source is straight between them: so is the unit, of its kind"
-        return LABEL_SHIFT, numbers | {"source_bend": bend, "decision": why}
+        return TWO_POINT, numbers | {"source_bend": bend, "decision": why}
     why = (
         f"{dwell:.0%} of the time is spent at other loads, or the unit is bent otherwise: half way between rest and "
         "hardest presses, and sample quantiles"
     )
-    return BETWEEN, numbers | {"decision": why}
+    return AVERAGED, numbers | {"decision": why}
 
 
 def dwell_distance(source: OutputRecording, mapped_target: Array, cells: int) -> float:

@@ -132,7 +132,7 @@ class LagConfig:
 
 
 @dataclass(frozen=True)
-class PhaseConfig:
+class StageMatchConfig:
     """Pairs at equal stage position (`paired.py`).
 
     Args:
@@ -206,6 +206,32 @@ class PlanConfig:
 
 
 @dataclass(frozen=True)
+class SharedLoadConfig:
+    """The maps of a lot fitted together (`shared_load.py`).
+
+    Args:
+        min_members: fewer units make no common load: of two that differ nobody can say which errs.
+        max_groups: each unit is compared with the first of so many groups at most: the cost stays linear.
+        instants: at which the weights are found, and maps compared with the common load.
+        rounds, settled: the weights are found again until none moves by this share of the mean weight.
+        min_share: instants that units of less than this share of all weights cover are no part of the common load.
+        outlying: a unit that so many times the usual difference is left of, once it is paired, was pressed otherwise.
+        bands: of load over which the differences are compared.
+        max_growth: where the differences grow by more than this share of the load, the press differs from unit to unit.
+    """
+
+    min_members: int = setting(3)
+    max_groups: int = setting(8)
+    instants: int = setting(2000)
+    rounds: int = setting(20)
+    settled: float = setting(0.01)
+    min_share: float = setting(0.3)
+    outlying: float = setting(4.0)
+    bands: int = setting(8)
+    max_growth: float = setting(0.03)
+
+
+@dataclass(frozen=True)
 class AnchorConfig:
     """A few known loads (`anchors.py`).
 
@@ -267,7 +293,8 @@ class MapConfig:
     curve: CurveConfig = field(default_factory=CurveConfig)
     synchrony: SynchronyConfig = field(default_factory=SynchronyConfig)
     lag: LagConfig = field(default_factory=LagConfig)
-    phase: PhaseConfig = field(default_factory=PhaseConfig)
+    stage_matched: StageMatchConfig = field(default_factory=StageMatchConfig)
     pairs: PairConfig = field(default_factory=PairConfig)
     plan: PlanConfig = field(default_factory=PlanConfig)
     anchors: AnchorConfig = field(default_factory=AnchorConfig)
+    shared_load: SharedLoadConfig = field(default_factory=SharedLoadConfig)

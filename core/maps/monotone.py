@@ -13,7 +13,7 @@ from softcal.core.maps.interface import FitProblem
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.words.reason import reason
 
-MONOTONE, BETWEEN = "monotone", "between"
+MONOTONE, AVERAGED = "monotone", "averaged"
 
 
 def fit_monotone(problem: FitProblem) -> CurveMap:
@@ -36,7 +36,7 @@ def fit_monotone(problem: FitProblem) -> CurveMap:
     return continued(curve, float(np.ptp(source)), config)
 
 
-def fit_between(problem: FitProblem) -> CurveMap:
+def fit_averaged(problem: FitProblem) -> CurveMap:
     """Average the curve of equal quantiles with the line through rest and peak.
 
     The line takes a unit to be bent exactly as its source. The curve takes its time to be spent exactly as the
@@ -46,7 +46,7 @@ def fit_between(problem: FitProblem) -> CurveMap:
     """
     match, curve = problem.ends, fit_monotone(problem)
     line = match.offset + match.gain * curve.knots
-    return CurveMap(curve.knots, 0.5 * curve.values + 0.5 * line, BETWEEN)
+    return CurveMap(curve.knots, 0.5 * curve.values + 0.5 * line, AVERAGED)
 
 
 @lru_cache(maxsize=CACHED)

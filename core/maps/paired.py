@@ -15,7 +15,7 @@ import numpy as np
 
 from softcal.core.errors import UnitRefused
 from softcal.core.identity import Settings
-from softcal.core.maps.config import MapConfig, PhaseConfig
+from softcal.core.maps.config import MapConfig, StageMatchConfig
 from softcal.core.maps.crossing import robust_range
 from softcal.core.maps.curve import CurveMap, continued
 from softcal.core.maps.interface import FitProblem
@@ -25,7 +25,7 @@ from softcal.core.recording import Array, Arrays, Indices, OutputRecording
 from softcal.core.windows import TAPS, evenly, resting, windows
 from softcal.core.words.reason import reason
 
-SYNCHRONOUS, PHASE = "synchronous", "phase"
+SYNCHRONOUS, STAGE_MATCHED, SHARED_LOAD = "synchronous", "stage_matched", "shared_load"
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,13 +91,15 @@ def fit_synchronous(problem: FitProblem) -> PairedMap:
     return fit_pairs(problem, source_rows, target_rows, SYNCHRONOUS)
 
 
-def fit_phase(problem: FitProblem) -> PairedMap:
+def fit_stage_matched(problem: FitProblem) -> PairedMap:
     """Pair windows whose stage histories agree and regress the source's on the target's.
 
     The station knows the stage position of both recordings, although the load on the unit is not measured. Assumes that
     equal travel means equal load: true for pads from one mould, not for units of different stiffness.
     """
-    return fit_pairs(problem, *paired_by_stage(problem.source.unlabelled, problem.target, problem.config), PHASE)
+    return fit_pairs(
+        problem, *paired_by_stage(problem.source.unlabelled, problem.target, problem.config), STAGE_MATCHED
+    )
 
 
 def fit_pairs(problem: FitProblem, source_rows: Indices, target_rows: Indices, family: str) -> PairedMap:
@@ -280,33 +282,33 @@ def paired_by_stage(source: OutputRecording, target: OutputRecording, config: Ma
     # Imported here: whoever applies a map does not wait for scipy.
     from scipy.spatial import cKDTree
 
-    phase = config.phase
-    known, asked = (stage_histories(r, r.stage_mm, phase) for r in (source, target) if r.stage_mm is not None)
+    stage = config.stage_matched
+    known, asked = (stage_histories(r, r.stage_mm, stage) for r in (source, target) if r.stage_mm is not None)
     travel_mm = float(np.ptp(target.stage_mm))
     # Twice as many as the fit reads: some of them find no partner.
     rows = evenly(len(asked), 2 * config.pairs.pairs)
     distance_mm, nearest = np.empty(len(rows)), np.empty(len(rows), np.int64)
-    seen = _seen_entries(target, phase)[rows]
+    seen = _seen_entries(target, stage)[rows]
     # One tree for each length of known history: what lies before a gap must not be compared as if it were known.
     for entries in np.unique(seen):
         group = seen == entries
         tree = cKDTree(known[:, :entries])
         distance_mm[group], nearest[group] = tree.query(asked[rows[group], :entries])
     # A share of the travel, so that one number serves strokes of 1 mm and of 20 mm.
-    alike = distance_mm <= phase.near_share * travel_mm
+    alike = distance_mm <= stage.near_share * travel_mm
     if travel_mm <= 0 or alike.sum() < config.pairs.fewest:
         raise UnitRefused(reason("few.positions", windows=int(alike.sum()), enough=config.pairs.fewest))
     return nearest[alike].astype(np.int64), rows[alike]
 
 
-def stage_histories(recording: OutputRecording, stage_mm: Array, config: PhaseConfig) -> Array:
+def stage_histories(recording: OutputRecording, stage_mm: Array, config: StageMatchConfig) -> Array:
     """Return where the stage stood now and before each full window, weighted: (m, len(config.look_back)) in mm."""
     ago, weight = np.array(config.look_back).T
     asked_s = recording.t_s[recording.window_rows][:, None] - ago / recording.sample_rate_Hz
     return np.asarray(np.interp(asked_s, recording.t_s, stage_mm) * weight)
 
 
-def _seen_entries(recording: OutputRecording, config: PhaseConfig) -> Indices:
+def _seen_entries(recording: OutputRecording, config: StageMatchConfig) -> Indices:
     """Return how many entries of each full window's history were recorded: what lies before a gap is not known.
 
     Before a recording begins the stage is taken to have stood where it begins.

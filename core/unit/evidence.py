@@ -11,12 +11,12 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from softcal.core.errors import UnitRefused
-from softcal.core.maps.affine_map import IDENTITY, LABEL_SHIFT
+from softcal.core.maps.affine_map import IDENTITY, TWO_POINT
 from softcal.core.maps.choose import ChosenMap, fit_family
 from softcal.core.maps.crossing import CACHED
 from softcal.core.maps.interface import FitProblem, UnitMap, mapped_segments
-from softcal.core.maps.monotone import BETWEEN
-from softcal.core.maps.paired import PHASE, SYNCHRONOUS, fit_pairs
+from softcal.core.maps.monotone import AVERAGED
+from softcal.core.maps.paired import STAGE_MATCHED, SYNCHRONOUS, fit_pairs
 from softcal.core.maps.synchrony import paired_rows
 from softcal.core.metrics import rms
 from softcal.core.recording import Array, Indices, LabelledRecording, Mask, OutputRecording
@@ -115,7 +115,7 @@ def other_maps(fit: FitProblem, chosen: ChosenMap, method: Method, floor: float)
     """Return what the chosen map is tried by; `floor` is the RMS error of the reference beside paired windows."""
     trials = _trials(fit, chosen, method.map.pairs.every, floor) if chosen.family == SYNCHRONOUS else []
     # Where the stage position or a common load is known, that tells more than leaving shares out.
-    is_measured = bool(trials) or chosen.family == PHASE
+    is_measured = bool(trials) or chosen.family == STAGE_MATCHED
     gain_error = float(chosen.evidence.get("gain_error", 0.0))
     log_gain = float(np.log(float(chosen.evidence.get("gain", 1.0))))
     # A gain far from the source's is itself a doubt unless loads were given.
@@ -126,7 +126,7 @@ def other_maps(fit: FitProblem, chosen: ChosenMap, method: Method, floor: float)
         resampled=[] if is_measured else _refitted(fit, chosen, method),
         trials=trials,
         gain_error=gain_error,
-        straight=chosen.alternatives.get(LABEL_SHIFT) if chosen.family == BETWEEN else None,
+        straight=chosen.alternatives.get(TWO_POINT) if chosen.family == AVERAGED else None,
     )
 
 

@@ -7,9 +7,10 @@ numbers (`ReleaseConfig`). A trim has a number of its own, in `unit/trim.py`.
 """
 
 from dataclasses import dataclass, field
+from functools import cache
 
 from softcal.core.inspection.config import InspectionConfig
-from softcal.core.maps.config import MapConfig
+from softcal.core.maps.config import DEFAULT, MapConfig
 from softcal.core.settings import SET, NumberedMethod, setting
 from softcal.core.unit.knowledge import KnowledgeTable
 from softcal.core.windows import TAPS
@@ -273,6 +274,25 @@ class Method(NumberedMethod):
     decision: DecisionConfig = field(default_factory=DecisionConfig)
     release: ReleaseConfig = field(default_factory=ReleaseConfig)
 
+    @classmethod
+    def with_family(cls, family: str) -> "Method":
+        """Return this version's method with one map family for every unit; `auto` lets each unit's evidence choose."""
+        return cls(map=MapConfig(family))
+
+    @property
+    def is_current(self) -> bool:
+        """Whether its numbers are this version's; the family is a choice of whoever calibrates, and no number."""
+        return self == Method.with_family(self.map.family)
+
     def __post_init__(self) -> None:
         if (self.taps, self.levels, self.confidence) != (TAPS, LEVELS, CONFIDENCE):
             raise ValueError(f"taps, levels and confidence are {FORMAT}")
+
+
+@cache
+def current_ids() -> tuple[str, ...]:
+    """Return the identities of this version's method, one for every map family that it can be used with."""
+    # Families of other packages are loaded for this.
+    from softcal.core.maps.catalogue import FAMILIES
+
+    return tuple(Method.with_family(name).id for name in (DEFAULT, *FAMILIES))

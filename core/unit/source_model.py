@@ -207,9 +207,9 @@ def source_difference(source: LabelledRecording, estimate: Array, method: Method
     # Most lots have no stage: they need not load it.
     from scipy.spatial import cKDTree
 
-    histories = stage_histories(recording, recording.stage_mm, method.map.phase)
+    histories = stage_histories(recording, recording.stage_mm, method.map.stage_matched)
     t_s = recording.t_s[recording.window_rows]
-    near = method.map.phase.near_share * float(np.ptp(recording.stage_mm))
+    near = method.map.stage_matched.near_share * float(np.ptp(recording.stage_mm))
     differences, times = [], []
     for block in np.array_split(np.arange(len(t_s)), method.map.ends.stretches):
         # A window must not be compared with itself or its neighbours: they agree whatever the source repeats.

@@ -331,6 +331,13 @@ no_swing: its output does not stand out of its noise; press the unit and record 
 still: its output stays at one value; press the unit and record it again ({level:.6g} {unit})
 still.shared: its output stays at one value under the loads it shares with the source; check its
   cable, then record it again ({level:.6g} {unit})
+lot_fit.alone: it shares no load in time with other units of the lot; its map is its own
+lot_fit.few: too few share a load in time (units: {count}); each keeps its own map
+lot_fit.known: its load is known better than by other units: its map rests on pairs or known loads
+lot_fit.outlier: it was pressed otherwise than the units it was pressed with: once its map is paired with their load,
+  {rmse:.3g} {unit} are left, usually {usual:.3g} {unit}; its map is its own
+lot_fit.spread: the units differ more the harder they are pressed, by {share:.1%} of the load: the press differs from
+  unit to unit, so they share no load; each keeps its own map
 not_synchronous: unit and source were not pressed by one load at the same time; press them together,
   or choose another map (rank correlation {correlation:.2f})
 few.times: too little of the recording lies at the same times as the source's; record both for

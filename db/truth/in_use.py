@@ -295,11 +295,12 @@ def _last(database: Database, table: sa.Table, query: sa.Select[Any], lot_id: st
 
 
 def of_this_method() -> sa.ColumnElement[bool]:
-    """Return whether a calibration was made with the method of this version, as SQL.
+    """Return whether a calibration was made with the method of this version, by whatever map family, as SQL.
 
-    The settings are canonical JSON text: the hash of today's method stands in it or it does not.
+    The settings are canonical JSON text: the hash of such a method stands in it or it does not.
     """
     # Whoever lists units needs none of the method's numbers.
-    from softcal.core.unit.method import Method
+    from softcal.core.unit.method import current_ids
 
-    return sa.type_coerce(calibrations.c.settings, sa.Text).contains(f'"method_id":"{Method().id}"')
+    settings = sa.type_coerce(calibrations.c.settings, sa.Text)
+    return sa.or_(*(settings.contains(f'"method_id":"{one}"') for one in current_ids()))

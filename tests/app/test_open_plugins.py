@@ -17,7 +17,7 @@ from softcal.app.cli.main import main
 from softcal.app.export import formats
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps.affine_map import AffineMap, fit_affine
-from softcal.core.maps.catalogue import OWN_FAMILIES, PLUGINS
+from softcal.core.maps.catalogue import BUILTIN_FAMILIES, PLUGINS
 from softcal.core.maps.conformance import example_problem, faults
 from tests.layers import layered
 
@@ -114,11 +114,13 @@ def test_files_of_a_plug_in_stay_in_the_folder_and_name_their_unit(files):
         formats._plugin_files(POINT, lambda unit: files, Unit(True))  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("name", layered(sorted(OWN_FAMILIES.keys() - {"identity", "phase"}), ("affine", "monotone")))
+@pytest.mark.parametrize(
+    "name", layered(sorted(BUILTIN_FAMILIES.keys() - {"identity", "stage_matched"}), ("affine", "monotone"))
+)
 def test_softcals_own_families_conform(name):
-    # The example has no stage positions, at which "phase" pairs.
+    # The example has no stage positions, at which "stage_matched" pairs.
     assert example_problem().target.stage_mm is None
-    assert faults(OWN_FAMILIES[name]) == []
+    assert faults(BUILTIN_FAMILIES[name]) == []
 
 
 @dataclass(frozen=True)
@@ -188,9 +190,9 @@ def package(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_a_broken_plug_in_is_one_line(package, value, named):
     with pytest.raises(InputError, match=f"^.*{named}.*$"):
-        PLUGINS.beside(OWN_FAMILIES, [EntryPoint("x", value, "softcal.maps")])
+        PLUGINS.beside(BUILTIN_FAMILIES, [EntryPoint("x", value, "softcal.maps")])
 
 
 def test_plug_ins_stand_last(package):
-    every = PLUGINS.beside(OWN_FAMILIES, [EntryPoint("mine", "somebody:MINE", "softcal.maps")])
-    assert list(every) == [*OWN_FAMILIES, "mine"]
+    every = PLUGINS.beside(BUILTIN_FAMILIES, [EntryPoint("mine", "somebody:MINE", "softcal.maps")])
+    assert list(every) == [*BUILTIN_FAMILIES, "mine"]

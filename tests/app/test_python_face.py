@@ -313,7 +313,7 @@ def test_a_stage_position_reaches_the_map():
     columns = {"time_s": "t_s", "stage_mm": "stage_mm"}
     known = softcal.Recording.from_frame(pd.DataFrame(tables[0]), reference="reference", **columns)
     target = softcal.Recording.from_frame(pd.DataFrame(tables[1]), **columns)
-    assert softcal.fit_map(softcal.fit_network(known, **SMALL), target).family == "phase"
+    assert softcal.fit_map(softcal.fit_network(known, **SMALL), target).family == "stage_matched"
     assert list(target.to_frame()) == ["t_s", "output", "stage_mm"]
     with pytest.raises(softcal.InputError, match="'where'"):
         softcal.Recording.from_frame(pd.DataFrame(tables[1]), time_s="t_s", stage_mm="where")

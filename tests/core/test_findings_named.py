@@ -85,10 +85,10 @@ def test_a_readout_that_clips_is_named_for_it_and_not_for_a_light_press(seed: in
 
 def test_a_map_bent_to_the_sources_use_does_not_hide_that_the_use_differs(seed: int, model: SourceModel) -> None:
     (unit,) = lot(seed, good=1, shift="other dwell").units
-    line = replace(model.method, map=replace(model.method.map, family="label_shift"))
+    line = replace(model.method, map=replace(model.method.map, family="two_point"))
     straight = replace(model, method=line)
     bent, rigid = (calibrate(UnitProblem(one, unit.recording)) for one in (model, straight))
-    assert bent.unit_map.family == "between"
+    assert bent.unit_map.family == "averaged"
     for name in ("u_shift", "u_overlap"):
         assert bent.evidence[name] == pytest.approx(rigid.evidence[name])
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softcal.core.maps import interface
-from softcal.core.maps.catalogue import OWN_FAMILIES
+from softcal.core.maps.catalogue import BUILTIN_FAMILIES
 from softcal.core.maps.choose import dwell_distance
 from softcal.core.maps.interface import FitProblem
 from softcal.core.network.network import Network
@@ -26,7 +26,7 @@ def test_rest_and_peak_are_matched_once_a_recording(source_model, unit, monkeypa
     seen, match = [], interface.match_ends
     monkeypatch.setattr(interface, "match_ends", lambda *given: seen.append(given) or match(*given))
     calibration = calibrate(UnitProblem(source_model, unit))
-    assert calibration.unit_map.family == "between"
+    assert calibration.unit_map.family == "averaged"
     # The recording, and it without each share.
     assert len(seen) == 1 + Method().forecast.parts
 
@@ -42,14 +42,14 @@ def test_f_reads_each_map_once(source_model, unit, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "name", layered(sorted(OWN_FAMILIES.keys() - {"synchronous", "phase"}), ("affine", "monotone"))
+    "name", layered(sorted(BUILTIN_FAMILIES.keys() - {"synchronous", "stage_matched"}), ("affine", "monotone"))
 )
 def test_mapping_samples_is_mapping_windows_to_the_last_bit(source_model, unit, name):
     keep = np.ones(len(unit), dtype=bool)
     keep[600:650] = keep[900:905] = False
     gapped = replace(unit, t_s=unit.t_s[keep], output=unit.output[keep])
     rows = np.arange(len(gapped.windows))
-    fitted = OWN_FAMILIES[name].fit(FitProblem(source_model.source, source_model.network, gapped))
+    fitted = BUILTIN_FAMILIES[name].fit(FitProblem(source_model.source, source_model.network, gapped))
     mapped = evidence._mapped(fitted, gapped, rows)
     np.testing.assert_array_equal(mapped, fitted.apply(gapped.windows))
     np.testing.assert_array_equal(evidence._mapped(fitted, gapped, rows[::7]), fitted.apply(gapped.windows[::7]))

@@ -120,7 +120,7 @@ def test_one_slow_rise_alike_is_no_opening():
 def test_stage_position_pairs_another_programme(make):
     problem = make(0.6 * presses(8, 2000), stage=True)
     chosen = choose_map(problem)
-    assert chosen.family == "phase"
+    assert chosen.family == "stage_matched"
     assert after(problem, chosen)[0] < 0.5 * after(problem, choose_map(make(0.6 * presses(8, 2000))))[0]
 
 
@@ -128,7 +128,7 @@ def test_other_dwell_is_seen_and_half_believed(make):
     problem = make(presses(4, 5000, dwell=80.0))
     chosen = choose_map(problem)
     mapped, raw = after(problem, chosen)
-    assert chosen.family == "between"
+    assert chosen.family == "averaged"
     quantiles_alone = after(problem, choose_map(replace(problem, config=MapConfig("monotone"))))[0]
     assert mapped < 0.6 * quantiles_alone and mapped < raw / 2
     assert float(chosen.evidence["dwell_distance"]) > 0.2
@@ -149,7 +149,7 @@ def test_a_bent_unit_is_read_better_half_way_than_by_rest_and_peak(source, train
         chosen = choose_map(replace(problem, config=MapConfig(family)))
         return rmse(problem.network.evaluate(chosen.unit_map.apply(test.windows)), test.window_reference)
 
-    assert error("between") < 0.8 * error("label_shift")
+    assert error("averaged") < 0.8 * error("two_point")
 
 
 def test_unit_like_the_source_is_left_alone(make):
@@ -166,7 +166,7 @@ def test_noise_instead_of_presses_is_refused(make):
 def test_far_quicker_swings_make_the_choice_abstain(make):
     shaken = 1.5 + 1.5 * np.sin(np.arange(2000) * 2 * np.pi / 8)
     chosen = choose_map(make(shaken))
-    assert chosen.family == "label_shift" and "abstain" in str(chosen.evidence["decision"])
+    assert chosen.family == "two_point" and "abstain" in str(chosen.evidence["decision"])
 
 
 @pytest.mark.parametrize("share", [0.25, 0.1, 0.05])
@@ -253,7 +253,7 @@ def test_two_loads_say_how_well_they_fix_gain_and_zero(make):
     for _ in range(20):
         stated = loads + rng.normal(0, 0.01, 2)
         anchors = Anchors((0.5 + 0.1 * loads + 0.02 * loads**2 - OFFSET) / GAIN, stated)
-        chosen = choose_map(replace(problem, anchors=anchors, config=MapConfig("label_shift")))
+        chosen = choose_map(replace(problem, anchors=anchors, config=MapConfig("two_point")))
         gain = float(chosen.evidence["anchor_gain"]) * float(chosen.unit_map.arrays()["gain"])
         misses.append((gain / GAIN - 1) / float(chosen.evidence["gain_error"]))
     assert 0.05 < np.sqrt(np.mean(np.square(misses))) < 3.0
@@ -312,7 +312,7 @@ def bent(serial: str, force_N: np.ndarray, bend: float, gain: float = 1.0, offse
     return OutputRecording(serial, np.arange(len(output)) / 50.0, output, 50.0)
 
 
-@pytest.mark.parametrize(("bend", "family"), [(0.002, "label_shift"), (0.06, "between")])
+@pytest.mark.parametrize(("bend", "family"), [(0.002, "two_point"), (0.06, "averaged")])
 def test_two_known_loads_leave_a_straight_source_its_line(bend: float, family: str) -> None:
     load_N, own_N = presses(1, 3000), presses(7, 3000, dwell=60.0)
     source = LabelledRecording(bent("S", load_N, bend), load_N)
@@ -320,7 +320,7 @@ def test_two_known_loads_leave_a_straight_source_its_line(bend: float, family: s
     problem = FitProblem(source, network, bent("T", own_N, bend, GAIN, OFFSET))
     at_N = np.array([0.0, 2.7])
     known = Anchors((0.5 + 0.1 * at_N + bend * at_N**2 - OFFSET) / GAIN, at_N)
-    assert choose_map(problem).family == "between"
+    assert choose_map(problem).family == "averaged"
     assert choose_map(replace(problem, anchors=known)).family == family
     one = Anchors(known.output[:1], known.reference[:1])
-    assert choose_map(replace(problem, anchors=one)).family == "between"
+    assert choose_map(replace(problem, anchors=one)).family == "averaged"

@@ -109,7 +109,7 @@ def test_equal_recordings_give_the_identity(name: str) -> None:
 def test_crossings_do_not_see_how_long_the_unit_rests() -> None:
     lazy = problem(presses(1, 6000), presses(2, 6000, dwell=80.0))
     load_N = presses(7, 600)
-    by_crossings = relative_error(family("label_shift").fit(lazy), load_N)
+    by_crossings = relative_error(family("two_point").fit(lazy), load_N)
     assert by_crossings < 0.03
     assert by_crossings < relative_error(family("monotone").fit(lazy), load_N) / 3
 
@@ -194,7 +194,7 @@ def test_ends_match_a_short_recording_to_stretches_as_short() -> None:
 
 
 @pytest.mark.parametrize("output_V", [0.5, 0.1])
-@pytest.mark.parametrize("name", ["affine", "label_shift", "monotone"])
+@pytest.mark.parametrize("name", ["affine", "two_point", "monotone"])
 def test_constant_output_is_refused(name: str, output_V: float) -> None:
     # Means of 0.1 differ by rounding, those of 0.5 do not.
     still = replace(SAME, target=recording("T", np.full(400, output_V)))
@@ -202,7 +202,7 @@ def test_constant_output_is_refused(name: str, output_V: float) -> None:
         family(name).fit(still)
 
 
-@pytest.mark.parametrize(("name", "code"), [("phase", "no_position"), ("synchronous", "not_synchronous")])
+@pytest.mark.parametrize(("name", "code"), [("stage_matched", "no_position"), ("synchronous", "not_synchronous")])
 def test_what_cannot_be_paired_is_refused(name: str, code: str) -> None:
     with pytest.raises(UnitRefused) as refused:
         family(name).fit(problem(presses(1), presses(2)))
@@ -211,7 +211,7 @@ def test_what_cannot_be_paired_is_refused(name: str, code: str) -> None:
 
 def test_stage_pairs_find_the_map_though_the_programme_is_another() -> None:
     other = problem(presses(1, 6000), 0.5 * presses(2, 3000), stage=True)
-    assert relative_error(family("phase").fit(other), 0.5 * presses(7, 600)) < 0.02
+    assert relative_error(family("stage_matched").fit(other), 0.5 * presses(7, 600)) < 0.02
 
 
 def test_a_few_windows_at_known_positions_are_enough() -> None:
@@ -221,7 +221,7 @@ def test_a_few_windows_at_known_positions_are_enough() -> None:
     assert stage_mm is not None
     few = replace(target, t_s=target.t_s[rows], output=target.output[rows], stage_mm=stage_mm[rows])
     assert len(few.windows) == 5
-    assert relative_error(family("phase").fit(replace(whole, target=few)), presses(7, 600)) < 0.05
+    assert relative_error(family("stage_matched").fit(replace(whole, target=few)), presses(7, 600)) < 0.05
 
 
 def test_positions_beyond_a_gap_do_not_mislead_the_pairs() -> None:

@@ -125,7 +125,7 @@ def test_every_figure_of_a_table_is_one_that_a_benchmark_printed():
 def test_what_a_benchmark_printed_names_a_benchmark_that_is_there():
     for path in (ROOT / "benchmarks/printed").glob("*.md"):
         commands = re.findall(
-            r"^    (?:python (benchmarks/\w+\.py)|softcal demo)", path.read_text("utf-8"), re.MULTILINE
+            r"^    (?:python (benchmarks/\w+\.py)|softcal (?:demo|paper))", path.read_text("utf-8"), re.MULTILINE
         )
         assert commands and all((ROOT / command).is_file() for command in commands if command), path.name
 

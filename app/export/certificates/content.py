@@ -28,16 +28,16 @@ PAPER = "Kim, Kwon, Jeon and Park, 2020, Advanced Intelligent Systems, 1900178"
 METHODS: Mapping[str, tuple[str, str]] = {
     "identity": ("the source's network unchanged", "The unit's windows were taken as the source's, unchanged"),
     "affine": ("one gain and offset", "A gain and an offset were found from the distributions of both outputs"),
-    "label_shift": (
-        "label shift",
+    "two_point": (
+        "rest and peak matched by a line",
         "A gain and an offset were found from rest and peak of the unit's output, blind to how long and how fast it "
-        "was pressed (label shift)",
+        "was pressed",
     ),
     "monotone": (
-        "monotone transport",
+        "one-dimensional optimal transport",
         "Equal quantiles of both outputs were matched (one-dimensional optimal transport)",
     ),
-    "between": (
+    "averaged": (
         "half way between rest and peak, and equal quantiles",
         "The line through rest and peak of both outputs was averaged with the curve through their equal quantiles",
     ),
@@ -45,11 +45,18 @@ METHODS: Mapping[str, tuple[str, str]] = {
         "pairs at equal time",
         "Unit and source were pressed by one load at once; the map was fitted to the pairs of their windows",
     ),
-    "phase": (
+    "stage_matched": (
         "pairs at equal stage position",
         "The map was fitted to pairs of windows at equal stage positions of unit and source",
     ),
-    "exact": ("exact optimal transport", f"Windows were matched by exact discrete optimal transport ({PAPER}, eq. 3)"),
+    "shared_load": (
+        "pairs with the common load of the lot",
+        "Units of the lot were pressed by one load at once; the map was fitted to pairs with what the others read",
+    ),
+    "exact": (
+        "exact discrete optimal transport",
+        f"Windows were matched by exact discrete optimal transport ({PAPER}, eq. 3)",
+    ),
     "joint": (
         "joint transport of windows and labels",
         "Windows and estimates were matched together by joint optimal transport (Courty et al. 2017)",

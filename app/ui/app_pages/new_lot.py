@@ -28,6 +28,8 @@ from softcal.app.ui.server_memory import registry
 from softcal.core.errors import InputError
 from softcal.core.limit_text import LimitText, proposed_limit
 from softcal.core.lot import Lot
+from softcal.core.maps.catalogue import FAMILIES
+from softcal.core.maps.config import DEFAULT
 
 ROWS = 5
 ASKED = "new-lot-asked"
@@ -85,10 +87,11 @@ def render() -> None:
         return
     with step("new_lot", 4):
         usable = _expected(plan)
+    family = st.selectbox(say("new_lot.map"), [DEFAULT, *FAMILIES], help=say("new_lot.map.help"), key="new-lot-map")
     if usable is not None and st.button(say("new_lot.do"), type="primary", icon=":material/play_arrow:"):
         permit("set_up")
         store_lot(registry(), usable, actor())
-        begin_job("calibrate", lot=usable.lot.id)
+        begin_job("calibrate", lot=usable.lot.id, map=family)
         forget_files()
         st.session_state[ASKED] = usable.lot.id
         st.rerun()

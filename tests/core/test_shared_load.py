@@ -1,0 +1,190 @@
+"""Units that were pressed by one load at once are mapped by it; whoever was not, or not alike, keeps its own map."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from softcal.core.maps import shared_load
+from softcal.core.maps.catalogue import map_from_arrays
+from softcal.core.maps.choose import choose_map
+from softcal.core.maps.interface import FitProblem, map_sha256
+from softcal.core.maps.shared_load import LotFit, compare_sources, fit_lot
+from softcal.core.metrics import rmse
+from softcal.core.network.config import NetworkConfig
+from softcal.core.network.network import Network
+from softcal.core.network.training import fit_network
+from softcal.core.recording import LabelledRecording, OutputRecording
+
+RATE_HZ, NOISE_V = 50.0, 0.0005
+UNITS = 6
+
+
+def presses(seed: int, count: int, dwell: float, spread: float = 0.0, own: int = 0) -> np.ndarray:
+    """Triangular presses in N; with a spread each is harder or softer on a unit of its own."""
+    rng, differs, parts, length = np.random.default_rng(seed), np.random.default_rng(own), [np.zeros(20)], 20
+    while length < count:
+        peak, up, down = rng.uniform(0.8, 3.0), rng.integers(15, 40), rng.integers(15, 40)
+        peak *= 1.0 + spread * differs.normal()
+        parts += [np.linspace(0, peak, up), np.full(1 + int(rng.exponential(dwell)), peak), np.linspace(peak, 0, down)]
+        parts += [np.zeros(8)]
+        length += sum(map(len, parts[-4:]))
+    return np.concatenate(parts)[:count]
+
+
+def unit(serial: str, force_N: np.ndarray, seed: int, start_s: float = 0.0) -> LabelledRecording:
+    """A unit of a gain, a rest and a bend of its own."""
+    own = np.random.default_rng([seed, 7])
+    gain, rest, bend = own.uniform(0.8, 1.2), own.uniform(0.4, 0.6), own.uniform(-0.015, 0.02)
+    noise = np.random.default_rng([seed, len(force_N)]).normal(0, NOISE_V, len(force_N))
+    output = rest + gain * (0.1 * force_N + bend * force_N**2) + noise
+    t_s = start_s + np.arange(len(output)) / RATE_HZ
+    return LabelledRecording(OutputRecording(serial, t_s, output, RATE_HZ), force_N)
+
+
+@pytest.fixture(scope="module")
+def source() -> LabelledRecording:
+    return unit("S0", presses(1, 4000, dwell=2.0), 0)
+
+
+@pytest.fixture(scope="module")
+def network(source: LabelledRecording) -> Network:
+    return fit_network(source, NetworkConfig(hidden=(24, 12), max_epochs=40)).network
+
+
+def lot(spread: float = 0.0, units: int = UNITS) -> list[LabelledRecording]:
+    """Units pressed together under a programme that the source did not have: held much longer."""
+    return [unit(f"U{k}", presses(9, 3000, 60.0, spread, k), k) for k in range(1, units + 1)]
+
+
+def outputs(units: list[LabelledRecording]) -> list[OutputRecording]:
+    return [one.unlabelled for one in units]
+
+
+def errors(fit: LotFit, network: Network, alone: bool) -> np.ndarray:
+    """Error of each map on a recording that no fit has seen."""
+    found = []
+    for serial, one in fit.units.items():
+        test = unit(serial, presses(33, 2000, dwell=5.0), int(serial[1:]))
+        unit_map = one.alone.unit_map if alone else one.unit_map
+        found.append(rmse(network.evaluate(unit_map.apply(test.windows)), test.window_reference))
+    return np.array(found)
+
+
+@pytest.fixture(scope="module")
+def fit(source, network) -> LotFit:
+    return fit_lot(source, network, outputs(lot()))
+
+
+def test_a_load_that_all_share_is_known_better_than_by_any_of_them(fit, network):
+    assert fit.members == tuple(f"U{k}" for k in range(1, UNITS + 1)) and not fit.outliers and not fit.refused
+    alone, together = errors(fit, network, True), errors(fit, network, False)
+    assert np.median(together) < 0.9 * np.median(alone) and together.max() < 0.8 * alone.max()
+
+
+def test_its_uncertainties_are_those_of_its_estimates(fit, network):
+    (group,) = fit.groups
+    known = presses(9, 3000, 60.0)[14:]
+    common = rmse(group.load, known)
+    # What all misread alike is no part of it: the true error is no smaller than this by much, and not far beyond.
+    assert 0.3 * common < group.common_rmse < 3 * common
+    for one in fit.units.values():
+        assert 0 < one.unit_rmse < one.moved_rmse and 0 < one.weight < 1
+    assert sum(one.weight for one in fit.units.values()) == pytest.approx(1.0)
+
+
+def test_the_order_of_the_units_changes_nothing(source, network, fit):
+    backwards = fit_lot(source, network, outputs(lot())[::-1])
+    test = unit("U2", presses(33, 2000, dwell=5.0), 2)
+    one, other = (network.evaluate(f.units["U2"].unit_map.apply(test.windows)) for f in (fit, backwards))
+    assert rmse(one, other) < 0.02 * np.ptp(test.reference)
+
+
+def test_a_map_is_rebuilt_from_what_is_stored(fit):
+    unit_map = fit.units["U1"].unit_map
+    again = map_from_arrays(unit_map.family, unit_map.arrays(), unit_map.settings())
+    assert map_sha256(again) == map_sha256(unit_map)
+
+
+def test_who_was_pressed_otherwise_keeps_its_own_map_and_is_named(source, network):
+    units = lot()
+    foreign = unit("U5", presses(77, 3000, 60.0), 5)
+    still = replace(units[5].unlabelled, output=np.full(3000, 0.5))
+    fit = fit_lot(source, network, [*outputs(units[:4]), foreign.unlabelled, still])
+    assert fit.members == ("U1", "U2", "U3", "U4")
+    assert fit.outliers["U5"].code == "lot_fit.alone" and list(fit.refused) == ["U6"]
+    own = choose_map(FitProblem(source, network, foreign.unlabelled)).unit_map
+    assert map_sha256(fit.units["U5"].unit_map) == map_sha256(own)
+
+
+def test_a_unit_that_no_map_brings_to_the_others_stands_alone(source, network):
+    units = lot()
+    # A press that slips now and then on one unit: as synchronous as the rest, and not under their load.
+    slipping = presses(9, 3000, 60.0)
+    slipping[900:1100] *= 0.7
+    fit = fit_lot(source, network, [*outputs(units[:5]), unit("U6", slipping, 6).unlabelled])
+    assert fit.members == tuple(f"U{k}" for k in range(1, 6))
+    assert fit.outliers["U6"].code == "lot_fit.outlier"
+
+
+@pytest.mark.parametrize("spread", [0.06, 0.12])
+def test_a_press_that_differs_from_unit_to_unit_is_no_shared_load(source, network, spread):
+    fit = fit_lot(source, network, outputs(lot(spread)))
+    assert not fit.members and {why.code for why in fit.outliers.values()} == {"lot_fit.spread"}
+    for one in fit.units.values():
+        assert map_sha256(one.unit_map) == map_sha256(one.alone.unit_map)
+
+
+def test_clocks_that_differ_and_gaps_are_no_obstacle(source, network, fit):
+    units = outputs(lot())
+    late = replace(units[1], t_s=units[1].t_s + 0.3)
+    rows = np.r_[0:1000, 1100:3000]
+    gapped = replace(units[2], t_s=units[2].t_s[rows], output=units[2].output[rows])
+    moved = fit_lot(source, network, [units[0], late, gapped, *units[3:]])
+    assert moved.members == fit.members
+    assert np.median(errors(moved, network, False)) < 1.15 * np.median(errors(fit, network, False))
+
+
+def test_who_was_pressed_with_the_source_keeps_its_pairs(source, network):
+    units = [unit(f"U{k}", presses(1, 4000, dwell=2.0), k) for k in range(1, 4)]
+    fit = fit_lot(source, network, outputs(units))
+    assert {why.code for why in fit.outliers.values()} == {"lot_fit.known"} and not fit.groups
+
+
+def test_two_units_say_nothing_of_each_other(source, network):
+    fit = fit_lot(source, network, outputs(lot(units=2)))
+    assert not fit.members and set(fit.outliers) == {"U1", "U2"}
+
+
+def test_the_cost_is_linear_in_the_units(source, network, monkeypatch):
+    calls = []
+    found = shared_load.find_synchrony
+    monkeypatch.setattr(shared_load, "find_synchrony", lambda *args: calls.append(1) or found(*args))
+    counts = []
+    for count in (10, 20, 30):
+        calls.clear()
+        fit_lot(source, network, [unit(f"U{k}", presses(100 + k, 800, 20.0), k).unlabelled for k in range(count)])
+        counts.append(len(calls))
+    steps = [b - a for a, b in pairwise(counts)]
+    assert steps[0] == steps[1]
+
+
+def test_a_source_whose_network_reads_the_lot_low_is_named(source, network, fit):
+    # A load cell that reads low makes a network that reads every lot low.
+    fits = {"S0": fit}
+    for serial, factor in (("S1", 1.0), ("S2", 0.75)):
+        force_N = presses(40 + int(serial[1:]), 4000, dwell=2.0)
+        known = replace(unit(serial, force_N, 50 + int(serial[1:])), reference=factor * force_N)
+        own = fit_network(known, NetworkConfig(hidden=(24, 12), max_epochs=40)).network
+        fits[serial] = fit_lot(known, own, outputs(lot()))
+    biases = compare_sources(fits)
+    assert {serial for serial, one in biases.items() if one.is_bad} == {"S2"}
+    true = np.mean(0.75 * presses(9, 3000, 60.0)) - np.mean(presses(9, 3000, 60.0))
+    assert biases["S2"].bias == pytest.approx(true, abs=2.5 * biases["S2"].uncertainty) and biases["S2"].others == 2
+
+
+def test_of_two_sources_nobody_can_say_which_errs(fit):
+    biases = compare_sources({"S0": fit, "S1": fit})
+    assert {one.bias for one in biases.values()} == {0.0} and not any(one.is_bad for one in biases.values())
+    assert compare_sources({"S0": fit}) == {}
