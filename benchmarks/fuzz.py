@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from common.command import Commands, Kept
-from common.registries import begin_lot, record
+from common.registries import begin_lot, state
 from common.tables import print_table
 
 from softcal.app.files.importing import Columns, ImportPlan, import_lot
@@ -306,7 +306,7 @@ class ArchiveFuzz(Fuzz):
         with open_registry(f"sqlite:///{folder / 'registry.db'}") as registry:
             network_id = begin_lot(registry)
             for number in range(6):
-                registry.calibrations.add("bench", record(f"U{number}", number, network_id))
+                registry.calibrations.add("bench", state(f"U{number}", number, network_id))
             back_up(registry.database, folder / "backup.db")
         self._content = (folder / "backup.db").read_bytes()
 

@@ -70,7 +70,8 @@ def with_share(case: Case, share: float) -> float:
     used = (kinds.stage if case.has_stage else kinds.blind).interval_share
     added = case.calibration.interval.half_width**2 - case.source_half_width**2
     half_width = np.sqrt(case.source_half_width**2 + added * share / used)
-    calibration = replace(case.calibration, interval=replace(case.calibration.interval, half_width=half_width))
+    interval = replace(case.calibration.interval, half_width=half_width)
+    calibration = replace(case.calibration.calibration, interval=interval)
     return coverage(estimate(case.network, calibration, case.test.unlabelled), case.test)
 
 

@@ -179,8 +179,8 @@ def judged(unit: Unit, recording: OutputRecording) -> tuple[str, set[str], float
         made = calibrate(UnitProblem(unit.model, recording))
     except UnitRefused as error:
         return "refused", {error.reason.code.replace("_", " ")}, np.nan
-    found = {name for name in str(made.evidence["findings"]).split(", ") if name}
-    if np.ptp(unit.recording.reference) == 0 or len(recording) != len(unit.recording) or made.predicted_rmse is None:
+    found = {finding.kind for finding in made.fit.findings}
+    if np.ptp(unit.recording.reference) == 0 or len(recording) != len(unit.recording):
         return str(made.decision.verdict), found, np.nan
     estimate = unit.model.network.evaluate(made.unit_map.apply(recording.windows))
     return str(made.decision.verdict), found, rmse(estimate, unit.recording.window_reference) / made.predicted_rmse

@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 from common.command import Commands, median_s
-from common.registries import DATABASES, RATE_HZ, SOFTCAL, begin_lot, database_of, fresh_url, make_lot, record
+from common.registries import DATABASES, RATE_HZ, SOFTCAL, begin_lot, database_of, fresh_url, make_lot, state
 from common.tables import print_table
 
 from softcal.app.batch.batch import run_batch
@@ -141,7 +141,7 @@ def fill(registry: Registry, units: int) -> None:
     for start in range(0, units, CHUNK):
         with registry.transaction():
             for number in range(start, min(start + CHUNK, units)):
-                registry.calibrations.add("bench", record(f"U{number:06d}", number, network_id))
+                registry.calibrations.add("bench", state(f"U{number:06d}", number, network_id))
 
 
 def writers(options: argparse.Namespace) -> None:
@@ -178,7 +178,7 @@ def write(arguments: tuple[str, str, int, float]) -> tuple[Written, list[str]]:
             if start_s >= until_s:
                 return written, errors
             try:
-                revision = registry.calibrations.add("bench", record(serial, writer * 1_000_000 + number, network_id))
+                revision = registry.calibrations.add("bench", state(serial, writer * 1_000_000 + number, network_id))
                 written.append((serial, revision, time.perf_counter() - start_s))
             except Exception as error:
                 errors.append(str(error))
@@ -269,7 +269,7 @@ def write_forever(url: str, network_id: str, start: int, acknowledge: Acknowledg
         for number in range(start, start + 1_000_000):
             serial = f"K{number % 5}"
             with registry.transaction():
-                revision = registry.calibrations.add("bench", record(serial, number, network_id))
+                revision = registry.calibrations.add("bench", state(serial, number, network_id))
                 registry.trail.add("export", "exports", (serial, revision), {})
             acknowledge(f"{serial} {revision}")
 
@@ -300,7 +300,7 @@ def batch(url: str, folder: LotFolder, acknowledge: Acknowledge) -> None:
     """Run a batch and tell every unit that was kept."""
 
     def tell(unit: UnitResult) -> None:
-        acknowledge(f"{unit.serial} {unit.made.revision}" if unit.made else f"{unit.serial} refused")
+        acknowledge(f"{unit.serial} {unit.summary.revision}" if unit.summary else f"{unit.serial} refused")
 
     with open_registry(url, create=False) as registry:
         run_batch(folder, registry, BatchConfig(network=NETWORK), Watch(on_unit=tell))

@@ -21,13 +21,14 @@ from unittest import mock
 
 import numpy as np
 from common.command import parser_of
-from common.registries import begin_lot, record
+from common.registries import begin_lot, state
 from common.tables import print_table
 
 from softcal.core.errors import InputError, SoftcalError
 from softcal.core.orders import Order, OrderKind
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.recording import OutputRecording
+from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
 from softcal.core.words.reason import plain
 from softcal.db.care import checks
 from softcal.db.connection import open_registry
@@ -61,7 +62,7 @@ def make(path: Path, units: int = UNITS) -> None:
             serial, output = f"U{k:03d}", np.random.default_rng(k).normal(size=400)
             registry.recordings.add("bench", OutputRecording(serial, np.arange(400) / 50.0, output, 50.0), "unit")
             for number in (1, 2):
-                registry.calibrations.add("bench", record(serial, 10 * k + number, network_id))
+                registry.calibrations.add("bench", state(serial, 10 * k + number, network_id))
         registry.calibrations.rollback("U003", 1, reason="remounted")
         registry.calibrations.refuse("bench", "U004", "retest", (plain("cable"),))
         registry.lots.set_limit("bench", 0.2, reason="agreed")
@@ -99,8 +100,10 @@ def answers(registry: Registry) -> object:
             except (InputError, IndexError) as error:
                 told.append(str(error))
                 continue
-            arrays = {name: array.tobytes() for name, array in stored.record.arrays.items()}
-            told.append((stored.revision, stored.origin, stored.is_current, vars(stored.record) | {"arrays": arrays}))
+            fit = fit_to_json(stored.state.fit)
+            arrays = {name: array.tobytes() for name, array in fit.arrays.items()}
+            content = (fit.content, adjustments_to_json(stored.state), arrays)
+            told.append((stored.revision, stored.origin, stored.is_current, content))
     for network in registry.networks.all():
         told.append({name: a.tobytes() for name, a in registry.networks.get(network.id).arrays().items()})
     told += [

@@ -22,21 +22,22 @@ from pathlib import Path
 import numpy as np
 from common.command import median_s, parser_of
 from common.desk_pictures import NAME, PIN, QUALITY, QUALITY_PIN, sign_in
-from common.screens import chromium, served, served_by, stated
+from common.screens import chromium, served, served_by
 from common.tables import print_table
 from playwright.sync_api import Browser, Page
 
 from softcal.app.views.lot import lot_view
-from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
 from softcal.core.orders import Heartbeat, StationState
 from softcal.core.simulated_lot import LotDesign, simulate_lot
 from softcal.core.unit.calibrate import calibrate
-from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.source_model import make_source_model
+from softcal.core.unit.state import UnitState
+from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.unit_problem import UnitProblem
+from softcal.core.unit.verdict import Limit
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
 from softcal.db.truth.lot_pages import UnitFilter
@@ -89,17 +90,14 @@ def fill(registry: Registry, units: int) -> None:
     registry.people.set(NAME, "engineer", PIN, actor=QUALITY)
 
 
-def result(known: CalibrationRecord, number: int, error: float) -> CalibrationRecord:
-    """Return the result of one unit: its error decides its verdict."""
-    serial = f"U{number:06d}"
-    relation = {"pass": "within", "conditional": "within_close", "fail": "above"}
-    verdict = "pass" if error < 0.1 else "conditional" if error < 0.105 else "fail"
-    says = (stated(error, error - 0.02, error + 0.02, relation[verdict]),)
-    input_sha256 = content_sha256({}, {"serial": serial})
-    return replace(known, serial=serial, predicted_rmse=error, verdict=verdict, reasons=says, input_sha256=input_sha256)
+def result(known: UnitState, number: int, error: float) -> UnitState:
+    """Return the result of one unit, by its forecast alone."""
+    forecast = ErrorForecast(error, error - 0.02, error + 0.02)
+    fit = replace(known.fit, id=f"{number:064x}", serial=f"U{number:06d}", forecast=forecast)
+    return replace(known, fit=fit, limit=Limit("N", 0.12))
 
 
-def add_simulated_unit(registry: Registry) -> CalibrationRecord:
+def add_simulated_unit(registry: Registry) -> UnitState:
     """Register a lot with its source, a trained network and one recording; return the calibration of that recording."""
     sim = simulate_lot(1, LotDesign(good=1))
     trained = fit_network(sim.source, NetworkConfig(hidden=(24, 12), max_epochs=30))
@@ -107,10 +105,9 @@ def add_simulated_unit(registry: Registry) -> CalibrationRecord:
     source_sha256 = registry.recordings.add(LOT, sim.source, "source")
     registry.networks.add(LOT, trained.network, {}, {"source_recording_sha256": source_sha256}, "f" * 64)
     recording = sim.units[0].recording
-    sha256 = registry.recordings.add(LOT, recording, "unit")
     model = make_source_model(sim.source, trained.network)
-    found = calibrate(UnitProblem(model, recording))
-    return found.to_record(input_sha256="e" * 64, recording_sha256=sha256)
+    registry.recordings.add(LOT, recording, "unit")
+    return calibrate(UnitProblem(model, recording))
 
 
 @contextmanager

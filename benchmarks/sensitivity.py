@@ -148,9 +148,9 @@ def outcome(model: SourceModel, recording: OutputRecording) -> Outcome:
         return Outcome(word, "", np.nan, np.zeros(0))
     estimate = model.network.evaluate(made.unit_map.apply(recording.windows))
     return Outcome(
-        f"{made.decision.verdict}: {made.evidence['findings']}",
-        made.unit_map.family,
-        float(made.predicted_rmse or np.nan),
+        f"{made.decision.verdict}: {', '.join(finding.kind for finding in made.fit.findings)}",
+        made.fit.family,
+        made.predicted_rmse,
         estimate,
     )
 

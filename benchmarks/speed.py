@@ -35,11 +35,8 @@ from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate as estimated
 from softcal.core.unit.health import OutputLimits, run_lengths
-from softcal.core.unit.knowledge import known_by
 from softcal.core.unit.source_model import make_source_model
-from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.unit_problem import UnitProblem
-from softcal.core.unit.verdict import Decision, Judgement, Verdict
 from softcal.core.use.adapter import AdaptConfig, Adapter
 from softcal.core.windows import TAPS, windows
 from softcal.station.devices.bench import open_simulated_bench
@@ -152,11 +149,8 @@ def made_up_calibration(network: Network, recording: OutputRecording) -> Calibra
         unit_map=AffineMap(1.02, -0.01),
         interval=model.interval,
         output_limits=OutputLimits(-np.inf, np.inf, 200),
-        forecast=ErrorForecast(0.1, 0.08, 0.12),
-        decision=Decision(Judgement(Verdict.PASS, ())),
-        knowledge=known_by({}, model.method.knowledge),
-        evidence={},
         method=model.method,
+        predicted_rmse=0.1,
     )
 
 

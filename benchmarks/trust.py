@@ -22,13 +22,14 @@ from common.trust_lots import GOOD, FittedUnit, covered, day_lots, drawn_lots, f
 from plotly.subplots import make_subplots
 from scipy.stats import beta
 
-from softcal.core.quality.acceptance import Promise, least_risk, least_units
+from softcal.core.quality.acceptance import Promise, least_risk
 from softcal.core.quality.release import AuditedUnit, least_passing, release
-from softcal.core.quality.widening import Widening, fit_widening
-from softcal.core.unit.common_misreading import CommonMisreading, common_misreading, without
+from softcal.core.quality.widening import fit_widening
 from softcal.core.unit.knowledge import ANCHORED
 from softcal.core.unit.line_spread import LineSpread
-from softcal.core.unit.method import LineConfig
+from softcal.core.unit.lot_correction import LotCorrection
+from softcal.core.unit.method import LineConfig, Method
+from softcal.core.unit.uncertainty import Widening
 from softcal.core.unit.verdict import Limit
 
 AUDITS = (0, 3, 5, 10, 20)
@@ -148,22 +149,18 @@ def _corrected(
 
     softcal does it behind the map; here it is done to the estimates that were kept, over the whole audit.
     """
-    if len(audited) < least_units(RISK):
-        return audited, rest
     lines = {u.serial: u.line for u in audited if u.sample and ANCHORED not in u.knowledge}
-    common = common_misreading(lines)
-    if common is None:
-        return audited, rest
-    audited, rest = ([_without(unit, without(lines, unit.serial, common)) for unit in part] for part in (audited, rest))
+    correction = LotCorrection(1, lines)
+    audited, rest = ([_corrected_unit(unit, correction) for unit in part] for part in (audited, rest))
     return audited, rest
 
 
-def _without(unit: FittedUnit, common: CommonMisreading) -> FittedUnit:
-    if not unit.sample or ANCHORED in unit.knowledge:
+def _corrected_unit(unit: FittedUnit, correction: LotCorrection) -> FittedUnit:
+    common = correction.line_of(unit.serial, unit.level, Method().release.min_correction_audits)
+    if common is None or not unit.sample or ANCHORED in unit.knowledge:
         return unit
     estimate, reference, half = np.array(unit.sample)
-    line = common.of(unit.level).line
-    estimate = (estimate - line.zero) / line.gain
+    estimate = (estimate - common.line.zero) / common.line.gain
     error = float(np.sqrt(np.mean((estimate - reference) ** 2)))
     return replace(unit, truth=error, sample=(tuple(estimate), tuple(reference), tuple(half)))
 

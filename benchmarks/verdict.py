@@ -113,7 +113,7 @@ def print_fit(units: list[Case]) -> None:
         # Good units stand near the limit, where the forecast decides; planted ones need only be far beyond it.
         weight = np.where([c.kind == GOOD for c in group], 3.0, 1.0)
         after = np.array([c.after for c in group])
-        found, residual = fit(values(group, "u_model"), values(group, *(f"u_{n}" for n in names)), after, weight)
+        found, residual = fit(budgets(group, "model"), budgets(group, *names), after, weight)
         print(f"{name}.sensitivity = {listed(names, found)}")
         low, high = np.quantile(residual[[c.kind == GOOD for c in group]], (0.025, 0.975))
         print(f"{name}.log_error = ({low:.2f}, {high:.2f})  # {len(group)} units, SD of all {np.std(residual):.2f}")
@@ -121,23 +121,28 @@ def print_fit(units: list[Case]) -> None:
     regimes = (("blind", kinds.blind, unplaced), ("stage", kinds.stage, on_stage), ("paired", kinds.paired, paired))
     for name, config, group in regimes:
         names = dict(config.own)
-        terms, own = values(group, *(f"own_{n}" for n in names)), np.array([c.own for c in group])
+        terms, own = own_terms(group, *names), np.array([c.own for c in group])
         found, residual = fit(np.zeros((len(group), 1)), terms, own, np.ones(len(group)), LARGEST_OWN)
         print(f"{name}.own = {listed(names, found)}  # {len(group)} units, SD of all {np.std(residual):.2f}")
 
 
 def is_paired(case: Case) -> bool:
     """Tell whether the unit was judged by windows under one load with the source."""
-    return case.calibration is not None and "u_paired" in case.calibration.evidence
+    return case.calibration is not None and "paired" in case.calibration.fit.budget
 
 
 def listed(names: Iterable[str], coefficients: np.ndarray) -> str:
     return "{" + ", ".join(f'"{n}": {c:.2f}' for n, c in zip(names, coefficients, strict=True)) + "}"
 
 
-def values(units: list[Case], *names: str) -> np.ndarray:
-    """Return numbers of the units' evidence, (units, names)."""
-    return np.array([[float(str(c.calibration.evidence[n])) for n in names] for c in units])  # type: ignore[union-attr]
+def budgets(units: list[Case], *names: str) -> np.ndarray:
+    """Return terms of the units' error budgets, (units, names)."""
+    return np.array([[c.calibration.fit.budget[n] for n in names] for c in units])  # type: ignore[union-attr]
+
+
+def own_terms(units: list[Case], *names: str) -> np.ndarray:
+    """Return terms of the errors of calibrations of the units' own, (units, names)."""
+    return np.array([[c.calibration.fit.own_terms[n] for n in names] for c in units])  # type: ignore[union-attr]
 
 
 def fit(

@@ -1,7 +1,7 @@
 """What the registry gives back: frozen values, never rows of a table."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 from datetime import date, datetime
 from typing import TYPE_CHECKING
 
@@ -10,10 +10,7 @@ from softcal.core.quality.line_rules import LineRules
 from softcal.core.words.reason import Reason
 
 if TYPE_CHECKING:
-    from softcal.core.unit.audit_reading import AuditReading, OutputLevel
-    from softcal.core.unit.calibration import CalibrationRecord
-    from softcal.core.unit.measured_error import Scores
-    from softcal.core.unit.verdict import Decision
+    from softcal.core.unit.state import UnitState
 
 Heads = dict[str, tuple[int, str]]
 """Number and hash of the last row of each chain of the audit trail."""
@@ -27,8 +24,8 @@ class UnitEntry:
         serial: may stand in two lots.
         verdict: of the newest result; None while there is none.
         reasons: why, most important first.
-        revision, family, map_sha256, predicted_rmse, before_rmse, after_rmse, own_rmse: of the newest calibration of
-            this lot; None while there is none.
+        revision, family, map_sha256, state_sha256, predicted_rmse, before_rmse, after_rmse, own_rmse: of the newest
+            calibration of this lot; None while there is none.
         made_at: when the newest result was made, UTC.
         is_conflict: two registries put different maps into use; a person has to decide.
         is_stale: its calibration was made with another method; a batch makes it anew.
@@ -42,6 +39,7 @@ class UnitEntry:
     revision: int | None = None
     family: str | None = None
     map_sha256: str | None = None
+    state_sha256: str | None = None
     predicted_rmse: float | None = None
     before_rmse: float | None = None
     after_rmse: float | None = None
@@ -67,6 +65,7 @@ class StoredCalibration:
     """One revision in the history of a serial.
 
     Args:
+        input_sha256: content hash of what asked for it.
         revision: 1, 2, 3 ... per serial.
         made_at: UTC; never before the revision it follows.
         rolled_back_to: the older revision this one repeats, for a rollback.
@@ -75,7 +74,8 @@ class StoredCalibration:
         is_conflict: this map and another one are in use; a person has to decide.
     """
 
-    record: "CalibrationRecord"
+    state: "UnitState"
+    input_sha256: str
     lot_id: str
     revision: int
     made_at: datetime
@@ -88,62 +88,25 @@ class StoredCalibration:
 
     @property
     def serial(self) -> str:
-        return self.record.serial
+        return self.state.serial
 
 
-@dataclass(frozen=True)
-class MadeCalibration:
-    """One revision as a report needs it: light, so that a lot of ten thousand fits into memory.
+@dataclass(frozen=True, eq=False)
+class CalibrationSummary:
+    """One revision as a report needs it: its state without arrays, so that a lot of ten thousand fits into memory.
 
     Args:
-        predicted_rmse, before_rmse, after_rmse, own_rmse: in the lot's reference unit.
-        knowledge: how its loads are known.
-        decision: what was predicted and what was measured.
-        method_id: the method it was made with; empty where none was kept.
-        forecast_rmse: forecast before audits of other units scaled it.
-        load_rms: RMS load above rest that its recording shows; None where none was kept.
-        audit: what its audit says beside the error; None without one.
-        audit_line: gain and zero with which its fitted map reads the loads of its audit.
-        output_level: where the output of its recording stands; None where none was kept.
-        is_open: whether nothing that was found stands against it, whatever its forecast.
-        common_line: gain and zero taken off its map, as audited units misread alike.
-        missing: samples of its recording that were left out, by kind, and the shares that are missing and left.
-        scores: what its audit showed, each error with its rows; None without one.
+        state: can be decided on and estimates nothing.
+        map_sha256: content hash of the map in force.
     """
 
-    serial: str
+    state: "UnitState"
     revision: int
-    verdict: str
-    reasons: tuple[Reason, ...]
-    family: str
     map_sha256: str
-    predicted_rmse: float | None
-    before_rmse: float | None
-    after_rmse: float | None
-    own_rmse: float | None
-    fit_s: float | None
-    knowledge: str
-    decision: "Decision"
-    method_id: str
-    forecast_rmse: float | None = None
-    load_rms: float | None = None
-    audit: "AuditReading | None" = None
-    audit_line: tuple[float, float] | None = None
-    output_level: "OutputLevel | None" = None
-    common_line: tuple[float, float] | None = None
-    is_open: bool = True
-    missing: Mapping[str, float] = field(default_factory=dict)
-    scores: "Scores | None" = None
-
-    @classmethod
-    def of(cls, record: "CalibrationRecord", revision: int) -> "MadeCalibration":
-        same = (one.name for one in fields(cls) if one.name not in ("revision", "knowledge"))
-        plain = {name: getattr(record, name) for name in same}
-        return cls(**plain, revision=revision, knowledge=str(record.knowledge))
 
     @property
-    def is_audited(self) -> bool:
-        return self.decision.is_audited
+    def serial(self) -> str:
+        return self.state.serial
 
 
 UNIT_ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
@@ -155,13 +118,16 @@ UNDECIDED = "retest"
 
 @dataclass(frozen=True)
 class UnitStanding:
-    """Where a unit stands, why and since when (UTC); `made` is in use, None after a refusal or in a conflict."""
+    """Where a unit stands, why and since when (UTC); `summary` is of the calibration in use.
+
+    It is None after a refusal or in a conflict.
+    """
 
     serial: str
     verdict: str
     reasons: tuple[Reason, ...]
     made_at: datetime
-    made: MadeCalibration | None = None
+    summary: CalibrationSummary | None = None
 
 
 @dataclass(frozen=True)
@@ -190,6 +156,25 @@ class RecordingEntry:
     reference_unit: str | None
     output_sha256: str
     added_at: datetime
+    measured_at: datetime | None = None
+
+    @property
+    def observed_at(self) -> datetime:
+        """When it was measured: by its own stamps or as stated, else when the registry saw it first."""
+        return self.measured_at or self.added_at
+
+
+@dataclass(frozen=True)
+class LotDecisionEntry:
+    """One decision on a lot as a whole (number 1, 2, 3 ... per lot), as JSON values."""
+
+    lot_id: str
+    number: int
+    origin: str
+    made_at: datetime
+    actor: str
+    reason: str
+    decision: Mapping[str, object]
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,9 @@ from softcal.core.lot import Lot
 from softcal.core.metrics import rmse
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate
-from softcal.core.unit.verdict import Limit, Release
+from softcal.core.unit.state import UnitState
+from softcal.core.unit.verdict import Release
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,14 +44,14 @@ class Unit:
 
     Args:
         network: the shared network f.
-        calibration: the unit's map, interval, forecast and decision.
+        state: the unit's fit, what was done to it since, and what follows from both.
         source: recording of the source that f was trained on.
         recording: the one the unit was calibrated from.
         kept: what the registry knows of it; None for a unit that was calibrated here.
     """
 
     network: Network
-    calibration: Calibration
+    state: UnitState
     source: LabelledRecording
     recording: OutputRecording
     kept: "CalibratedUnit | None" = None
@@ -60,12 +60,11 @@ class Unit:
         return f"<Unit {self.serial}: {self.verdict}, {self.family}{self._error(', predicted RMSE ')}>"
 
     def _repr_html_(self) -> str:
-        rows = [("verdict", self.verdict), ("map", self.family), ("predicted RMSE", self._error() or "none")]
+        rows = [("verdict", self.verdict), ("map", self.family), ("predicted RMSE", self._error())]
         return html_table(f"Unit {self.serial}", [*rows, *(("", reason) for reason in self.reasons)])
 
     def _error(self, before: str = "") -> str:
-        error = self.predicted_rmse
-        return "" if error is None else f"{before}{error:.3g} {self.network.reference_unit}"
+        return f"{before}{self.predicted_rmse:.3g} {self.network.reference_unit}"
 
     @property
     def sample_rate_Hz(self) -> float:
@@ -75,32 +74,32 @@ class Unit:
     @property
     def serial(self) -> str:
         """Name of the unit."""
-        return self.calibration.serial
+        return self.state.serial
 
     @property
     def verdict(self) -> str:
         """pass, conditional, fail or retest."""
-        return str(self.calibration.decision.verdict)
+        return str(self.state.verdict)
 
     @property
     def reasons(self) -> list[str]:
         """Why, most important first."""
-        return [str(reason) for reason in self.calibration.decision.reasons]
+        return [str(reason) for reason in self.state.decision.reasons]
 
     @property
-    def predicted_rmse(self) -> float | None:
-        """Forecast of the error against a reference, without labels, in the reference unit; None where none is made."""
-        return self.calibration.predicted_rmse
+    def predicted_rmse(self) -> float:
+        """Forecast of the error against a reference, without labels, in the reference unit."""
+        return self.state.predicted_rmse
 
     @property
     def map(self) -> "UnitMap":
         """The map γ from windows of the unit to windows of the source."""
-        return self.calibration.unit_map
+        return self.state.unit_map
 
     @property
     def family(self) -> str:
         """Name of the map's family."""
-        return self.calibration.unit_map.family
+        return self.state.fit.family
 
     def estimate(self, recording: Any) -> "pd.DataFrame":
         """Estimate the reference, sample by sample.
@@ -126,7 +125,7 @@ class Unit:
         import pandas as pd
 
         typed = self._recording(recording)
-        estimates = estimate(self.network, self.calibration, typed.unlabelled).spread(typed.t_s, typed.rows)
+        estimates = estimate(self.network, self.state.calibration, typed.unlabelled).spread(typed.t_s, typed.rows)
         columns = {name: getattr(estimates, name) for name in ("t_s", "estimate", "lower", "upper", "flag")}
         return pd.DataFrame(columns, index=recording.index if hasattr(recording, "iloc") else None)
 
@@ -143,7 +142,10 @@ class Unit:
             InputError: the recording has no reference.
         """
         labelled = labelled_of(self._recording(recording), "recording", "Unit.rmse")
-        estimates, rows = estimate(self.network, self.calibration, labelled.unlabelled), labelled.unlabelled.window_rows
+        estimates, rows = (
+            estimate(self.network, self.state.calibration, labelled.unlabelled),
+            labelled.unlabelled.window_rows,
+        )
         return rmse(estimates.estimate[rows], labelled.reference[rows])
 
     def _recording(self, given: Any) -> Recording:
@@ -183,8 +185,8 @@ class Unit:
 
         typed = None if recording is None else self._recording(recording)
         raw = self.recording if typed is None else typed.unlabelled
-        estimates = estimate(self.network, self.calibration, raw)
-        signals = UnitSignals(self.calibration, self._lot, self.source, raw, estimates)
+        estimates = estimate(self.network, self.state.calibration, raw)
+        signals = UnitSignals(self.state.calibration, self._lot, self.source, raw, estimates)
         reference = None if typed is None or typed.reference is None else typed.reference[typed.rows]
         return draw_unit(signals, reference, f"Unit {self.serial}: {self.verdict}{self._error(', predicted RMSE ')}")
 
@@ -290,20 +292,18 @@ class Unit:
         source = self._stored_source
         units = {"reference_unit": source.reference_unit, "output_unit": source.unlabelled.output_unit}
         # One that nobody stated follows from the source again.
-        is_stated = self.calibration.evidence.get("limit_origin") == str(Limit.origin)
-        limit_rmse = float(str(self.calibration.evidence["limit_rmse"])) if is_stated else None
+        limit_rmse = self.state.limit.maximum_rmse if self.state.limit.is_stated else None
         return Lot("python", source.serial, source.unlabelled.sample_rate_Hz, **units, limit_rmse=limit_rmse)
 
     @contextmanager
     def _registry(self, folder: Path) -> "Iterator[Registry]":
         source, lot = self._stored_source, self._lot
-        record = self.calibration.to_record("", self.recording.sha256)
         with open_registry(f"sqlite:///{folder / _FILE}", create=True) as registry:
             registry.lots.add(lot)
             training = {"source_recording_sha256": registry.recordings.add(lot.id, source, "source")}
             registry.networks.add(lot.id, self.network, {}, training, self.network.id)
             registry.recordings.add(lot.id, self.recording, "unit")
-            registry.calibrations.add(lot.id, record)
+            registry.calibrations.add(lot.id, self.state)
             yield registry
 
     @classmethod
@@ -327,19 +327,19 @@ class Unit:
         from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 
         kept = UnitLoader(registry, ExportOptions(revision=revision, lot_id=lot)).load(serial)
-        return cls(kept.network, kept.calibration, kept.shared.source, kept.recording, kept)
+        return cls(kept.network, kept.state, kept.shared.source, kept.recording, kept)
 
 
 def unit_row(unit: Unit) -> dict[str, Any]:
     """Return the values of a unit's row by their column."""
-    scores = unit.calibration.scores
+    errors = unit.state.errors
     return {
         "serial": unit.serial,
         "verdict": unit.verdict,
         "family": unit.family,
         "predicted_rmse": unit.predicted_rmse,
-        "before_rmse": None if scores is None else scores.before.rmse,
-        "after_rmse": None if scores is None else scores.after.rmse,
+        "before_rmse": errors["before_rmse"],
+        "after_rmse": errors["after_rmse"],
         "reasons": "; ".join(unit.reasons),
     }
 

@@ -5,6 +5,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from datetime import datetime
 
+import msgspec
+
 from softcal.app.registry.limit import lot_limit
 from softcal.app.registry.lot_recordings import newest_audits
 from softcal.app.registry.stated import state, stated, statements
@@ -38,20 +40,32 @@ class Sample:
     without_draw: int
 
 
-def audited_sample(registry: Registry, lot_id: str) -> Sample:
-    """Return how the audits of a lot stand to its newest draw.
+def _drawn_at(registry: Registry, lot_id: str) -> dict[str, datetime]:
+    """Return when each unit of a lot was first drawn at random, UTC."""
+    drawn: dict[str, datetime] = {}
+    for row in registry.trail.of(PLAN, (lot_id,)):
+        for serial in AuditPlan.from_settings(json.loads(row.after or "{}")["plan"]).random:
+            drawn.setdefault(serial, row.at)
+    return drawn
 
-    A recording counts as measured when the registry first saw it: one that was there before the draw is no sample.
+
+def drawn_first(registry: Registry, lot_id: str) -> frozenset[str]:
+    """Return the audited units of a lot that were drawn at random before they were measured: they alone are a sample.
+
+    A recording counts as measured by its own stamps or as stated, else when the registry first saw it.
     """
-    measured = {serial: entry.added_at for serial, entry in newest_audits(registry, lot_id).items()}
-    draws = registry.trail.of(PLAN, (lot_id,))
-    if not draws:
-        return Sample(0, 0, None, 0, 0, len(measured))
-    plan = AuditPlan.from_settings(json.loads(draws[-1].after or "{}")["plan"])
-    at = draws[-1].at
-    times = [measured[serial] for serial in plan.random if serial in measured]
-    since, others = sum(time > at for time in times), len(measured) - len(times)
-    return Sample(len(plan.random), plan.population, at, since, len(times) - since, others)
+    audits, drawn = newest_audits(registry, lot_id), _drawn_at(registry, lot_id)
+    return frozenset(serial for serial, at in drawn.items() if serial in audits and audits[serial].observed_at > at)
+
+
+def audited_sample(registry: Registry, lot_id: str) -> Sample:
+    """Return how the audits of a lot stand to its draws."""
+    audits, drawn = newest_audits(registry, lot_id), _drawn_at(registry, lot_id)
+    since, of_drawn = len(drawn_first(registry, lot_id)), len(audits.keys() & drawn.keys())
+    plan = stated(registry, PLAN, (lot_id,))
+    population = 0 if plan is None else AuditPlan.from_settings(plan["plan"]).population
+    at = max(drawn.values(), default=None)
+    return Sample(len(drawn), population, at, since, of_drawn - since, len(audits) - of_drawn)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +112,7 @@ def draw_plan(
     unchecked = {
         serial
         for serial, standing in standings.items()
-        if (made := standing.made) is not None and made.is_open and made.decision.measured is None
+        if (one := standing.summary) is not None and one.state.fit.is_open and one.state.decision.measured is None
     }
     accepted = {
         serial: float(unit.predicted_rmse or 0.0)
@@ -176,7 +190,7 @@ def audit_line(audit: LotAudit) -> str:
 
 def _standing(registry: Registry, lot_id: str, facts: Mapping[str, object]) -> LotAudit:
     settings = json.loads(json.dumps(facts))
-    plan, limit = AuditPlan.from_settings(settings["plan"]), Limit.of(settings["limit"])
+    plan, limit = AuditPlan.from_settings(settings["plan"]), msgspec.convert(settings["limit"], Limit)
     errors = {
         unit.serial: unit.after_rmse
         for unit in _targets(registry, lot_id)

@@ -4,10 +4,10 @@ import time
 from dataclasses import replace
 
 from softcal.app.batch.audit import update_lot
-from softcal.app.batch.judging import judge_leaning
+from softcal.app.batch.judging import redecide_dependent_lots
 from softcal.app.batch.known import KeptFacts, lot_facts, lot_method, state_family, state_line, state_sources
 from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
-from softcal.app.batch.release import judge_lot
+from softcal.app.batch.release import decide_lot
 from softcal.app.batch.report import BatchReport, unused_audits
 from softcal.app.batch.train import train_or_find
 from softcal.app.batch.unit_work import ReadFile
@@ -66,9 +66,9 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
         golden = registry.recordings.add(lot_id, run, "audit", actor=actor)
         pressed = {sha256: (serial, golden) for serial, sha256 in work.recordings(list(folder.unit_paths)).items()}
         keep_golden_of(registry, lot_id, pressed, actor=actor)
-    decided = judge_lot(registry, lot_id, actor)
+    decided = decide_lot(registry, lot_id, actor)
     audit = update_lot(registry, lot_id, actor)
-    judge_leaning(registry, lot_id, actor)
+    redecide_dependent_lots(registry, lot_id, actor)
     units = tuple(work.told(list(folder.unit_paths)).values())
     read += sorted(work.files, key=lambda file: file.path)
     names = {file.path: file.path.relative_to(folder.root).as_posix() for file in read}

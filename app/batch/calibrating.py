@@ -6,7 +6,7 @@ It asks no registry and reads no file: see `known.py`.
 
 import time
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps.anchors import check_loads
@@ -16,10 +16,10 @@ from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.bridge import Bridge
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibrate import calibrate, nearest
-from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.line_spread import LineSpread
 from softcal.core.unit.rules import rules_in_force
 from softcal.core.unit.source_model import SourceModel
+from softcal.core.unit.state import UnitState
 from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import Limit, Verdict
 from softcal.core.words.reason import Reason, reason
@@ -126,7 +126,15 @@ class Known:
     input_sha256: str
 
 
-Result = CalibrationRecord | Refusal | Known
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """A unit that was calibrated now, and the hash of what asked for it."""
+
+    state: UnitState
+    input_sha256: str
+
+
+Result = Calibrated | Refusal | Known
 
 
 def calibrate_unit(
@@ -152,7 +160,7 @@ def calibrate_unit(
     return calibrated(problems[0] if len(problems) == 1 else nearest(problems))
 
 
-def calibrated(problem: UnitProblem) -> CalibrationRecord | Refusal:
+def calibrated(problem: UnitProblem) -> Calibrated | Refusal:
     """Calibrate a unit; one that allows no map gets its reason.
 
     Raises:
@@ -160,8 +168,9 @@ def calibrated(problem: UnitProblem) -> CalibrationRecord | Refusal:
     """
     start_s, mapped_s = time.perf_counter(), list[float]()
     try:
-        calibration = calibrate(problem, lambda: mapped_s.append(time.perf_counter()))
+        state = calibrate(problem, lambda: mapped_s.append(time.perf_counter()))
     except UnitRefused as error:
         return Refusal(Verdict.FAIL, error.reason)
     # What an audited unit's own network takes to train is no part of what its map took.
-    return calibration.to_record(problem.input_sha256, problem.recording.sha256, mapped_s[0] - start_s)
+    fit = replace(state.fit, fit_s=mapped_s[0] - start_s)
+    return Calibrated(replace(state, fit=fit), problem.input_sha256)

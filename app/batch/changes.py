@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from softcal.app.batch.judging import judge_again
+from softcal.app.batch.judging import redecide
 from softcal.core.unit.verdict import VERDICTS, Verdict
 from softcal.core.words.reason import Reason
 from softcal.db.registry import Registry
@@ -91,7 +91,7 @@ def change_limit(
     """
     with registry.transaction():
         registry.lots.set_limit(lot_id, rmse, reason=reason, actor=actor, expected_version=expected_version)
-        judge_again(registry, [lot_id], actor)
+        redecide(registry, [lot_id], actor)
 
 
 def preview_limit(registry: Registry, lot_id: str, rmse: float | None) -> Changes:

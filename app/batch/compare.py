@@ -6,12 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from softcal.app.batch.calibrating import calibrate_unit
+from softcal.app.batch.calibrating import Calibrated, calibrate_unit
 from softcal.app.batch.known import KeptFacts, lot_facts
 from softcal.app.registry.lot_recordings import source_model, unlabelled
-from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.method import Method
-from softcal.core.unit.verdict import Verdict
 from softcal.db.registry import Registry
 
 Tell = Callable[[float, str], None]
@@ -37,10 +35,12 @@ def compare_on_lot(registry: Registry, request: Mapping[str, Any], tell: Tell) -
         model = source_model(registry, network_id, Method.with_family(family))
         facts = lot_facts(registry, lot, [model], golden=kept.golden_runs)
         made = [calibrate_unit(facts, recording, known) for recording, known in units]
-        records = [one for one in made if isinstance(one, CalibrationRecord)]
+        states = [one.state for one in made if isinstance(one, Calibrated)]
+        scores = [state.scores for state in states if state.scores is not None]
         errors: dict[str, list[float]] = {
-            name: [error for one in records if (error := getattr(one, f"{name}_rmse")) is not None]
-            for name in ("predicted", "before", "after")
+            "predicted": [state.predicted_rmse for state in states],
+            "before": [one.before.rmse for one in scores],
+            "after": [one.after.rmse for one in scores],
         }
         after = errors["after"]
         rows.append(
@@ -48,8 +48,8 @@ def compare_on_lot(registry: Registry, request: Mapping[str, Any], tell: Tell) -
                 "network": network_id,
                 "family": family,
                 "units": len(units),
-                "passed": sum(one.verdict == Verdict.PASS for one in records),
-                "refused": len(made) - len(records),
+                "passed": sum(state.is_released for state in states),
+                "refused": len(made) - len(states),
                 "audited": len(after),
                 **{name: median(known) if known else None for name, known in errors.items()},
                 "after_95": float(np.quantile(after, 0.95)) if after else None,

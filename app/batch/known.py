@@ -156,7 +156,9 @@ def keep_result(
             raise InputError(f"{serial}: its calibration vanished from the registry; run `registry verify`")
     else:
         with trim_kept(registry, lot_id, serial, actor):
-            registry.calibrations.add(lot_id, result, actor, reason, decided_by=by, work_sha256=work_sha256)
+            add = registry.calibrations.add
+            asked = result.input_sha256
+            add(lot_id, result.state, actor, reason, input_sha256=asked, decided_by=by, work_sha256=work_sha256)
 
 
 def put_back(

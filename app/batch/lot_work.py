@@ -195,7 +195,7 @@ class LotWork:
         standings, results = self._registry.pages.standings(self._lot_id, serials), {}
         for serial in serials:
             if standing := standings.get(serial):
-                known = standing.verdict, standing.reasons, standing.made
+                known = standing.verdict, standing.reasons, standing.summary
                 results[serial] = UnitResult(serial, *known, serial in self._new)
             else:
                 results[serial] = UnitResult(serial, Verdict.RETEST, (plain(NO_RESULT),), is_new=False)
@@ -204,8 +204,8 @@ class LotWork:
     def recordings(self, serials: Sequence[str]) -> dict[str, str]:
         """Return the hash of the recording that each calibrated unit was calibrated from."""
         left = [serial for serial in serials if serial not in self._recordings]
-        made = [serial for serial, result in self.told(left).items() if result.made is not None]
-        stored = {s: self._registry.calibrations.get(s, lot_id=self._lot_id).record.recording_sha256 for s in made}
+        states = {serial: result.state for serial, result in self.told(left).items()}
+        stored = {serial: state.fit.recording_sha256 for serial, state in states.items() if state is not None}
         return stored | {serial: self._recordings[serial] for serial in serials if serial in self._recordings}
 
     def _is_done(self, claims: Claims) -> bool:
@@ -298,7 +298,7 @@ class LotWork:
         # What was kept although the connection broke is not this batch's own any more.
         results = self._registry.database.once_more(kept, is_repeatable=True)
         for result in results.values():
-            revision = result.made and result.made.revision
+            revision = result.summary and result.summary.revision
             note("unit", lot=self._lot_id, serial=result.serial, verdict=result.verdict, revision=revision)
         return list(results.values())
 

@@ -1,339 +1,338 @@
-"""Release the unmeasured units of a lot on its audits: decided, kept as revisions."""
+"""Decide on a lot as a whole: on the limit in force, on its audits, and on the units that nobody measured.
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+A sample release and a correction are decisions of the lot, numbered and stored. A batch or a person makes the next one;
+whatever else happens, to the lot or to one of its units, can only withdraw units that they released.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from softcal.app.batch.audit_evidence import PROMISE, RELEASABLE, AuditEvidence, AuditReader
-from softcal.app.registry.limit import judged_limit, limit_or_none, lot_limit
+from softcal.app.registry.limit import limit_or_none, lot_limit
 from softcal.app.registry.lot_recordings import audit_of, newest_audits, source_recording, target_serials, unlabelled
-from softcal.app.registry.stated import is_stated, state
-from softcal.core.identity import content_sha256
 from softcal.core.quality.lot_release import LotRelease, release_lot
 from softcal.core.quality.lot_standing import LotStanding, UnitInLot
 from softcal.core.quality.release import least_passing
-from softcal.core.unit.audited import judged, measured
-from softcal.core.unit.calibration import AUDIT_GAIN, AUDIT_ZERO, CalibrationRecord
-from softcal.core.unit.common_misreading import CommonMisreading, corrected
-from softcal.core.unit.uncertainty import ErrorForecast
-from softcal.core.unit.verdict import Decision, Limit
-from softcal.core.words.reason import Reason
-from softcal.db.entries import MadeCalibration, StoredCalibration, UnitEntry, UnitStanding
+from softcal.core.unit.audit import measure, measure_again
+from softcal.core.unit.lot_correction import LotCorrection
+from softcal.core.unit.state import SampleRelease, UnitState
+from softcal.core.words.reason import Reason, reason
+from softcal.db.entries import CalibrationSummary, UnitStanding
 from softcal.db.registry import Registry
-from softcal.db.truth.in_use import STALE
 
-STATEMENT = "lot_release"
-BASE = "base_revision"
-"""Number in a calibration's evidence: the revision that was fitted, before audits spoke."""
 WHY = "decided on the audits of the lot"
 
 
-def judge_lot(
+@dataclass(frozen=True)
+class LotDecision:
+    """What was decided on a lot as a whole.
+
+    Args:
+        correction: what audited units misread alike, taken off the maps of the lot.
+        next_unit: what the statement says of a unit that is to come; None where none is released by sample.
+        released: units released by sample.
+        source: which audits the statement rests on.
+        statement: the statement itself.
+    """
+
+    correction: LotCorrection = LotCorrection(0)
+    next_unit: SampleRelease | None = None
+    released: tuple[str, ...] = ()
+    source: str = ""
+    statement: Reason | None = None
+
+    def is_as(self, other: "LotDecision") -> bool:
+        """Whether another decision says the same, whatever its number."""
+        return self._without_numbers() == other._without_numbers()
+
+    def _without_numbers(self) -> "LotDecision":
+        following = self.next_unit and replace(self.next_unit, number=0)
+        return replace(self, correction=replace(self.correction, number=0), next_unit=following)
+
+
+def decision_in_force(registry: Registry, lot_id: str) -> LotDecision:
+    """Return the newest decision on a lot; an empty one before the first."""
+    entry = registry.decisions.in_force(lot_id)
+    return LotDecision() if entry is None else msgspec.convert(dict(entry.decision), LotDecision)
+
+
+def decide_lot(
     registry: Registry, lot_id: str, actor: str | None = None, now: datetime | None = None
 ) -> LotRelease | None:
-    """Judge every unit by the limit in force and by the audits, and keep what changed. None where
-    the lot has no unit with a forecast yet.
+    """Decide on a lot anew: correction, and release of the units that nobody measured. None without calibrated units.
+
+    Called by a batch, and by whoever releases a lot.
     """
-    # Units judged against another limit come first; one that has to be fitted for it stays stale.
-    if stale := [unit.serial for unit in registry.lots.units(lot_id) if is_stale(unit)]:
-        limit = lot_limit(registry, lot_id)
-        with registry.transaction():
-            for serial in stale:
-                base = _base(registry, lot_id, registry.calibrations.get(serial, lot_id=lot_id))
-                if record := judged(base, limit):
-                    _put(registry, lot_id, record, "judged against another limit", actor)
-    # Then units of which another audit, or none, was scored
-    entries = newest_audits(registry, lot_id)
-    for serial, unit in registry.pages.standings(lot_id, list(entries)).items():
-        made, entry = unit.made, entries[serial]
-        if made is None or (made.audit is not None and made.audit.recording_sha256 in ("", entry.sha256)):
-            continue
-        audit = audit_of(registry, entry)
-        base = _base(registry, lot_id, registry.calibrations.get(serial, lot_id=lot_id))
-        if audit is None or base.grounds is None or base.grounds.rules:
-            continue
-        recording = unlabelled(registry.recordings.get(base.recording_sha256))
-        record = measured(registry.networks.get(base.network_id), base, audit, recording, lot_limit(registry, lot_id))
-        # It is fitted as it was; what others say is asked again.
-        evidence = {name: value for name, value in record.evidence.items() if name != BASE}
-        _put(registry, lot_id, replace(record, evidence=evidence), "scored on a newer audit", actor)
-    at = now or datetime.now(UTC)
-    standing = _standing(registry, lot_id, at)
-    if standing is None:
-        return None
-    # What audited units misread alike comes off first; their errors then speak for the lot.
-    moved = [made for made in standing.made if made.decision.measured and _is_to_correct(made, standing.evidence)]
-    if moved:
-        with registry.transaction():
-            for made in moved:
-                _keep(registry, lot_id, made, None, standing.evidence, actor)
-        standing = _standing(registry, lot_id, at) or standing
-    decided = standing.decided()
     with registry.transaction():
-        for made in standing.moved():
-            _keep(registry, lot_id, made, decided, standing.evidence, actor)
-        action = "release" if decided.released else "withhold"
-        state(registry, STATEMENT, (lot_id,), decided.to_json(), action=action, actor=actor)
-    return decided
+        lot = _Lot.read(registry, lot_id, actor, now)
+        if not lot.states:
+            return None
+        before, number = decision_in_force(registry, lot_id), _next_number(registry, lot_id)
+        correction = LotCorrection(number, lot.evidence().lines)
+        if correction.lines == before.correction.lines:
+            correction = before.correction
+        lot.correct(correction)
+        evidence = lot.evidence()
+        decided = lot.decided(evidence, correction)
+        following = decided.next_unit(number)
+        said = LotDecision(correction, following, decided.released, evidence.qualification.source, decided.statement)
+        if said.is_as(before):
+            number = before.next_unit.number if before.next_unit else number
+        elif said.next_unit or before.next_unit or correction is not before.correction:
+            action = "release" if decided.released else "withhold"
+            registry.decisions.add(lot_id, msgspec.to_builtins(said), action=action, actor=actor, reason=WHY)
+        for serial, state in lot.open().items():
+            lot.put(serial, replace(state, release=_says(decided, state, number)), "release", WHY)
+        return decided
 
 
-def _is_to_correct(made: MadeCalibration, evidence: AuditEvidence) -> bool:
-    common = evidence.common_of(made)
-    wanted = None if common is None else (common.line.gain, common.line.zero)
-    if wanted is None or made.common_line is None:
-        return wanted != made.common_line
-    return not np.allclose(wanted, made.common_line, rtol=1e-9, atol=1e-12)
+def redecide_lot(registry: Registry, lot_id: str, actor: str | None = None, now: datetime | None = None) -> None:
+    """Decide on the units of a lot again after something changed that they rest on: limit, audits, golden runs.
+
+    Nothing is released by sample that was not before, and no correction is made; units are withdrawn where the audits
+    no longer carry them. A stated limit that changes is the one exception: the statement in force is made for it anew.
+    """
+    with registry.transaction():
+        lot = _Lot.read(registry, lot_id, actor, now)
+        in_force = decision_in_force(registry, lot_id)
+        if not lot.states or in_force.next_unit is None:
+            return
+        evidence = lot.evidence()
+        decided = lot.decided(evidence, in_force.correction)
+        is_new_limit = in_force.next_unit.limit_rmse != decided.limit.maximum_rmse or not decided.limit.is_stated
+        released = set(decided.released) if is_new_limit else set(in_force.released) & set(decided.released)
+        # A unit that the audits say nothing of any more, as it was trimmed or measured, is its own affair.
+        lost = {serial for serial in in_force.released if serial in decided.forecasts} - released
+        if not lost and not is_new_limit and evidence.qualification.is_given:
+            return
+        number = _next_number(registry, lot_id)
+        following = decided.next_unit(number) if released else None
+        said = LotDecision(
+            in_force.correction, following, tuple(sorted(released)), evidence.qualification.source, decided.statement
+        )
+        registry.decisions.add(lot_id, msgspec.to_builtins(said), action="withhold", actor=actor, reason=WHY)
+        for serial, state in lot.open().items():
+            if state.release is None and not is_new_limit:
+                continue
+            says = _says(decided, state, number)
+            if says is not None:
+                says = replace(says, is_released=serial in released)
+            lot.put(serial, replace(state, release=says), "release", WHY)
+
+
+def decide_unit(registry: Registry, lot_id: str, serial: str, actor: str | None = None) -> None:
+    """Hold a unit that was calibrated just now against the decisions in force; no other unit changes."""
+    with registry.transaction():
+        in_force = decision_in_force(registry, lot_id)
+        standing = registry.pages.standings(lot_id, [serial]).get(serial)
+        if standing is None or standing.summary is None:
+            return
+        lot = _Lot.read(registry, lot_id, actor, only=serial)
+        lot.correct(in_force.correction)
+        state = lot.open().get(serial)
+        if state is None or in_force.next_unit is None:
+            return
+        says, limit = in_force.next_unit, state.limit
+        method = state.fit.method.id
+        day = AuditReader(registry).evidence(lot_id, method, datetime.now(UTC)).day_rmse(state.fit.load_rms)
+        error = float("inf") if says.factor is None else float(np.hypot(state.fit.forecast.rmse * says.factor, day))
+        says = replace(says, day_rmse=day, is_released=error <= limit.acceptance_rmse)
+        lot.put(serial, replace(state, release=says), "release", WHY)
+
+
+def roll_back(
+    registry: Registry,
+    serial: str,
+    to: int,
+    *,
+    reason: str,
+    lot_id: str,
+    origin: str | None = None,
+    actor: str | None = None,
+) -> int:
+    """Bring an older revision of a unit back into use, and hold it against the decisions in force; return the new one.
+
+    Raises:
+        InputError: as `CalibrationTables.rollback`.
+    """
+    with registry.transaction():
+        which = {"lot_id": lot_id, "origin": origin}
+        revision = registry.calibrations.rollback(serial, to, reason=reason, actor=actor, **which)
+        decide_unit(registry, lot_id, serial, actor)
+        return revision
 
 
 def lot_standing(registry: Registry, lot_id: str) -> LotStanding:
-    """Return where a lot stands; nothing is written.
+    """Return where a lot stands, and what a release would be decided on now; nothing is written.
 
     Raises:
         InputError: the lot is not in the registry.
     """
     registry.lots.get(lot_id)
-    units, limit = _whole_lot(registry, lot_id), limit_or_none(registry, lot_id)
-    standing = _standing(registry, lot_id, datetime.now(UTC), units)
+    serials = target_serials(registry, lot_id)
+    units, limit = registry.pages.standings(lot_id, serials), limit_or_none(registry, lot_id)
+    lot = _Lot(registry, lot_id, _states(units), len(units))
+    decided = lot.decided(lot.evidence(), decision_in_force(registry, lot_id).correction) if lot.states else None
     audits, passed = newest_audits(registry, lot_id), registry.calibrations.passed_once(lot_id)
     rows = []
-    for serial in target_serials(registry, lot_id):
+    for serial in serials:
         unit, audit, had_passed = units.get(serial), audits.get(serial), serial in passed
-        at = None if audit is None else audit.added_at
+        at = None if audit is None else audit.observed_at
         if unit is None:
             rows.append(UnitInLot(serial, had_passed=had_passed, audited_at=at))
             continue
-        made = unit.made
-        errors = (None, None) if made is None else (made.forecast_rmse, made.after_rmse)
-        is_measured = made is not None and made.is_audited
-        rows.append(UnitInLot(serial, unit.verdict, unit.reasons, is_measured, had_passed, at, *errors))
-    return LotStanding(lot_id, rows, limit, None if standing is None else standing.decided())
+        state = None if unit.summary is None else unit.summary.state
+        measured = None if state is None or state.scores is None else state.scores.after.rmse
+        forecast = None if state is None else state.fit.forecast.rmse
+        is_measured = state is not None and state.decision.is_audited
+        rows.append(UnitInLot(serial, unit.verdict, unit.reasons, is_measured, had_passed, at, forecast, measured))
+    return LotStanding(lot_id, rows, limit, decided)
 
 
-def is_stale(unit: UnitEntry) -> bool:
-    """Return whether a unit was judged against another limit than the one in force."""
-    return bool(unit.reasons) and unit.reasons[0].code in STALE
+def is_decided(registry: Registry, standing: LotStanding) -> bool:
+    """Return whether the decision in force on a lot says what would be decided now; nothing is written."""
+    in_force, decided = decision_in_force(registry, standing.lot_id), standing.decided
+    return decided is None or (in_force.released, in_force.statement) == (decided.released, decided.statement)
 
 
-def _standing(
-    registry: Registry, lot_id: str, now: datetime, units: Mapping[str, UnitStanding] | None = None
-) -> "_Standing | None":
-    units = _whole_lot(registry, lot_id) if units is None else units
-    made = _made(units)
-    return _Standing.of(AuditReader(registry).evidence(lot_id, made[0].method_id, now), units) if made else None
+@dataclass
+class _Lot:
+    """The units of a lot while it is decided on, each without its arrays until they are needed."""
 
-
-@dataclass(frozen=True)
-class _Standing:
-    """What is known of a lot: the evidence it is decided on, its units, and how many unmeasured
-    ones must pass.
-    """
-
-    evidence: AuditEvidence
-    made: Sequence[MadeCalibration]
-    least: float = 0.0
+    registry: Registry
+    lot_id: str
+    states: dict[str, UnitState]
+    units: int
+    actor: str | None = None
+    now: datetime = field(default_factory=lambda: datetime.now(UTC))
 
     @classmethod
-    def of(cls, evidence: AuditEvidence, units: Mapping[str, UnitStanding]) -> "_Standing":
-        """Return where these units stand; half of the lot must pass."""
-        made = _made(units)
-        held = [one for one in made if one.is_audited and one.verdict in RELEASABLE]
-        return cls(evidence, made, least_passing(len(units), len(held)))
+    def read(
+        cls, registry: Registry, lot_id: str, actor: str | None, now: datetime | None = None, only: str | None = None
+    ) -> "_Lot":
+        """Read the units of a lot, held against the limit in force and the newest audits."""
+        serials = target_serials(registry, lot_id) if only is None else [only]
+        standings = registry.pages.standings(lot_id, serials, has_stale=True)
+        lot = cls(registry, lot_id, _states(standings), len(standings), actor, now or datetime.now(UTC))
+        if lot.states:
+            lot._update(only)
+        return lot
 
-    @property
-    def open(self) -> dict[str, MadeCalibration]:
-        """Unmeasured units that audits of others may release: nothing found, and nothing that bars a pass."""
+    def evidence(self) -> AuditEvidence:
+        method_id = next(iter(self.states.values())).fit.method.id
+        return AuditReader(self.registry).evidence(self.lot_id, method_id, self.now)
+
+    def open(self) -> dict[str, UnitState]:
+        """Return the units that audits of others may release: not measured, and nothing stands against them."""
         return {
-            made.serial: made
-            for made in self.made
-            if made.decision.measured is None and made.is_open and made.forecast_rmse and not made.decision.bars
+            serial: state
+            for serial, state in self.states.items()
+            if state.decision.measured is None and state.fit.is_open and not state.blocking_reasons
         }
 
-    def decided(self) -> LotRelease:
-        evidence, units = self.evidence, self.open
-        days = {} if evidence.days is None else {s: evidence.day_rmse(made.load_rms) for s, made in units.items()}
+    def decided(self, evidence: AuditEvidence, correction: LotCorrection) -> LotRelease:
+        units = self.open()
+        held = [s for s in self.states.values() if s.decision.is_audited and s.verdict in RELEASABLE]
+        days = {} if evidence.days is None else {s: evidence.day_rmse(one.fit.load_rms) for s, one in units.items()}
         return release_lot(
-            {serial: made.forecast_rmse for serial, made in units.items() if made.forecast_rmse},
+            {serial: state.fit.forecast.rmse for serial, state in units.items()},
             evidence.qualification,
             evidence.limit,
             PROMISE,
             widening=evidence.widening,
-            least=self.least,
+            least=least_passing(self.units, len(held)),
             seen=evidence.seen,
             days=days,
-            doubts=evidence.doubts,
-            common=evidence.common,
+            doubts=evidence.suspects,
+            corrected_by=len(correction.lines) if any(one.correction for one in self.states.values()) else 0,
         )
 
-    def moved(self) -> list[MadeCalibration]:
-        """Return the units that audits may move: open ones, audited ones, those in doubt."""
-        doubts = self.evidence.doubts
-        return [
-            made
-            for made in self.made
-            if made.serial in self.open
-            or made.serial in doubts
-            or made.decision.doubt is not None
-            or (made.decision.measured is not None and _is_to_correct(made, self.evidence))
-        ]
-
-
-class LineRelease:
-    """Decides on units one by one as a line presses them; `judge_lot` decides on the whole lot.
-
-    The other units are read again only where the audits say something new; units that another
-    station presses meanwhile count from then on.
-    """
-
-    def __init__(self, registry: Registry) -> None:
-        self._registry, self._reader = registry, AuditReader(registry)
-        self._standing: dict[str, _Standing] = {}
-
-    def press(self, lot_id: str, serial: str, actor: str | None = None, now: datetime | None = None) -> None:
-        """Decide on a unit that was calibrated just now, and keep what changed."""
-        registry = self._registry
-        pressed = _made(registry.pages.standings(lot_id, [serial]))
-        if not pressed:
-            self._standing.pop(lot_id, None)
+    def correct(self, correction: LotCorrection) -> None:
+        """Take a correction off the maps of the lot, and measure the audited units by their maps of then."""
+        rules = next(iter(self.states.values())).fit.method.release
+        if len(correction.lines) < rules.min_correction_audits and not any(s.correction for s in self.states.values()):
             return
-        evidence = self._reader.evidence(lot_id, pressed[0].method_id, now or datetime.now(UTC))
-        known = self._standing.get(lot_id, _Standing(evidence, ()))
-        if known.evidence != evidence or lot_id not in self._standing:
-            known = _Standing(evidence, ())
-            # Without a qualification none of the other units of the lot matters.
-            if evidence.qualification.is_given:
-                known = _Standing.of(evidence, _whole_lot(registry, lot_id))
-        known = replace(known, made=[*(made for made in known.made if made.serial != serial), *pressed])
-        self._standing[lot_id] = known
-        decided = known.decided()
-        for made in known.moved():
-            if made.serial == serial:
-                with registry.transaction():
-                    _keep(registry, lot_id, made, decided, evidence, actor)
+        audits = newest_audits(self.registry, self.lot_id)
+        for serial in list(self.states):
+            state = self._with_arrays(serial)
+            corrected = correction.apply(state, source_recording(self.registry, state.fit.network_id))
+            if corrected.line_behind == state.line_behind:
+                continue
+            if corrected.audit is not None and corrected.audit.map_id != corrected.map_id:
+                audit = audit_of(self.registry, audits.get(serial))
+                if audit is None or audit.sha256 != corrected.audit.recording_sha256:
+                    continue
+                corrected = measure_again(self._network(state), corrected, audit, self._recording(state))
+            self.put(serial, corrected, "release", WHY)
+
+    def put(self, serial: str, state: UnitState, decided_by: str, why: str) -> None:
+        """Put a state into use where it is not."""
+        before = self.states[serial]
+        if all(getattr(before, one.name) == getattr(state, one.name) for one in fields(state) if one.name != "fit"):
+            return
+        if state.fit.fitted is None and state.line_behind is not None:
+            state = replace(state, fit=self._with_arrays(serial).fit)
+        self.states[serial] = state
+        put = self.registry.calibrations.put_state
+        put(self.lot_id, state, decided_by, actor=self.actor, reason=why)
+
+    def _update(self, only: str | None) -> None:
+        registry, limit = self.registry, lot_limit(self.registry, self.lot_id)
+        audits = newest_audits(registry, self.lot_id, only)
+        for serial, state in list(self.states.items()):
+            # Rules of other packages have to see the recording again: only a new fit decides on such a unit.
+            if state.fit.rules:
+                continue
+            if state.limit != limit:
+                self.put(serial, replace(state, limit=limit), "release", "held against another limit")
+            entry, known = audits.get(serial), self.states[serial].audit
+            if entry is None or (known is not None and known.recording_sha256 == entry.sha256):
+                continue
+            audit = audit_of(registry, entry)
+            if audit is not None:
+                whole = replace(self._with_arrays(serial), unreadable_audit=None)
+                scored = measure(self._network(whole), whole, audit, self._recording(whole))
+                self.put(serial, scored, "release", "scored on a newer audit")
+        if only is None:
+            suspects = self.evidence().suspects
+            for serial, state in list(self.states.items()):
+                if state.suspect_audit != suspects.get(serial):
+                    why = "its audit is set aside" if serial in suspects else "its audit counts again"
+                    self.put(serial, replace(state, suspect_audit=suspects.get(serial)), "release", why)
+
+    def _with_arrays(self, serial: str) -> UnitState:
+        state = self.states[serial]
+        if state.fit.fitted is None:
+            state = replace(state, fit=self.registry.calibrations.get(serial, lot_id=self.lot_id).state.fit)
+            self.states[serial] = state
+        return state
+
+    def _network(self, state: UnitState) -> Any:
+        return self.registry.networks.get(state.fit.network_id)
+
+    def _recording(self, state: UnitState) -> Any:
+        return unlabelled(self.registry.recordings.get(state.fit.recording_sha256))
 
 
-def _whole_lot(registry: Registry, lot_id: str) -> Mapping[str, UnitStanding]:
-    return registry.pages.standings(lot_id, target_serials(registry, lot_id))
+def _says(decided: LotRelease, state: UnitState, number: int) -> SampleRelease | None:
+    """Return what a decision says of a unit; of one that another spoke for before, why it does so no more."""
+    says, before = decided.sample_release(state.serial, number), state.release
+    if says is not None or before is None:
+        return says
+    why = decided.qualification.reason if decided.limit.is_stated else reason("part.no_limit")
+    return replace(before, is_released=False, limit_rmse=decided.limit.maximum_rmse, withdrawn=why)
 
 
-def _made(units: Mapping[str, UnitStanding]) -> list[MadeCalibration]:
-    return [standing.made for standing in units.values() if standing.made is not None]
+def _states(standings: Mapping[str, UnitStanding]) -> dict[str, UnitState]:
+    found: dict[str, CalibrationSummary | None] = {serial: one.summary for serial, one in standings.items()}
+    return {serial: summary.state for serial, summary in found.items() if summary is not None}
 
 
-def _keep(
-    registry: Registry,
-    lot_id: str,
-    made: MadeCalibration,
-    decided: LotRelease | None,
-    evidence: AuditEvidence,
-    actor: str | None,
-) -> None:
-    """Store what is decided on a unit as a revision of its own, where it is not what stands."""
-    doubt, known = evidence.doubts.get(made.serial), made.decision
-    is_released = decided is not None and decided.found is not None and made.serial in decided.forecasts
-    # Asked first: most lots have no audits, and reading a calibration whole is dear.
-    is_as_it_was = doubt is None and known.sampled is None and known.doubt is None
-    if not is_released and is_as_it_was and not _is_to_correct(made, evidence):
-        return
-    base = _base(registry, lot_id, registry.calibrations.get(made.serial, lot_id=lot_id))
-    record = _corrected(registry, lot_id, base, evidence.common_of(made), evidence.limit)
-    if doubt is not None:
-        record = doubted_record(record, doubt)
-    elif decided is not None and known.measured is None and (is_released or known.sampled is not None):
-        record = judged_record(record, decided)
-    _put(registry, lot_id, record, WHY, actor)
-
-
-def _corrected(
-    registry: Registry, lot_id: str, base: CalibrationRecord, common: CommonMisreading | None, limit: Limit
-) -> CalibrationRecord:
-    """Return a calibration without what audited units misread alike, by the limit in force."""
-    is_open = base.grounds is not None and not base.grounds.rules
-    record = base
-    if common is not None and is_open:
-        record = corrected(base, source_recording(registry, base.network_id), common)
-    elif _is_judged_by(base, limit):
-        return base
-    audit = None
-    if record is not base and base.decision.measured is not None:
-        audit = audit_of(registry, newest_audits(registry, lot_id, base.serial).get(base.serial))
-    if audit is None:
-        return judged(record, limit) or base
-    recording = unlabelled(registry.recordings.get(base.recording_sha256))
-    network = registry.networks.get(base.network_id)
-    own = None if base.scores is None or base.scores.own is None else base.scores.own.own
-    scored = measured(network, record, audit, recording, limit, is_newer=False, own=own)
-    # What its audit says of the map as it was fitted is what the others are corrected by.
-    lines = {name: base.evidence[name] for name in (AUDIT_GAIN, AUDIT_ZERO) if name in base.evidence}
-    return replace(scored, evidence={**scored.evidence, **lines})
-
-
-def _is_judged_by(record: CalibrationRecord, limit: Limit) -> bool:
-    by = judged_limit(record, limit.unit)
-    return by is not None and (by.maximum_rmse, by.is_stated) == (limit.maximum_rmse, limit.is_stated)
-
-
-def _put(registry: Registry, lot_id: str, record: CalibrationRecord, why: str, actor: str | None) -> None:
-    """Put a judgement into use, as a revision of its own where it was not kept before."""
-    known = registry.calibrations.find(record.serial, record.input_sha256, lot_id=lot_id)
-    if known is None:
-        registry.calibrations.add(lot_id, record, actor=actor, reason=why, decided_by="release")
-    elif not known.is_current:
-        registry.calibrations.decide(known, "release", actor=actor, reason=why)
-
-
-def _base(registry: Registry, lot_id: str, stored: StoredCalibration) -> CalibrationRecord:
-    """Return the calibration as it was fitted, before audits of other units scaled it."""
-    record = stored.record
-    revision = record.evidence.get(BASE)
-    if revision is None:
-        return replace(record, evidence={**record.evidence, BASE: float(stored.revision)})
-    base = registry.calibrations.get(record.serial, int(revision), lot_id=lot_id).record
-    return replace(base, evidence={**base.evidence, BASE: revision})
-
-
-def doubted_record(base: CalibrationRecord, doubt: Reason) -> CalibrationRecord:
-    """Return a calibration whose audit is in doubt: nothing is decided before that is known."""
-    return _with_decision(base, replace(base.decision, doubt=doubt), {"doubt": doubt.to_json()})
-
-
-def judged_record(base: CalibrationRecord, decided: LotRelease) -> CalibrationRecord:
-    """Return a calibration with what the audits of its lot say: all scaled, judgement beside."""
-    judgement = decided.judgement(base.serial)
-    decision = replace(base.decision, measured=None, sampled=judgement)
-    scale, widening = decided.forecast_scale, decided.widening
-    forecast = None
-    if base.settings.get("forecast") is not None and base.predicted_rmse is not None:
-        upper = base.predicted_rmse * (decided.found.factor if decided.found is not None else scale)
-        old = ErrorForecast(**base.settings["forecast"])  # type: ignore[arg-type]
-        rmse = base.predicted_rmse * scale
-        # Beyond a finite factor nothing is known; the forecast keeps the end it had.
-        forecast = vars(ErrorForecast(rmse, old.lower * scale, upper if np.isfinite(upper) else old.upper * scale))
-    arrays = {**base.arrays, "interval.half_width": widening(np.asarray(base.arrays["interval.half_width"]))}
-    numbers = {"forecast_rmse": base.predicted_rmse, "forecast_scale": scale}
-    numbers |= {"interval_scale": widening.scale, "interval_added": widening.added}
-    changed = replace(
-        base,
-        arrays=arrays,
-        settings={**base.settings, "forecast": forecast},
-        predicted_rmse=None if base.predicted_rmse is None else base.predicted_rmse * scale,
-        evidence={**base.evidence, **numbers},
-    )
-    return _with_decision(changed, decision, {"sampled": judgement.to_json(), **numbers})
-
-
-def _with_decision(base: CalibrationRecord, decision: Decision, facts: Mapping[str, object]) -> CalibrationRecord:
-    """Return a calibration with another decision, and an input of its own: the base's and what led to it."""
-    return replace(
-        base,
-        settings={**base.settings, "decision": decision.to_json()},
-        verdict=str(decision.verdict),
-        reasons=decision.reasons,
-        input_sha256=content_sha256({}, {"base": base.input_sha256, **facts}),
-    )
-
-
-def is_told(registry: Registry, lot_id: str, decided: LotRelease) -> bool:
-    """Return whether this very decision is the last that was kept."""
-    return is_stated(registry, STATEMENT, (lot_id,), decided.to_json())
+def _next_number(registry: Registry, lot_id: str) -> int:
+    decisions = registry.decisions.of_lot(lot_id)
+    return max((one.number for one in decisions), default=0) + 1

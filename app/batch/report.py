@@ -1,23 +1,22 @@
 """What a batch says when it is done: a row per unit, for people and as JSON for programs."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from softcal.app.batch.audit import LotAudit, audit_json, audit_line
 from softcal.app.batch.train import TrainedOrFound
 from softcal.app.files.not_used import NotUsed
 from softcal.core.quality.lot_release import LotRelease
-from softcal.core.unit.judging import UNREADABLE
+from softcal.core.unit.state import UnitState
 from softcal.core.unit.verdict import VERDICTS, Release, Verdict, worst_of
 from softcal.core.words.reason import DOUBT, ENGLISH, PLAIN, Reason, Value, filled
-from softcal.db.entries import UNIT_ERRORS, MadeCalibration
+from softcal.db.entries import UNIT_ERRORS, CalibrationSummary
 
 OWN_RATIO = "after/own, test rows"
 """Heading of the one ratio whose errors are of other rows than `after`: those the own calibration was tested on."""
 
 TABLE_HEADER = ("serial", "verdict", "predicted", "before", "after", "own", OWN_RATIO, "fit_s", "map")
-ERRORS_AND_TIME = (*UNIT_ERRORS, "fit_s")
 MAX_NAMES = 8
 """So many units are named where a reason is of many; the table and the JSON have all."""
 
@@ -25,18 +24,27 @@ MAX_NAMES = 8
 @dataclass(frozen=True)
 class UnitResult:
     """One row of the report, reasons most important first. A unit that could not be read or mapped
-    has no `made`. `is_new`: this batch fitted it, else the registry had it.
+    has no `summary`. `is_new`: this batch fitted it, else the registry had it.
     """
 
     serial: str
     verdict: str
     reasons: tuple[Reason, ...]
-    made: MadeCalibration | None = None
+    summary: CalibrationSummary | None = None
     is_new: bool = True
 
     @property
+    def state(self) -> UnitState | None:
+        return None if self.summary is None else self.summary.state
+
+    @property
     def is_audited(self) -> bool:
-        return self.made is not None and self.made.is_audited
+        return self.state is not None and self.state.decision.is_audited
+
+    @property
+    def errors(self) -> dict[str, float | None]:
+        """Its errors in the lot's reference unit, by `UNIT_ERRORS`; None where there is none."""
+        return dict.fromkeys(UNIT_ERRORS) if self.state is None else self.state.errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +78,7 @@ class BatchReport:
 
     def releases(self, unit: UnitResult) -> bool:
         """Whether files of this unit are written: by its verdict alone."""
-        return unit.made is not None and self.release.releases(unit.verdict)
+        return unit.summary is not None and self.release.releases(unit.verdict)
 
 
 def unused_audits(audit_paths: Mapping[str, Path], units: Sequence[UnitResult]) -> list[NotUsed]:
@@ -80,7 +88,7 @@ def unused_audits(audit_paths: Mapping[str, Path], units: Sequence[UnitResult]) 
         path = audit_paths.get(unit.serial)
         if path is None or (unit.is_audited and not any(why.code.startswith(DOUBT) for why in unit.reasons)):
             continue
-        why = next((one for one in unit.reasons if one.code == UNREADABLE or one.code.startswith(DOUBT)), None)
+        why = next((one for one in unit.reasons if one.code == "audit.unreadable" or one.code.startswith(DOUBT)), None)
         items.append(NotUsed("audit", unit.serial, why or unit.reasons[0], f"audit/{path.name}"))
     return items
 
@@ -89,25 +97,32 @@ def report_json(report: BatchReport) -> dict[str, object]:
     """Return the report as the JSON of `softcal batch --json` (schema `softcal.batch/1`)."""
     units = []
     for unit in report.units:
-        made = unit.made
+        summary, state = unit.summary, unit.state
+        made_by = summary and {
+            "family": summary.state.fit.family,
+            "revision": summary.revision,
+            "sha256": summary.map_sha256,
+        }
         units.append(
             {
                 "serial": unit.serial,
                 "verdict": unit.verdict,
                 "reasons": [str(why) for why in unit.reasons],
                 "reason_codes": [why.code for why in unit.reasons],
-                **{name: getattr(made, name, None) for name in ERRORS_AND_TIME},
-                "map": made and {"family": made.family, "revision": made.revision, "sha256": made.map_sha256},
+                **unit.errors,
+                "fit_s": state and state.fit.fit_s,
+                "map": made_by,
                 "audited": unit.is_audited,
-                "audit_scores": made and made.scores and made.scores.to_json(),
-                "predicted_verdict": made and str(made.decision.predicted.verdict),
-                "knowledge": made and made.knowledge,
-                "missing": made and dict(made.missing),
+                "audit_scores": None if state is None or state.scores is None else asdict(state.scores),
+                "predicted_verdict": state and str(state.decision.predicted.verdict),
+                "knowledge": state and str(state.knowledge),
+                "missing": None if state is None or state.fit.missing is None else state.fit.missing.numbers(),
                 "released": report.releases(unit),
-                "method": made and made.method_id,
+                "method": state and state.fit.method.id,
                 "is_new": unit.is_new,
             }
         )
+    passed = [unit.serial for unit in report.units if unit.verdict == Verdict.PASS]
     return {
         "schema": "softcal.batch/1",
         "lot": report.lot_id,
@@ -117,7 +132,7 @@ def report_json(report: BatchReport) -> dict[str, object]:
         "wall_s": report.wall_s,
         "counts": report.counts,
         "audit": None if report.audit is None else audit_json(report.audit),
-        "release": None if report.decided is None else report.decided.to_json(),
+        "release": None if report.decided is None else {**report.decided.to_json(), "released": passed},
         "units": units,
         "audits": sum(unit.is_audited for unit in report.units),
         "not_used": [item.to_json() for item in report.not_used],
@@ -128,13 +143,12 @@ def report_json(report: BatchReport) -> dict[str, object]:
 
 def table_row(unit: UnitResult) -> list[object]:
     """Return one row of the table a person reads, under `TABLE_HEADER`."""
-    made = unit.made
-    if made is None:
+    state = unit.state
+    if state is None:
         return [unit.serial, unit.verdict, *[None] * 7]
-    own = None if made.scores is None else made.scores.own
+    own = None if state.scores is None else state.scores.own
     ratio = None if own is None else own.after_ratio
-    *errors, fit_s = (getattr(made, name) for name in ERRORS_AND_TIME)
-    return [unit.serial, unit.verdict, *errors, ratio, fit_s, made.family]
+    return [unit.serial, unit.verdict, *unit.errors.values(), ratio, state.fit.fit_s, state.fit.family]
 
 
 @dataclass(frozen=True)
@@ -200,9 +214,9 @@ def audit_lines(report: BatchReport) -> list[str]:
     """Return what audits say, a line each: units that are not as predicted, and the lot."""
     lines = []
     for unit in report.units:
-        made = unit.made
-        if made is not None and unit.is_audited and made.decision.predicted.verdict != unit.verdict:
-            lines.append(f"{unit.serial} audited: {unit.verdict}, was predicted {made.decision.predicted.verdict}")
+        state = unit.state
+        if state is not None and unit.is_audited and state.decision.predicted.verdict != unit.verdict:
+            lines.append(f"{unit.serial} audited: {unit.verdict}, was predicted {state.decision.predicted.verdict}")
     if report.decided is not None:
         lines.append(f"release: {report.decided.statement}")
     return lines if report.audit is None else [*lines, audit_line(report.audit)]

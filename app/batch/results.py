@@ -7,9 +7,9 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from softcal.app.batch.report import UnitResult
 from softcal.app.registry.lot_recordings import target_serials
 from softcal.core.unit.verdict import Release
-from softcal.db.entries import UNIT_ERRORS
 from softcal.db.registry import Registry
 
 SCHEMA_NAME = "softcal.results/1"
@@ -37,8 +37,6 @@ RESULTS = pa.schema(
 )
 """Columns in their order. A unit without a result has null where a result would stand."""
 
-OF_MADE = ("revision", "map_sha256", "method_id", *UNIT_ERRORS, "fit_s")
-
 
 def lot_results(registry: Registry, lot_id: str, release: Release = Release.PASS) -> pa.Table:
     """Return the results of a lot's target units by serial.
@@ -52,7 +50,9 @@ def lot_results(registry: Registry, lot_id: str, release: Release = Release.PASS
     rows: list[dict[str, Any]] = []
     for serial in serials:
         standing = standings.get(serial)
-        made = None if standing is None else standing.made
+        summary = None if standing is None else standing.summary
+        unit = UnitResult(serial, "", (), summary)
+        state = unit.state
         rows.append(
             {
                 "lot": lot_id,
@@ -60,12 +60,16 @@ def lot_results(registry: Registry, lot_id: str, release: Release = Release.PASS
                 "verdict": standing and standing.verdict,
                 "reasons": [str(why) for why in standing.reasons] if standing else [],
                 "reason_codes": [why.code for why in standing.reasons] if standing else [],
-                "released": made is not None and standing is not None and release.releases(standing.verdict),
-                "audited": made is not None and made.is_audited,
-                "knowledge": made and made.knowledge,
-                "map_family": made and made.family,
+                "released": summary is not None and standing is not None and release.releases(standing.verdict),
+                "audited": unit.is_audited,
+                "knowledge": state and str(state.knowledge),
+                "map_family": state and state.fit.family,
                 "made_at": standing and standing.made_at,
-                **{name: getattr(made, name, None) for name in OF_MADE},
+                "revision": summary and summary.revision,
+                "map_sha256": summary and summary.map_sha256,
+                "method_id": state and state.fit.method.id,
+                "fit_s": state and state.fit.fit_s,
+                **unit.errors,
             }
         )
     facts = {

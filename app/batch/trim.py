@@ -1,18 +1,17 @@
-"""Trim a registered unit by known loads at its place of use: a new revision, or nothing."""
+"""Trim a registered unit by known loads at its place of use: a new revision, or nothing. No other unit changes."""
 
 from pathlib import Path
 
-from softcal.app.batch.judging import judge_again
 from softcal.app.files.anchors import read_anchors
-from softcal.app.registry.trimmed import is_trimmed_by, keep_trim
+from softcal.app.registry.trimmed import is_trimmed_by, store_trim
 from softcal.app.tables.options import DETECT, TableOptions
-from softcal.core.unit.trim import Trimmed
+from softcal.core.unit.state import Trim
 from softcal.db.registry import Registry
 
 
 def trim_unit(
     registry: Registry, serial: str, loads_file: Path, lot_id: str | None, table: TableOptions = DETECT
-) -> tuple[Trimmed, int]:
+) -> tuple[Trim, int]:
     """Re-anchor a unit's map by loads of a file; return the trim and the new revision.
 
     Args:
@@ -22,9 +21,8 @@ def trim_unit(
         InputError: the loads cannot be of this unit, or the unit is not in the registry; nothing was changed.
     """
     stored = registry.calibrations.get(serial, lot_id=lot_id)
-    trimmed = keep_trim(registry, stored, read_anchors(loads_file, [serial], table)[serial])
-    judge_again(registry, [stored.lot_id])
-    return trimmed, registry.calibrations.get(serial, lot_id=stored.lot_id).revision
+    result = store_trim(registry, stored, read_anchors(loads_file, [serial], table)[serial])
+    return result, registry.calibrations.get(serial, lot_id=stored.lot_id).revision
 
 
 def trimmed_by(
@@ -35,6 +33,6 @@ def trimmed_by(
     A stream that is followed again from its start is then followed from the same map.
     """
     stored = registry.calibrations.get(serial, lot_id=lot_id)
-    if is_trimmed_by(stored.record, read_anchors(loads_file, [serial], table)[serial]):
+    if is_trimmed_by(stored.state, read_anchors(loads_file, [serial], table)[serial]):
         return stored.revision
     return trim_unit(registry, serial, loads_file, lot_id, table)[1]

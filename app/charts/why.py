@@ -18,6 +18,8 @@ from softcal.app.texts.reasons import Words, phrase, said
 from softcal.app.views.common import thinned
 from softcal.app.views.unit import UnitView, unit_view
 from softcal.core.errors import InputError
+from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
+from softcal.core.unit.verdict import Judgement
 from softcal.db.registry import Registry
 
 SCRIPT = "plotly.min.js"
@@ -95,7 +97,7 @@ def why_figure(view: UnitView, colours: Palette, words: Words) -> go.Figure:
     _titled(figure, TIME, words("chart.time"), load)
 
     coloured(figure, colours, HEIGHT)
-    decision = view.calibration.decision
+    decision = view.stored.state.decision
     badge = f"<b style='color:{colours.verdict[decision.verdict]}'>{words(f'verdict.{decision.verdict}')}</b>"
     head = [f"<b>{view.calibration.serial}</b>  {badge}  {view.calibration.unit_map.family}"]
     for reason in decision.reasons[:MOST_REASONS]:
@@ -143,21 +145,27 @@ def why_page(view: UnitView, script: bool | str) -> str:
 
 def why_json(view: UnitView) -> dict[str, object]:
     """Return the numbers behind the verdict as JSON values: schema `softcal.explain/1`."""
-    explanation, decision, method = view.explanation, view.calibration.decision, view.calibration.method
-    low, middle, high = explanation.forecast or (None, None, None)
+    explanation, state = view.explanation, view.stored.state
+    decision, fit = state.decision, state.fit
+    low, middle, high = explanation.forecast
     return {
         "schema": "softcal.explain/1",
         "serial": view.calibration.serial,
         "revision": view.stored.revision,
         "verdict": str(decision.verdict),
-        "predicted": decision.predicted.to_json(),
-        "measured": None if decision.measured is None else decision.measured.to_json(),
+        "predicted": _judgement_json(decision.predicted),
+        "measured": None if decision.measured is None else _judgement_json(decision.measured),
         "reasons": [str(why) for why in decision.reasons],
-        "knowledge": str(view.calibration.knowledge),
-        "method": None if method is None else {"id": method.id, "numbers": dict(method.to_json())},
+        "knowledge": str(state.knowledge),
+        "method": {"id": fit.method.id, "numbers": dict(fit.method.to_json())},
         "predicted_rmse": middle,
-        "predicted_interval": None if middle is None else [low, high],
+        "predicted_interval": [low, high],
         "limit_rmse": explanation.limit,
         "contributions": dict(explanation.contributions),
-        "evidence": dict(view.calibration.evidence),
+        "fit": {name: value for name, value in fit_to_json(fit).content.items() if name != "fitted"},
+        "state": adjustments_to_json(state),
     }
+
+
+def _judgement_json(judgement: Judgement) -> dict[str, object]:
+    return {"verdict": str(judgement.verdict), "reasons": [one.to_json() for one in judgement.reasons]}

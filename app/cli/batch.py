@@ -123,7 +123,7 @@ def run(options: argparse.Namespace) -> int:
         if options.plots is not None:
             from softcal.app.charts.why import explain_units
 
-            mapped = [u.serial for u in report.units if u.made is not None]
+            mapped = [u.serial for u in report.units if u.summary is not None]
             explain_units(registry, mapped, options.plots, report.lot_id)
             say(f"{options.plots}: figures of {len(mapped)} units")
     say_layouts(report.layouts)

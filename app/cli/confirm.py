@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING
 from softcal.app.output import print_table, say
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from softcal.app.batch.changes import Changes
+    from softcal.db.registry import Registry
+
+NOT_CONFIRMED = 2
+"""Exit code of an act that changes released units and that nobody confirmed."""
 
 MOST_TOLD = 20
 """So many changes are printed one by one."""
@@ -28,6 +34,20 @@ def print_changes(changes: "Changes") -> None:
     counts = ", ".join(f"{count} {word}" for word, count in changes.counts.items() if count)
     withdrawn, released = len(changes.withdrawn), len(changes.released)
     print(f"withdraws {withdrawn} released units, releases {released}; then: {counts or 'no unit has a verdict'}")
+
+
+def may_do(registry: "Registry", lot_id: str, act: "Callable[[], object]", is_given: bool) -> bool:
+    """Return whether to go on with an act on a lot: it changes no released unit, or somebody says so.
+
+    What it would change is printed first; nothing is done yet.
+    """
+    from softcal.app.batch.changes import preview
+
+    changes = preview(registry, lot_id, act)
+    if not changes.withdrawn and not changes.released:
+        return True
+    print_changes(changes)
+    return is_confirmed(is_given)
 
 
 def is_confirmed(is_given: bool) -> bool:

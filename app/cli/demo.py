@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
         export_units(registry, passed, ("json",), options.out / "files")
     progress.reach(1.0, "done")
     print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
-    fits_s = [unit.made.fit_s for unit in report.units if unit.made and unit.made.fit_s]
+    fits_s = [unit.state.fit.fit_s for unit in report.units if unit.state and unit.state.fit.fit_s]
     train_s = report.network.metrics["train_s"]
     print(f"\ntraining f took {train_s:.1f} s, a map {sorted(fits_s)[len(fits_s) // 2]:.3f} s (median)")
     print(f"all in all {time.monotonic() - start_s:.0f} s; registry, recordings and files are in {options.out}/")

@@ -4,7 +4,6 @@ import argparse
 
 from softcal.app.cli.options import COUNT, FILE, add_shared, answer, registry_of
 from softcal.app.output import print_reasons, print_table, say, write_json
-from softcal.core.errors import InputError
 
 EXAMPLES = """examples:
   softcal explain --serial A1
@@ -33,9 +32,7 @@ def run(options: argparse.Namespace) -> None:
 
     if options.method:
         with registry_of(options) as registry:
-            method = registry.calibrations.get(options.serial, options.revision, lot_id=options.lot).record.method
-        if method is None:
-            raise InputError(f"{options.serial}: calibrated by a version that kept no method; run the batch again")
+            method = registry.calibrations.get(options.serial, options.revision, lot_id=options.lot).state.fit.method
         ours = Method()
         here = {name: value for name, value, _ in ours.numbers()}
         if answer(options, "method/1", {"id": method.id, "numbers": dict(method.to_json())}):
@@ -54,12 +51,12 @@ def run(options: argparse.Namespace) -> None:
             say(f"{options.out}: the figure of {options.serial}")
         standing = standing_of(registry, view.stored)
     facts = why_json(view)
-    if standing.made is None:
+    if standing.summary is None:
         since = joined(standing.reasons)
         say(f"note: {options.serial} is {standing.verdict} since: {since}; explained is the map it had before")
     write_json(options.json, facts)
     if options.json != "-" or options.csv:
-        decision = view.calibration.decision
-        print_reasons(f"{options.serial} {decision.verdict} ({view.calibration.knowledge})", decision.reasons)
+        state = view.stored.state
+        print_reasons(f"{options.serial} {state.verdict} ({state.knowledge})", state.decision.reasons)
         rows = [[name, value] for name, value in view.explanation.contributions.items()]
         print_table(("part of the predicted error", view.lot.reference_unit), rows)

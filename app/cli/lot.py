@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from softcal.app.cli.confirm import add_yes, is_confirmed, print_changes
+from softcal.app.cli.confirm import NOT_CONFIRMED, add_yes, is_confirmed, may_do, print_changes
 from softcal.app.cli.options import (
     COUNT,
     DIR,
@@ -123,6 +123,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add("--sample-rate", type=positive, metavar="HZ", help=SAMPLE_RATE_HELP)
     add("--confirm", metavar="SERIAL", help="the audit of this unit is right in spite of the doubt")
     add("--reason", default="", help="why; needed with --confirm")
+    add_yes(brought)
     add_layout(brought)
     add_shared(brought, "registry", "json")
     audit = action(
@@ -154,7 +155,7 @@ def _release(options: argparse.Namespace) -> int:
     """Decides on the units nobody measured from the audits in the registry, and says what it
     promises.
     """
-    from softcal.app.batch.release import is_told, judge_lot, lot_standing
+    from softcal.app.batch.release import decide_lot, is_decided, lot_standing
     from softcal.app.export.certificates.lot_statement import lot_statement_facts, lot_statement_pdf
     from softcal.app.files.atomic import write_bytes
     from softcal.app.texts.catalogue import text
@@ -164,10 +165,10 @@ def _release(options: argparse.Namespace) -> int:
     with registry_of(options) as registry:
         registry.lots.get(lot_id)
         standing = lot_standing(registry, lot_id)
-        if standing.decided is not None and not is_told(registry, lot_id, standing.decided):
+        if standing.decided is not None and not is_decided(registry, standing):
             # What every change has judged already is only read, so that an account that may not write can ask.
             try:
-                judge_lot(registry, lot_id)
+                decide_lot(registry, lot_id)
             except RegistryReadOnly as error:
                 raise RegistryReadOnly(
                     f"lot {lot_id}: its audits or its limit changed, and nobody has judged it since; have somebody do "
@@ -342,7 +343,10 @@ def _audit(options: argparse.Namespace) -> int:
             raise InputError("--confirm takes no files: bring them first, then confirm what is in doubt")
         lot_id = lot_id_of(options.lot)
         with registry_of(options) as registry:
-            confirm(registry, lot_id, options.confirm, reason=options.reason)
+            act = partial(confirm, registry, lot_id, options.confirm, reason=options.reason)
+            if not may_do(registry, lot_id, act, options.yes):
+                return NOT_CONFIRMED
+            act()
             standing = registry.pages.standings(lot_id, [options.confirm])[options.confirm]
         say(f"{options.confirm}: confirmed; its verdict is {standing.verdict}: {standing.reasons[0]}")
         facts = {"lot": lot_id, "serial": options.confirm, "verdict": standing.verdict}
@@ -355,7 +359,7 @@ def _audit(options: argparse.Namespace) -> int:
 
 def _bring(options: argparse.Namespace) -> int:
     from softcal.app.batch.audit_files import look_at_audits, store_audits, unused_of_audits, write_audits
-    from softcal.app.batch.judging import judge_again
+    from softcal.app.batch.judging import redecide
     from softcal.app.files.importing import Columns, tables_of
     from softcal.app.files.lot_folder import open_lot_folder
     from softcal.app.files.unused_parts import unread_files
@@ -381,7 +385,7 @@ def _bring(options: argparse.Namespace) -> int:
             looked = look_at_audits(lot, target_serials(registry, lot.id), files, columns, table)
             refusals, remarks = unused_of_audits(lot, looked, registry, source=source_of_lot(registry, lot))
             store_audits(registry, lot.id, looked)
-            judge_again(registry, [lot.id])
+            redecide(registry, [lot.id])
     for audit in looked:
         if audit.read is not None:
             say_layout(audit.file, audit.read.table.layout, audit.read.remarks)

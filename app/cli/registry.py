@@ -2,8 +2,10 @@
 
 import argparse
 import time
+from functools import partial
 
 from softcal.app.bootstrap import registry_url
+from softcal.app.cli.confirm import NOT_CONFIRMED, add_yes, may_do
 from softcal.app.cli.options import FILE, actions_of, add_shared, answer, registry_of, say_unused, say_written
 from softcal.app.output import print_table, say, shown
 from softcal.core.errors import RegistryError
@@ -49,6 +51,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     rollback.add_argument("--to", required=True, type=int, metavar="REVISION")
     rollback.add_argument("--origin", metavar="REGISTRY", help="who made it, where two registries made this revision")
     rollback.add_argument("--reason", required=True, help="lands in the audit trail")
+    add_yes(rollback)
     sync = action("sync", "bring a station's registry and the line's together, both ways", _sync)
     sync.add_argument("--with", required=True, dest="other", metavar="URL", help="the other registry")
     grants = action("grants", "print the SQL that gives a PostgreSQL role what the line needs", _grants)
@@ -143,24 +146,30 @@ def _restore(options: argparse.Namespace) -> None:
     _done(options, "restore", line, file=str(options.file))
 
 
-def _rollback(options: argparse.Namespace) -> None:
-    from softcal.app.batch.judging import judge_again
+def _rollback(options: argparse.Namespace) -> int:
+    from softcal.app.batch.release import roll_back
 
     with registry_of(options) as registry:
         which = {"lot_id": options.lot, "origin": options.origin}
-        revision = registry.calibrations.rollback(options.serial, options.to, reason=options.reason, **which)
-        judge_again(registry, [options.lot] if options.lot else registry.calibrations.lots_of(options.serial))
+        # Whatever is asked for, an unknown unit is said before anything else.
+        lot_id = registry.calibrations.get(options.serial, options.to, **which).lot_id
+        which["lot_id"] = lot_id
+        act = partial(roll_back, registry, options.serial, options.to, reason=options.reason, **which)
+        if not may_do(registry, lot_id, act, options.yes):
+            return NOT_CONFIRMED
+        revision = act()
     line = f"{options.serial}: revision {revision} is in use, it repeats revision {options.to}"
     _done(options, "rollback", line, serial=options.serial, revision=revision, rolled_back_to=options.to)
+    return 0
 
 
 def _sync(options: argparse.Namespace) -> None:
-    from softcal.app.batch.judging import judge_stale
+    from softcal.app.batch.judging import redecide_stale
     from softcal.app.registry.maintenance import synchronise_with
 
     with registry_of(options, create=True) as registry:
         report = synchronise_with(registry, options.other)
-        judge_stale(registry)
+        redecide_stale(registry)
     if report.sent:
         say_written(options.other)
     for conflict in report.conflicts:

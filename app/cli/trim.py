@@ -1,7 +1,9 @@
 """`softcal trim`: known loads at the place of use re-anchor a unit's map."""
 
 import argparse
+from functools import partial
 
+from softcal.app.cli.confirm import NOT_CONFIRMED, add_yes, may_do
 from softcal.app.cli.options import FILE, add_layout, add_shared, answer, registry_of, say_layout, table_options
 from softcal.app.output import say
 
@@ -18,10 +20,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_shared(parser, "serial")
     parser.add_argument("--loads", required=True, **FILE, help="CSV or Parquet: output, reference")
     add_layout(parser)
+    add_yes(parser)
     add_shared(parser, "lot", "registry", "json")
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: argparse.Namespace) -> int:
     """Trim, and say what it changed."""
     from softcal.app.batch.trim import trim_unit
     from softcal.app.tables.read import layout_of
@@ -29,8 +32,12 @@ def run(options: argparse.Namespace) -> None:
     layout, remarks = layout_of(options.loads, table_options(options))
     say_layout(str(options.loads), layout, remarks)
     with registry_of(options) as registry:
-        trimmed, revision = trim_unit(registry, options.serial, options.loads, options.lot, table_options(options))
-    gain, offset = trimmed.unit_map.gain, trimmed.unit_map.offset
+        act = partial(trim_unit, registry, options.serial, options.loads, options.lot, table_options(options))
+        lot_id = registry.calibrations.get(options.serial, lot_id=options.lot).lot_id
+        if not may_do(registry, lot_id, act, options.yes):
+            return NOT_CONFIRMED
+        trimmed, revision = act()
+    gain, offset = trimmed.gain, trimmed.offset
     facts = {"serial": options.serial, "revision": revision, "gain": gain, "offset": offset}
     facts["layout"] = layout
     facts |= {name: getattr(trimmed, name) for name in ("gain_error", "rest_error", "before_rmse", "after_rmse")}
@@ -41,3 +48,4 @@ def run(options: argparse.Namespace) -> None:
         )
         print(f"error at the loads: RMSE {trimmed.before_rmse:.3g} before, {trimmed.after_rmse:.3g} after")
     say("a trimmed unit is conditional at best, and one that failed its audit stays so, until it is audited again")
+    return 0

@@ -8,7 +8,6 @@ from pathlib import Path
 from softcal.app.export.signature import SigningKey
 from softcal.app.registry.lot_recordings import source_recording, source_sha256, unlabelled
 from softcal.app.registry.standing import standing_of
-from softcal.app.registry.trimmed import UNTRIMMED, untrimmed
 from softcal.core.errors import InputError, NotReleased
 from softcal.core.export.blob import NetworkFile
 from softcal.core.export.compile_map import InputScale
@@ -16,8 +15,9 @@ from softcal.core.export.device import DeviceOptions, DeviceUnit, UnitFacts, bui
 from softcal.core.lot import Lot, escape_serial
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.unit.calibration import Calibration, CalibrationRecord
+from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate
+from softcal.core.unit.state import UnitState
 from softcal.core.unit.trim import as_given_now
 from softcal.core.unit.verdict import Release, Verdict
 from softcal.core.words.reason import Reason, joined
@@ -117,40 +117,43 @@ class CalibratedUnit:
         return escape_serial(self.serial)
 
     @property
+    def state(self) -> UnitState:
+        return self.stored.state
+
+    @property
     def network(self) -> Network:
         return self.shared.network
 
     @cached_property
     def calibration(self) -> Calibration:
-        return Calibration.from_record(self.stored.record)
+        return self.state.calibration
 
     @cached_property
     def facts(self) -> UnitFacts:
         """What the device form is made from."""
         estimates = estimate(self.network, self.calibration, self.recording)
         rows = self.recording.window_rows
-        record = self.stored.record
         return UnitFacts(
             serial=self.serial,
             revision=self.stored.revision,
-            verdict=record.verdict,
+            verdict=str(self.state.verdict),
             time_s=int(self.stored.made_at.timestamp()),
             unit_map=self.calibration.unit_map,
             recording=self.recording,
             lower=estimates.lower[rows],
             upper=estimates.upper[rows],
-            predicted_rmse=record.predicted_rmse,
+            predicted_rmse=self.state.predicted_rmse,
         )
 
     @property
     def verdict(self) -> str:
         """The word of the revision that was named, else of the unit as it stands."""
-        return self.stored.record.verdict if self.options.revision is not None else str(self.standing.verdict)
+        return str(self.state.verdict) if self.options.revision is not None else str(self.standing.verdict)
 
     @property
     def reasons(self) -> tuple[Reason, ...]:
         """Why it has that verdict, most important first."""
-        return self.stored.record.reasons if self.options.revision is not None else self.standing.reasons
+        return self.state.decision.reasons if self.options.revision is not None else self.standing.reasons
 
     def check_stands(self) -> None:
         """Raise `NotReleased` where the unit's newest result is no calibration.
@@ -158,7 +161,7 @@ class CalibratedUnit:
         Who names a revision asks for that one, whatever came after it.
         """
         now = self.standing
-        if now.made is None and self.options.revision is None:
+        if now.summary is None and self.options.revision is None:
             raise NotReleased(
                 f"unit {self.serial} of lot {self.lot.id} is {now.verdict}: {joined(now.reasons)}; no file of the map "
                 "it had before is given out"
@@ -166,16 +169,16 @@ class CalibratedUnit:
 
     def check_usable(self) -> None:
         """Raise `NotReleased` where this unit's verdict forbids files that give numbers."""
-        judged: CalibrationRecord | UnitStanding = self.stored.record
-        made = self.standing.made
-        if made is not None and made.decision.measured and made.decision.measured.verdict is Verdict.FAIL:
+        decision, now = self.state.decision, self.standing.summary
+        measured = None if now is None else now.state.decision.measured
+        if now is not None and measured is not None and measured.verdict is Verdict.FAIL:
             # What was measured since stands, whichever revision is named.
-            judged = self.standing
-        if not self.options.releases(judged.verdict):
-            why = judged.reasons[0] if judged.reasons else "no reason is stored"
-            is_conditional = judged.verdict == Verdict.CONDITIONAL
+            decision = now.state.decision
+        if not self.options.releases(decision.verdict):
+            why, is_conditional = decision.reasons[0], decision.verdict is Verdict.CONDITIONAL
             raise NotReleased(
-                f"unit {self.serial} has the verdict {judged.verdict} ({why}); its device files are not written unless "
+                f"unit {self.serial} has the verdict {decision.verdict} ({why}); "
+                "its device files are not written unless "
                 + ("conditional units are released" if is_conditional else "those of failed units are asked for")
             )
 
@@ -197,15 +200,14 @@ class UnitLoader:
     def load(self, serial: str) -> CalibratedUnit:
         """Read one unit; `InputError` where the registry does not know it."""
         stored = self.registry.calibrations.get(serial, self.options.revision, lot_id=self.options.lot_id)
-        recording = unlabelled(self.registry.recordings.get(stored.record.recording_sha256))
-        if UNTRIMMED in stored.record.evidence:
+        fit = stored.state.fit
+        recording = unlabelled(self.registry.recordings.get(fit.recording_sha256))
+        if stored.state.trim_in_force is not None:
             # As the unit would give it since its trim.
-            base = untrimmed(self.registry, stored)
-            before, after = (Calibration.from_record(one.record).unit_map for one in (base, stored))
-            recording = as_given_now(recording, before, after)
+            recording = as_given_now(recording, stored.state.fitted.unit_map, stored.state.unit_map)
         lot = self.registry.lots.get(stored.lot_id)
-        since = self._since(stored.lot_id, stored.record.recording_sha256) or stored.made_at.date()
-        network_id = stored.record.network_id
+        since = self._since(stored.lot_id, fit.recording_sha256) or stored.made_at.date()
+        network_id = fit.network_id
         if network_id not in self._networks:
             sha256, source = source_sha256(self.registry, network_id), source_recording(self.registry, network_id)
             source_since = self._since(self.registry.networks.entry(network_id).lot_id, sha256)

@@ -97,7 +97,7 @@ def _export(
     unit: CalibratedUnit, writers: Mapping[str, Writer], out: Path, manifest: Manifest, key: SigningKey | None
 ) -> ExportedUnit:
     """Write what a unit has of each format, take away what it has no more."""
-    record, serial = unit.stored.record, unit.serial
+    fit, serial = unit.state.fit, unit.serial
     contents: dict[str, bytes] = {}
     refusal = None
     for write in writers.values():
@@ -121,9 +121,9 @@ def _export(
         "revision": done.revision,
         "verdict": done.verdict,
         "lot": unit.lot.id,
-        "network": record.network_id,
-        "map": record.map_sha256,
-        "recording": record.recording_sha256,
+        "network": fit.network_id,
+        "map": unit.state.map_sha256,
+        "recording": fit.recording_sha256,
         "refused": refusal,
         "device": dict(device),
         # What was refused altogether is complete without a file.

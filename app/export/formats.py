@@ -3,6 +3,7 @@
 import re
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from importlib.metadata import EntryPoint, version
 from pathlib import Path
@@ -20,8 +21,9 @@ from softcal.core.export.json_text import json_text, network_values, sealed, uni
 from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE
 from softcal.core.lot import escape_serial
 from softcal.core.plugins import installed, loaded, who
+from softcal.core.unit.state import FittedMap
+from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
 from softcal.core.windows import TAPS
-from softcal.db.entries import UNIT_ERRORS
 
 Writer = Callable[[CalibratedUnit], dict[str, bytes]]
 
@@ -55,25 +57,32 @@ def _json_files(unit: CalibratedUnit) -> dict[str, bytes]:
 
 def calibration_values(unit: CalibratedUnit) -> dict[str, object]:
     """Return the calibration without loss: map and interval, hashes, verdict and scores."""
-    record = unit.stored.record
-    names = ("network_id", "family", "map_sha256", *UNIT_ERRORS)
+    state = unit.state
+    # The map and the interval in force, with all that they rest on.
+    in_force = FittedMap(state.unit_map, state.interval, unit.calibration.output_limits)
+    stored = fit_to_json(replace(state.fit, fitted=in_force))
     return {
-        "serial": record.serial,
+        "serial": unit.serial,
         "lot": unit.lot.id,
         "source": unit.shared.source.unlabelled.serial,
         "revision": unit.stored.revision,
         "made_at": unit.stored.made_at.isoformat(),
-        "verdict": record.verdict,
-        "reasons": [str(why) for why in record.reasons],
-        **{name: getattr(record, name) for name in names},
-        "recording_sha256": record.recording_sha256,
-        "input_sha256": record.input_sha256,
+        "verdict": str(state.verdict),
+        "reasons": [str(why) for why in state.decision.reasons],
+        "network_id": state.fit.network_id,
+        "family": state.fit.family,
+        "map_sha256": state.map_sha256,
+        **state.errors,
+        "recording_sha256": state.fit.recording_sha256,
+        "input_sha256": unit.stored.input_sha256,
         "output_unit": unit.network.output_unit,
         "reference_unit": unit.network.reference_unit,
-        "settings": record.settings,
+        "fit": stored.content,
+        "state": adjustments_to_json(state),
+        "method": state.fit.method.to_json(),
         "arrays": {
             name: {"dtype": array.dtype.str, "shape": list(array.shape), "values": array.ravel().tolist()}
-            for name, array in sorted(record.arrays.items())
+            for name, array in sorted(stored.arrays.items())
         },
         "softcal": version("softcal"),
     }
@@ -113,17 +122,16 @@ def _onnx_files(unit: CalibratedUnit) -> dict[str, bytes]:
     from softcal.app.files.onnx_file import onnx_bytes
 
     unit.check_usable()
-    record = unit.stored.record
     limit = device_limit(unit.facts, unit.network, unit.options.device)
     period_us = sample_period_us(unit.shared.source)
     compiled = compile_map(unit.calibration.unit_map, unit.network, unit.recording, limit, fine_forms)
     metadata = {
         "serial": unit.serial,
         "revision": str(unit.stored.revision),
-        "verdict": record.verdict,
+        "verdict": str(unit.state.verdict),
         "lot": unit.lot.id,
-        "network_id": record.network_id,
-        "map_sha256": record.map_sha256,
+        "network_id": unit.state.fit.network_id,
+        "map_sha256": unit.state.map_sha256,
         "output_unit": unit.network.output_unit,
         "reference_unit": unit.network.reference_unit,
         "sample_rate_Hz": repr(unit.lot.sample_rate_Hz),

@@ -209,9 +209,10 @@ def _press_source_or_unit(lot: tuple[str, PressTimes, Any], run: tuple[str, Twin
 
 def table_row(unit: UnitResult) -> list[object]:
     """Return one row of the table like the paper's Table 1, under `TABLE_HEADER`."""
-    made = unit.made
-    if made is None:
+    state = unit.state
+    if state is None:
         return [unit.serial, unit.verdict, *[None] * 6]
-    own = None if made.scores is None else made.scores.own
+    own = None if state.scores is None else state.scores.own
     ratios = [None, None] if own is None else [own.after_ratio, own.before_ratio]
-    return [unit.serial, unit.verdict, made.before_rmse, made.after_rmse, made.own_rmse, *ratios, made.predicted_rmse]
+    predicted, *measured = state.errors.values()
+    return [unit.serial, unit.verdict, *measured, *ratios, predicted]

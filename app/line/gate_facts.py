@@ -123,11 +123,12 @@ def check_golden(
     """
     unit, serial = recording.reference_unit, recording.serial
     if source is None:
+        stored = registry.calibrations.get(serial)
         lot, network, calibration = calibrated_unit(registry, serial)
         estimates = estimate(network, calibration, recording.unlabelled).estimate
         value = float(np.sqrt(np.nanmean((estimates - recording.reference) ** 2)))
         # Without a limit of its lot, the one that its own verdict was given by.
-        widest = lot.limit_rmse or float(str(calibration.evidence["limit_rmse"]))
+        widest = lot.limit_rmse or stored.state.limit.maximum_rmse
     else:
         value = rmse(source.network.evaluate(recording.windows), recording.window_reference)
         limits = (lot.limit_rmse for lot in registry.lots.all() if lot.source == serial and lot.limit_rmse is not None)

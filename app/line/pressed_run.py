@@ -9,9 +9,9 @@ from datetime import UTC, datetime, timedelta
 from functools import lru_cache, partial
 
 from softcal.app.batch.calibrating import Refusal, calibrate_unit
-from softcal.app.batch.judging import judge_again
+from softcal.app.batch.judging import redecide
 from softcal.app.batch.known import KeptFacts, config_of, keep_result, lot_facts, lot_method, stated_sources
-from softcal.app.batch.release import LineRelease
+from softcal.app.batch.release import decide_unit
 from softcal.app.batch.train import train_or_find
 from softcal.app.line.gate_facts import SHIFT, check_golden, quarantine
 from softcal.app.line.load_readings import LoadReadings, check_stated
@@ -68,7 +68,6 @@ class RunKeeper:
         self._source_model = lru_cache(MOST_SOURCES)(partial(source_model, registry))
         self._cross = lru_cache(MOST_SOURCES)(partial(bridge_over, registry))
         self._loads = LoadReadings()
-        self._release = LineRelease(registry)
 
     def check(self, order: Order) -> None:
         """Refuse an order whose run could not be kept; asked before anything moves."""
@@ -154,7 +153,7 @@ class RunKeeper:
         lot_id = own_lot or self._registry.calibrations.get(order.serial).lot_id
         sha256 = self._registry.recordings.add(lot_id, labelled, "audit", actor=order.actor or None)
         run = check_golden(self._registry, self._station, labelled, order.actor, recording_sha256=sha256, source=source)
-        judge_again(self._registry, [lot_id], order.actor or None)
+        redecide(self._registry, [lot_id], order.actor or None)
         done = replace(done, recording_sha256=sha256, verdict="pass" if run.passed else "fail")
         if run.passed:
             return replace(done, message=(Reason("golden.good"), *recording.remarks))
@@ -207,7 +206,7 @@ class RunKeeper:
         why = order.reason or f"pressed on {self._station}"
         keep_result(registry, lot.id, unit.serial, made, "line", actor=actor, reason=why)
         if not isinstance(made, Refusal):
-            self._release.press(lot.id, unit.serial, actor)
+            decide_unit(registry, lot.id, unit.serial, actor)
         standing = registry.pages.standings(lot.id, [unit.serial])[unit.serial]
         return sha256, (standing.verdict, standing.reasons)
 

@@ -5,11 +5,7 @@ from dataclasses import replace
 from softcal.app.registry.lot_recordings import source_model
 from softcal.app.registry.reference import reference_expanded
 from softcal.core.errors import NotCalibrated
-from softcal.core.unit.calibration import CalibrationRecord
-from softcal.core.unit.judging import LIMIT_EVIDENCE
-from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import Limit, default_limit
-from softcal.core.words.reason import plain
 from softcal.db.registry import Registry
 
 
@@ -26,24 +22,13 @@ def lot_limit(registry: Registry, lot_id: str) -> Limit:
     serial = next((unit.serial for unit in units if unit.role == "target" and unit.revision is not None), None)
     if serial is None:
         raise NotCalibrated(f"lot {lot_id!r} states no limit and has no calibrated unit yet; calibrate its units first")
-    record = registry.calibrations.get(serial, lot_id=lot_id).record
-    judged = judged_limit(record, lot.reference_unit)
-    if judged is not None and not judged.is_stated:
-        return replace(judged, reference_expanded=expanded)
+    state = registry.calibrations.get(serial, lot_id=lot_id).state
+    if not state.limit.is_stated:
+        return replace(state.limit, reference_expanded=expanded)
     # Its limit was taken back since.
-    method = record.method or Method()
-    source = source_model(registry, record.network_id, method)
-    limit = default_limit(lot.reference_unit, source.held_out_rmse, source.full_range, method.decision)
+    source = source_model(registry, state.fit.network_id, state.fit.method)
+    limit = default_limit(lot.reference_unit, source.held_out_rmse, source.full_range, state.fit.method.decision)
     return replace(limit, reference_expanded=expanded)
-
-
-def judged_limit(record: CalibrationRecord, unit: str) -> Limit | None:
-    """Return the limit that a calibration was judged by, as it keeps it; None where it keeps none."""
-    rmse, origin, expanded, full_range = (record.evidence.get(name) for name in LIMIT_EVIDENCE)
-    if rmse is None or origin is None:
-        return None
-    given = (None if value is None else float(value) for value in (expanded, full_range))
-    return Limit(unit, float(rmse), plain(str(origin)), *given)
 
 
 def limit_or_none(registry: Registry, lot_id: str) -> Limit | None:

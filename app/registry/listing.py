@@ -46,20 +46,39 @@ def only_lot(serial: str, lots: Sequence[str], wanted: str | None) -> str:
 
 def history_row(stored: StoredCalibration) -> list[object]:
     """Return one row of the table under `HISTORY_HEADER`."""
-    record = stored.record
+    state = stored.state
     remarks = [
         f"back to revision {stored.rolled_back_to}" if stored.rolled_back_to else "",
         "put into use by one of two registries" if stored.is_conflict else "",
         stored.reason,
     ]
-    in_use, errors = "yes" if stored.is_current else "", [record.predicted_rmse, record.after_rmse]
-    made = [here(stored.made_at), stored.actor, stored.lot_id, record.verdict, record.family]
+    in_use, errors = (
+        "yes" if stored.is_current else "",
+        [state.errors[name] for name in ("predicted_rmse", "after_rmse")],
+    )
+    made = [here(stored.made_at), stored.actor, stored.lot_id, state.verdict, state.fit.family]
     return [stored.revision, stored.origin, in_use, *made, *errors, "; ".join(filter(None, remarks))]
 
 
 def history_json(stored: StoredCalibration) -> dict[str, object]:
     """Return a revision as JSON values, without its arrays."""
-    facts = {name: value for name, value in vars(stored).items() if name != "record"}
-    record = {name: value for name, value in vars(stored.record).items() if name not in ("arrays", "settings")}
-    texts = {"reasons": [str(why) for why in stored.record.reasons], "evidence": dict(stored.record.evidence)}
-    return facts | record | texts | {"made_at": stored.made_at.isoformat()}
+    from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
+
+    state = stored.state
+    plain = {name: value for name, value in vars(stored).items() if name not in ("state", "made_at")}
+    return {
+        **plain,
+        "made_at": stored.made_at.isoformat(),
+        "serial": stored.serial,
+        "verdict": str(state.verdict),
+        "reasons": [str(why) for why in state.decision.reasons],
+        "network_id": state.fit.network_id,
+        "recording_sha256": state.fit.recording_sha256,
+        "family": state.fit.family,
+        "map_sha256": state.map_sha256,
+        "method_id": state.fit.method.id,
+        **state.errors,
+        "fit_s": state.fit.fit_s,
+        "fit": {name: value for name, value in fit_to_json(state.fit).content.items() if name != "fitted"},
+        "state": adjustments_to_json(state),
+    }

@@ -11,7 +11,7 @@ from softcal.db.registry import Registry
 
 
 def standing_of(registry: Registry, stored: StoredCalibration) -> UnitStanding:
-    """Return how the unit of a calibration stands now; `made` is None after a refusal."""
+    """Return how the unit of a calibration stands now; `summary` is None after a refusal."""
     standing_now = registry.pages.standings(stored.lot_id, [stored.serial]).get(stored.serial)
     nothing = UnitStanding(stored.serial, UNDECIDED, (plain("none of its calibrations is in use"),), stored.made_at)
     return nothing if standing_now is None else standing_now
@@ -21,13 +21,14 @@ def caution(registry: Registry, stored: StoredCalibration, action: str) -> str:
     """Return the warning, and record the use; empty where the unit passed and still does."""
     standing = standing_of(registry, stored)
     # An older calibration that passed is cautioned against where the unit does not pass any more.
-    is_bad = standing.made is not None and stored.record.verdict != Verdict.PASS
-    shown = stored.record if is_bad else standing
-    if shown.verdict == Verdict.PASS:
+    verdict, reasons = standing.verdict, standing.reasons
+    if standing.summary is not None and not stored.state.is_released:
+        verdict, reasons = str(stored.state.verdict), stored.state.decision.reasons
+    if verdict == Verdict.PASS:
         return ""
-    why = str(shown.reasons[0]) if shown.reasons else "no reason is stored"
-    warning = f"warning: unit {stored.serial} has the verdict {shown.verdict}: {why}"
-    facts = {"verdict": shown.verdict, "revision": stored.revision, "action": action}
+    why = str(reasons[0]) if reasons else "no reason is stored"
+    warning = f"warning: unit {stored.serial} has the verdict {verdict}: {why}"
+    facts = {"verdict": verdict, "revision": stored.revision, "action": action}
     try:
         key, reason = (stored.lot_id, stored.serial), f"{action} of a unit that did not pass"
         registry.trail.add("use", "unit", key, facts, reason=reason)

@@ -3,16 +3,19 @@
 from dataclasses import dataclass
 
 from softcal.app.registry.lot_recordings import source_recording, unlabelled
+from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.maps.affine_map import AffineMap
+from softcal.core.maps.interface import map_sha256
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.health import output_limits
 from softcal.core.unit.knowledge import known_by
 from softcal.core.unit.source_model import make_source_model
+from softcal.core.unit.state import Fit, FittedMap, UnitState
 from softcal.core.unit.uncertainty import ErrorForecast
-from softcal.core.unit.verdict import Decision, Judgement, Verdict
+from softcal.core.unit.verdict import default_limit
 from softcal.core.words.reason import plain
 from softcal.db.registry import Registry
 
@@ -26,8 +29,8 @@ def calibrated_unit(
         InputError: the registry has no calibration of the serial, or it stands in several lots and none is named.
     """
     stored = registry.calibrations.get(serial, revision, lot_id=lot_id)
-    network = registry.networks.get(stored.record.network_id)
-    return registry.lots.get(stored.lot_id), network, Calibration.from_record(stored.record)
+    network = registry.networks.get(stored.state.fit.network_id)
+    return registry.lots.get(stored.lot_id), network, stored.state.calibration
 
 
 REASON = "the source unit itself: the shared network needs no map"
@@ -58,10 +61,9 @@ def unit_in_use(registry: Registry, serial: str, revision: int | None = None, lo
     if revision is None and not registry.calibrations.history(serial, lot_id):
         _register_source(registry, serial, lot_id)
     stored = registry.calibrations.get(serial, revision, lot_id=lot_id)
-    output = unlabelled(registry.recordings.get(stored.record.recording_sha256))
-    network = registry.networks.get(stored.record.network_id)
-    calibration = Calibration.from_record(stored.record)
-    return UnitInUse(registry.lots.get(stored.lot_id), stored.revision, network, calibration, output)
+    output = unlabelled(registry.recordings.get(stored.state.fit.recording_sha256))
+    network = registry.networks.get(stored.state.fit.network_id)
+    return UnitInUse(registry.lots.get(stored.lot_id), stored.revision, network, stored.state.calibration, output)
 
 
 def _register_source(registry: Registry, serial: str, lot_id: str | None) -> None:
@@ -73,24 +75,29 @@ def _register_source(registry: Registry, serial: str, lot_id: str | None) -> Non
         return
     network = trained[-1]
     source = source_recording(registry, network.id)
-    calibration = source_calibration(source, registry.networks.get(network.id))
-    record = calibration.to_record(input_sha256=network.input_sha256, recording_sha256=source.sha256)
-    registry.calibrations.add(sources[source.sha256], record, reason=REASON)
+    state = source_state(source, registry.networks.get(network.id))
+    registry.calibrations.add(sources[source.sha256], state, reason=REASON)
 
 
-def source_calibration(source: LabelledRecording, network: Network) -> Calibration:
-    """Return the calibration of the source unit itself."""
+def source_state(source: LabelledRecording, network: Network) -> UnitState:
+    """Return the state of the source unit itself, which f reads without a map."""
     model = make_source_model(source, network)
     error, known = model.held_out_rmse, source.unlabelled
-    return Calibration(
+    identity = AffineMap(1.0, 0.0, "identity")
+    limits = output_limits(known, known, model.interval.slope_limit > 0, model.method.health)
+    fit = Fit(
+        id=content_sha256({}, {"source": source.sha256, "network": network.id, "method": model.method.id}),
         serial=source.serial,
         network_id=network.id,
-        unit_map=AffineMap(1.0, 0.0, "identity"),
-        interval=model.interval,
-        output_limits=output_limits(known, known, model.interval.slope_limit > 0, model.method.health),
-        forecast=ErrorForecast(error, error, error),
-        decision=Decision(Judgement(Verdict.PASS, (plain(REASON),))),
-        knowledge=known_by({}, model.method.knowledge),
-        evidence={},
+        recording_sha256=source.sha256,
+        family=identity.family,
+        map_sha256=map_sha256(identity),
         method=model.method,
+        knowledge=known_by({}, model.method.knowledge),
+        forecast=ErrorForecast(error, error, error),
+        remarks=(plain(REASON),),
+        fitted=FittedMap(identity, model.interval, limits),
+    )
+    return UnitState(
+        fit=fit, limit=default_limit(source.reference_unit, error, model.full_range, model.method.decision)
     )

@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from softcal.app.registry.unit import source_calibration
+from softcal.app.registry.unit import source_state
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.config import DEFAULT, MapConfig
@@ -163,7 +163,7 @@ def _share_by_default(
 def _courses(stream: LabelledRecording, config: NetworkConfig) -> dict[str, list[float]]:
     source, use = _cut(stream, CALIBRATED_SHARE, "stream")
     network = fit_network(source, config).network
-    calibration = source_calibration(source, network)
+    calibration = source_state(source, network).calibration
     courses, edges = {}, np.linspace(0, len(use), PARTS + 1).astype(int)
     for mode in COURSES:
         follower: Batches

@@ -8,7 +8,6 @@ from softcal.app.registry.lot_recordings import audit_of, newest_audits
 from softcal.core.lot import Lot
 from softcal.core.metrics import rmse
 from softcal.core.recording import Array
-from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate
 from softcal.db.registry import Registry
 from softcal.db.truth.lot_pages import UnitErrors
@@ -74,11 +73,10 @@ def audited_view(
         audit = audit_of(registry, newest_audits(registry, lot.id, serial).get(serial))
         if audit is None:
             continue
-        record = registry.calibrations.get(serial, lot_id=lot.id).record
-        calibration = Calibration.from_record(record)
+        state = registry.calibrations.get(serial, lot_id=lot.id).state
         # The rows that the error of the unit is stated on.
         rows = audit.unlabelled.window_rows
-        estimates = estimate(registry.networks.get(record.network_id), calibration, audit.unlabelled)
+        estimates = estimate(registry.networks.get(state.fit.network_id), state.calibration, audit.unlabelled)
         units.append(AuditTrace(serial, audit.window_reference, estimates.estimate[rows]))
     if not units:
         return None

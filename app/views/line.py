@@ -327,10 +327,12 @@ def _say_what_will_lack(card: _Card) -> tuple[str, ...]:
 
 def _say_error(card: _Card) -> tuple[str, ...]:
     """Say what a good unit got: its error beside the lot's limit."""
-    facts, made = card.facts, card.standing.made if card.standing else None
+    facts, summary = card.facts, card.standing.summary if card.standing else None
     kind, rmse = "", facts.results[-1].predicted_rmse if facts.results else None
-    if made is not None:
-        kind, rmse = (".measured", made.after_rmse) if made.is_audited else ("", made.predicted_rmse)
+    if summary is not None:
+        state = summary.state
+        measured = state.scores if state.decision.is_audited else None
+        kind, rmse = ("", state.predicted_rmse) if measured is None else (".measured", measured.after.rmse)
     if facts.lot is None or rmse is None:
         return card.changed
     unit, limit = facts.lot.lot.reference_unit, facts.lot.lot.limit_rmse

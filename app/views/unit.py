@@ -10,7 +10,6 @@ from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import Estimate, estimate
 from softcal.core.unit.explanation import Explanation, explain
-from softcal.core.unit.method import Method
 from softcal.core.windows import resting
 from softcal.db.entries import StoredCalibration
 from softcal.db.registry import Registry
@@ -55,10 +54,10 @@ class UnitView(UnitSignals):
 def unit_view(registry: Registry, serial: str, revision: int | None = None, lot_id: str | None = None) -> UnitView:
     """Read one revision of a unit in full, the one in use without a number."""
     stored = registry.calibrations.get(serial, revision, lot_id=lot_id)
-    calibration = Calibration.from_record(stored.record)
-    network = registry.networks.get(stored.record.network_id)
-    recording = unlabelled(registry.recordings.get(stored.record.recording_sha256))
-    model = source_model(registry, network.id, calibration.method or Method())
+    state, calibration = stored.state, stored.state.calibration
+    network = registry.networks.get(state.fit.network_id)
+    recording = unlabelled(registry.recordings.get(state.fit.recording_sha256))
+    model = source_model(registry, network.id, state.fit.method)
     return UnitView(
         calibration,
         registry.lots.get(stored.lot_id),
@@ -66,5 +65,5 @@ def unit_view(registry: Registry, serial: str, revision: int | None = None, lot_
         recording,
         estimate(network, calibration, recording),
         stored,
-        explain(model, calibration, recording),
+        explain(model, state, recording),
     )

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.app.registry.unit import source_calibration
+from softcal.app.registry.unit import source_state
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
@@ -43,7 +43,7 @@ def calibrate(t_s: Array, output: Array, reference: Array, rate_Hz: float, confi
     """Train f on a labelled stretch and give the unit the identity as its map."""
     source = LabelledRecording(OutputRecording("unit", t_s, output, rate_Hz), reference)
     network = fit_network(source, config).network
-    return Unit(source, network, source_calibration(source, network))
+    return Unit(source, network, source_state(source, network).calibration)
 
 
 def follow(

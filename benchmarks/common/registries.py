@@ -14,12 +14,18 @@ from sqlalchemy import create_engine, text
 from softcal.app.files.lot_folder import write_lot_toml
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
+from softcal.core.maps.affine_map import AffineMap
+from softcal.core.maps.interface import map_sha256
 from softcal.core.network.network import Network
 from softcal.core.profiles import source_profile, unit_profile
 from softcal.core.simulated_lot import DEPTH_MM, draw_twins
 from softcal.core.twin.simulate import simulate
-from softcal.core.unit.calibration import CalibrationRecord
-from softcal.core.words.reason import Reason
+from softcal.core.unit.health import OutputLimits
+from softcal.core.unit.knowledge import known_by
+from softcal.core.unit.method import LEVELS, Method
+from softcal.core.unit.state import Fit, FittedMap, UnitState
+from softcal.core.unit.uncertainty import ErrorForecast, Interval, Support
+from softcal.core.unit.verdict import Limit
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
 
@@ -60,24 +66,28 @@ def begin_lot(registry: Registry, lot_id: str = "bench") -> str:
     return registry.networks.add(lot_id, network, {}, {}, content_sha256({}, {"lot": lot_id}))
 
 
-def record(serial: str, number: int, network_id: str) -> CalibrationRecord:
+METHOD = Method()
+
+
+def state(serial: str, number: int, network_id: str) -> UnitState:
     """Return a calibration of about 4 kB, unlike every other one."""
-    arrays = {"map.knots": np.linspace(0.0, 1.0 + number, 64), "interval.bands": np.full((6, 64), float(number))}
-    sha256 = content_sha256(arrays, {"serial": serial})
-    return CalibrationRecord(
-        serial,
-        network_id,
-        "monotone",
-        sha256,
-        arrays,
-        {"map": {}},
-        0.1,
-        "pass",
-        (Reason("forecast_only"),),
-        sha256,
-        sha256,
+    unit_map = AffineMap(1.0 + number, 0.0)
+    support = Support(0.0, 1.0, np.zeros(2), np.ones(2), np.zeros((16, 16)), 1.0, 1.0)
+    interval = Interval(support, np.full((3, LEVELS), float(number + 1)), 0.0, 3.0, 1.0, 1.0, 1.0)
+    fit = Fit(
+        id=content_sha256({}, {"serial": serial, "number": number}),
+        serial=serial,
+        network_id=network_id,
+        recording_sha256=content_sha256({}, {"recording": serial}),
+        family=unit_map.family,
+        map_sha256=map_sha256(unit_map),
+        method=METHOD,
+        knowledge=known_by({}, METHOD.knowledge),
+        forecast=ErrorForecast(0.1, 0.05, 0.2),
         fit_s=0.01,
+        fitted=FittedMap(unit_map, interval, OutputLimits(-np.inf, np.inf, 100)),
     )
+    return UnitState(fit=fit, limit=Limit("N", 0.5))
 
 
 def database_of(kind: str) -> str:

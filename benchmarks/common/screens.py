@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import IO, Literal
 
 import numpy as np
-from common.registries import record
+from common.registries import state
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 from plotly.graph_objects import Figure
@@ -27,6 +27,9 @@ from softcal.core.network.network import Network
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.simulated_lot import LotDesign, simulate_lot
+from softcal.core.unit.state import SampleRelease, UnitState
+from softcal.core.unit.uncertainty import ErrorForecast, Widening
+from softcal.core.unit.verdict import Finding, Limit, Verdict
 from softcal.core.words.reason import Reason, Value, reason
 from softcal.db.registry import Registry
 
@@ -116,13 +119,32 @@ class PlayedLine:
         message: Reason | None = None,
     ) -> None:
         """End a run and store its result."""
-        state = RunState.ERROR if code else RunState.DONE
+        ended = RunState.ERROR if code else RunState.DONE
         if verdict:
-            result = record(order.serial, self._count, self.network_id)
-            result = replace(result, verdict=verdict, reasons=reasons, predicted_rmse=0.071)
-            self.registry.calibrations.add(LOT, result)
+            self.registry.calibrations.add(LOT, self._result(order.serial, Verdict(verdict), reasons))
         told = (message,) if message else reasons
-        self.queue.report(Progress(order.order_id, state, "done", 1.0, code=code, message=told, verdict=verdict))
+        self.queue.report(Progress(order.order_id, ended, "done", 1.0, code=code, message=told, verdict=verdict))
+
+    def _result(self, serial: str, verdict: Verdict, reasons: tuple[Reason, ...]) -> UnitState:
+        made = state(serial, self._count, self.network_id)
+        found = () if verdict.is_open else tuple(Finding(why, verdict) for why in reasons)
+        fit = replace(made.fit, forecast=ErrorForecast(0.071, 0.051, 0.096), findings=found)
+        result = replace(made, fit=fit, limit=Limit("N", 0.12))
+        if verdict is not Verdict.PASS:
+            return result
+        release = SampleRelease(
+            number=1,
+            limit_rmse=0.12,
+            is_released=True,
+            scale=1.0,
+            factor=1.4,
+            widening=Widening(),
+            day_rmse=0.0,
+            audits=reason("part.here", audits=10),
+            risk=0.1,
+            confidence=0.9,
+        )
+        return replace(result, release=release)
 
     def press(
         self,

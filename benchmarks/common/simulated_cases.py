@@ -15,9 +15,9 @@ from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording
 from softcal.core.simulated_lot import SHIFTS, LotDesign, SimulatedUnit, simulate_lot
 from softcal.core.unit.calibrate import calibrate
-from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import Estimate, estimate
 from softcal.core.unit.source_model import SourceModel, make_source_model
+from softcal.core.unit.state import UnitState
 from softcal.core.unit.unit_problem import UnitProblem
 
 NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, patience=10, batch=128)
@@ -54,7 +54,7 @@ class Case:
     after: float
     own: float
     source_rmse: float
-    calibration: Calibration | None
+    calibration: UnitState | None
     result: Estimate | None
     test: LabelledRecording
     network: Network
@@ -68,9 +68,9 @@ class Case:
     @property
     def score(self) -> float:
         """Forecast error over that forecast for a calibration of its own: what ranks the units; infinite if refused."""
-        if self.calibration is None or self.calibration.predicted_rmse is None:
+        if self.calibration is None:
             return float("inf")
-        return self.calibration.predicted_rmse / float(str(self.calibration.evidence["own_rmse_forecast"]))
+        return self.calibration.predicted_rmse / self.calibration.fit.own_rmse
 
 
 def lot_design(seed: int, faults: tuple[str, ...] = tuple(FAULTS)) -> LotDesign:
@@ -101,7 +101,7 @@ def judged(seed: int, design: LotDesign, unit: SimulatedUnit, own: float, networ
     """Calibrate one unit and set the truth beside it."""
     test = unit.audit.part(int(TRAIN_SHARE * len(unit.audit)), len(unit.audit))
     calibration = _calibrate(FitProblem(model.source, network, unit.recording), model)
-    result = None if calibration is None else estimate(network, calibration, test.unlabelled)
+    result = None if calibration is None else estimate(network, calibration.calibration, test.unlabelled)
     return Case(
         seed,
         design.shift,
@@ -119,7 +119,7 @@ def judged(seed: int, design: LotDesign, unit: SimulatedUnit, own: float, networ
     )
 
 
-def _calibrate(problem: FitProblem, model: SourceModel) -> Calibration | None:
+def _calibrate(problem: FitProblem, model: SourceModel) -> UnitState | None:
     try:
         return calibrate(UnitProblem(model, problem.target, anchors=problem.anchors))
     except UnitRefused:

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 from scipy.signal import lfilter
 
-from softcal.app.registry.unit import source_calibration
+from softcal.app.registry.unit import source_state
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
@@ -344,7 +344,7 @@ def bench(curve: str, rate_Hz: float) -> Bench:
     load = np.concatenate([station(4000, rate_Hz, rng), *uses])
     source = LabelledRecording(_recording("source", read(curve, load, rate_Hz, rng), rate_Hz), load)
     network = fit_network(source, NetworkConfig(hidden=(32, 16), max_epochs=40)).network
-    return Bench(network, source_calibration(source, network), source)
+    return Bench(network, source_state(source, network).calibration, source)
 
 
 def _recording(serial: str, output: Array, rate_Hz: float) -> OutputRecording:

@@ -20,18 +20,19 @@ from softcal.core.maps.interface import Anchors
 from softcal.core.metrics import rmse
 from softcal.core.network.training import fit_network
 from softcal.core.profiles import Profile, moves, random_presses, source_profile, unit_profile
-from softcal.core.quality.widening import AuditedSamples, Widening
+from softcal.core.quality.widening import AuditedSamples
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import DEPTH_MM, LotDesign, draw_twins, simulate_lot
 from softcal.core.twin.simulate import Twin, simulate
-from softcal.core.unit.audit_reading import OutputLevel, line_of
 from softcal.core.unit.bridge import make_bridge
 from softcal.core.unit.calibrate import calibrate
-from softcal.core.unit.calibration import OUTPUT_REST, OUTPUT_SPAN, Calibration
-from softcal.core.unit.common_misreading import LoadLine
 from softcal.core.unit.estimate import Estimate, estimate
 from softcal.core.unit.evidence import rms_load
+from softcal.core.unit.lot_correction import AuditedLine
+from softcal.core.unit.output_level import OutputLevel, load_line
 from softcal.core.unit.source_model import SourceModel, make_source_model
+from softcal.core.unit.state import UnitState
+from softcal.core.unit.uncertainty import Widening
 from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import Limit, default_limit
 
@@ -77,9 +78,9 @@ class FittedUnit:
     sample: tuple[tuple[float, ...], ...] = ()
 
     @property
-    def line(self) -> LoadLine:
+    def line(self) -> AuditedLine:
         """How it reads the loads of its audit."""
-        return LoadLine(*line_of(*np.array(self.sample)[:2]), self.level)
+        return AuditedLine(load_line(*np.array(self.sample)[:2]), self.level)
 
     @property
     def level(self) -> OutputLevel:
@@ -333,14 +334,12 @@ def _fit_unit(lot: RawLot, problem: UnitProblem, audit: LabelledRecording) -> Fi
     serial = recording.serial
     try:
         calibration = calibrate(problem)
-        result = estimate(model.network, calibration, audit.unlabelled)
+        result = estimate(model.network, calibration.calibration, audit.unlabelled)
     except (UnitRefused, InputError):
         return FittedUnit(lot.kind, lot.name, serial, float("inf"), float("inf"), float("inf"), limit, "fail", True)
     forecast, predicted = calibration.forecast, calibration.decision.predicted
     rows = np.isfinite(result.estimate)
-    assert forecast is not None  # noqa: S101
-    assert calibration.grounds is not None  # noqa: S101
-    is_vetoed = not calibration.grounds.is_open
+    is_vetoed = not calibration.fit.is_open
     return FittedUnit(
         lot.kind,
         lot.name,
@@ -353,13 +352,13 @@ def _fit_unit(lot: RawLot, problem: UnitProblem, audit: LabelledRecording) -> Fi
         is_vetoed,
         str(calibration.knowledge),
         _load(model, calibration, recording),
-        float(calibration.evidence[OUTPUT_REST]),
-        float(calibration.evidence[OUTPUT_SPAN]),
+        calibration.fit.output_level.rest,
+        calibration.fit.output_level.span,
         _sample(result, audit, rows),
     )
 
 
-def _load(model: SourceModel, calibration: Calibration, recording: OutputRecording) -> float:
+def _load(model: SourceModel, calibration: UnitState, recording: OutputRecording) -> float:
     spread = np.linspace(0, len(recording.windows) - 1, 2 * model.method.map.pairs.pairs).astype(np.int64)
     load = model.network.evaluate(calibration.unit_map.apply(recording.windows[np.unique(spread)]))
     return rms_load(model, load)

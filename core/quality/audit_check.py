@@ -8,11 +8,11 @@ from itertools import combinations
 
 import numpy as np
 
-from softcal.core.unit.audit_reading import AuditReading
 from softcal.core.unit.method import FindingConfig, ReleaseConfig
+from softcal.core.unit.state import AuditResult
 from softcal.core.words.reason import Reason, reason
 
-Readings = Mapping[str, AuditReading]
+Readings = Mapping[str, AuditResult]
 Doubts = dict[str, Reason]
 
 
@@ -66,7 +66,7 @@ def _exchanged(readings: Readings) -> Doubts:
     return doubts
 
 
-def _moved(reading: AuditReading) -> float:
+def _moved(reading: AuditResult) -> float:
     return reading.audit_rest - reading.unit_rest
 
 
@@ -80,7 +80,7 @@ def _beside(values: Mapping[str, float]) -> Iterator[tuple[str, float, list[floa
 
 def _out_of_line(readings: Readings) -> Doubts:
     doubts: Doubts = {}
-    for serial, gain, others, usual in _beside({serial: one.gain for serial, one in readings.items()}):
+    for serial, gain, others, usual in _beside({serial: one.line.gain for serial, one in readings.items()}):
         if usual > 0 and not usual / FindingConfig.stretch <= gain <= usual * FindingConfig.stretch:
             doubts[serial] = reason("doubt.gain", gain=gain, usual=usual, others=len(others))
     return doubts

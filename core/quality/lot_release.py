@@ -9,11 +9,11 @@ import numpy as np
 from softcal.core.quality.acceptance import Promise
 from softcal.core.quality.qualification import Qualification
 from softcal.core.quality.release import AuditedUnit, PromisedRelease, release
-from softcal.core.quality.widening import Widening
-from softcal.core.unit.common_misreading import CommonMisreading
 from softcal.core.unit.line_spread import SeenGains
 from softcal.core.unit.method import ReleaseConfig
-from softcal.core.unit.verdict import Judgement, Limit, Verdict
+from softcal.core.unit.state import SampleRelease
+from softcal.core.unit.uncertainty import Widening
+from softcal.core.unit.verdict import Limit
 from softcal.core.words.reason import Reason, Value, reason, several
 
 
@@ -25,7 +25,7 @@ class LotRelease:
         found: which of them are released; None without a qualification.
         seen: gains that audited units of this lot read their loads with; None where too few were audited.
         days: by serial, the error that another day adds as golden runs show it; empty without them.
-        common: what the audited units misread alike, and what was taken off all maps of the lot; None where nothing.
+        corrected_by: number of audited units behind the correction of the lot's maps; 0 where there is none.
     """
 
     qualification: Qualification
@@ -37,7 +37,7 @@ class LotRelease:
     seen: SeenGains | None = None
     days: Mapping[str, float] = field(default_factory=dict)
     doubts: Mapping[str, Reason] = field(default_factory=dict)
-    common: CommonMisreading | None = None
+    corrected_by: int = 0
 
     @property
     def audits(self) -> tuple[AuditedUnit, ...]:
@@ -62,8 +62,8 @@ class LotRelease:
             said.append(reason("release.gains", centre=self.seen.centre, spread=self.seen.spread))
         if self.days:
             said.append(reason("release.days", day=max(self.days.values()), unit=unit))
-        if self.common is not None:
-            said.append(reason("release.common", audits=self.common.audits))
+        if self.corrected_by:
+            said.append(reason("release.common", audits=self.corrected_by))
         if self.doubts:
             said.append(reason("release.doubts", serials=", ".join(self.doubts)))
         return several(said)
@@ -95,28 +95,33 @@ class LotRelease:
             **bound,
         )
 
-    def judgement(self, serial: str) -> Judgement:
-        """Return what the audits of the lot say about one of the units decided on."""
-        rmse, limit, unit = self.forecasts[serial], self.limit.maximum_rmse, self.limit.unit
+    def sample_release(self, serial: str, number: int) -> SampleRelease | None:
+        """Return what this decision says of one of the units decided on; None where nothing is promised.
+
+        Args:
+            number: of the statement.
+        """
         if self.found is None:
-            word = Verdict.FAIL if rmse > limit else Verdict.CONDITIONAL
-            why = self.qualification.reason if self.limit.is_stated else reason("part.no_limit")
-            return Judgement(word, (reason("not_qualified", why=why),))
-        facts: Mapping[str, Value] = {"rmse": rmse, "limit": limit, "unit": unit, "audits": self._audits(self.found)}
-        factor, centre = self.found.factor, self.forecast_scale
-        if serial in self.released:
-            risks = {"risk": self.promise.risk, "confidence": self.promise.confidence}
-            return Judgement(Verdict.PASS, (reason("sampled.released", factor=factor, **facts, **risks),))
-        if rmse * centre > limit:
-            return Judgement(Verdict.FAIL, (reason("sampled.beyond", centre=centre, **facts),))
-        day, accepted = self.days.get(serial, 0.0), self.limit.acceptance_rmse
-        if rmse * factor <= accepted < float(np.hypot(rmse * factor, day)):
-            return Judgement(Verdict.CONDITIONAL, (reason("sampled.day", factor=factor, day=day, **facts),))
-        if rmse * factor <= accepted:
-            return Judgement(
-                Verdict.CONDITIONAL, (reason("sampled.part", centre=centre, audits=self._audits(self.found)),)
-            )
-        return Judgement(Verdict.CONDITIONAL, (reason("sampled.open", factor=factor, **facts),))
+            return None
+        return self._sample_release(number, self.found, serial in self.released, self.days.get(serial, 0.0))
+
+    def next_unit(self, number: int) -> SampleRelease | None:
+        """Return what this decision says of a unit that is to come; None where nothing is released on it."""
+        return None if self.found is None or not self.released else self._sample_release(number, self.found, False, 0.0)
+
+    def _sample_release(self, number: int, found: PromisedRelease, is_released: bool, day_rmse: float) -> SampleRelease:
+        return SampleRelease(
+            number=number,
+            limit_rmse=self.limit.maximum_rmse,
+            is_released=is_released,
+            scale=self.forecast_scale,
+            factor=found.factor if np.isfinite(found.factor) else None,
+            widening=self.widening,
+            day_rmse=day_rmse,
+            audits=self._audits(found),
+            risk=self.promise.risk,
+            confidence=self.promise.confidence,
+        )
 
     def _audits(self, promised: PromisedRelease) -> Reason:
         ratios = promised.ratios
@@ -149,7 +154,7 @@ class LotRelease:
             "gains": None if self.seen is None else vars(self.seen),
             "day_rmse": max(self.days.values(), default=None),
             "limit": self.limit.to_json(),
-            "common": None if self.common is None else self.common.to_json(),
+            "corrected_by": self.corrected_by,
             "set_aside": {serial: str(why) for serial, why in self.doubts.items()},
         }
 
@@ -164,7 +169,7 @@ def release_lot(
     seen: SeenGains | None = None,
     days: Mapping[str, float] | None = None,
     doubts: Mapping[str, Reason] | None = None,
-    common: CommonMisreading | None = None,
+    corrected_by: int = 0,
 ) -> LotRelease:
     """Decide on the units of a lot that nobody measured.
 
@@ -176,7 +181,7 @@ def release_lot(
     may_release = qualification.is_given and limit.is_stated
     decided = release(forecasts, qualification.audits, limit, promise, least, days) if may_release else None
     days, doubts = days or {}, doubts or {}
-    return LotRelease(qualification, limit, promise, forecasts, decided, widening, seen, days, doubts, common)
+    return LotRelease(qualification, limit, promise, forecasts, decided, widening, seen, days, doubts, corrected_by)
 
 
 def _audited(audits: Sequence[AuditedUnit], which: Reason, bound: Mapping[str, Value]) -> Reason:

@@ -95,6 +95,7 @@ class LotStanding:
         """Return it as JSON values: what is decided on unmeasured units, with the standing of all beside it."""
         return {
             **({} if self.decided is None else self.decided.to_json()),
+            "released": [unit.serial for unit in self.units if unit.verdict == "pass"],
             "limit": None if self.limit is None else self.limit.to_json(),
             "counts": self.counts,
             "units": {str(way): [unit.serial for unit in self.on(way)] for way in Way},

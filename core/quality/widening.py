@@ -14,20 +14,10 @@ from softcal.core.errors import InputError
 from softcal.core.quality.acceptance import pooled_scale
 from softcal.core.recording import Array
 from softcal.core.unit.method import ReleaseConfig
+from softcal.core.unit.uncertainty import Widening
 
 CLOSE = 1e-3
 """The added error is found to this share of itself."""
-
-
-@dataclass(frozen=True)
-class Widening:
-    """What becomes of an interval's half-width h, in the reference unit: sqrt((scale h)^2 + added^2)."""
-
-    scale: float = 1.0
-    added: float = 0.0
-
-    def __call__(self, half: Array) -> Array:
-        return np.hypot(self.scale * half, self.added)
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,40 +4,55 @@ The line, a batch, its workers, a watched folder and the screens all call `calib
 by the `input_sha256` of its problem. No fit sees a reference of the unit; an audit decides, and fits nothing.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from softcal.core.errors import UnitRefused
-from softcal.core.maps.choose import ChosenMap, choose_map
+from softcal.core.maps.choose import choose_map
+from softcal.core.maps.interface import map_sha256
 from softcal.core.maps.monotone import shape_distance
-from softcal.core.maps.readout_lag import ReadoutLag, find_readout_lag
-from softcal.core.unit.audit_reading import output_level
-from softcal.core.unit.audited import with_audit
-from softcal.core.unit.calibration import OUTPUT_REST, OUTPUT_SPAN, Calibration
-from softcal.core.unit.evidence import MapEvidence, gather_evidence, other_maps
+from softcal.core.maps.readout_lag import find_readout_lag
+from softcal.core.recording import Array
+from softcal.core.unit.audit import measure
+from softcal.core.unit.evidence import gather_evidence, other_maps
 from softcal.core.unit.findings import contradictions, map_findings, opening_findings
 from softcal.core.unit.forecast import forecast_error, forecast_own, own_terms, variance_table
 from softcal.core.unit.health import check_alive, health_findings, output_limits
-from softcal.core.unit.judging import Grounds, limit_evidence
 from softcal.core.unit.missing import check_windows, jump_findings, missing_findings, missing_samples
+from softcal.core.unit.output_level import output_level
 from softcal.core.unit.rules import RuleFacts, rule_findings
-from softcal.core.unit.scoring import score_map
+from softcal.core.unit.state import Fit, FittedMap, UnitState
 from softcal.core.unit.unit_problem import UnitProblem
-from softcal.core.unit.verdict import Finding
 
 
-def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) -> Calibration:
-    """Fit the unit's map, say how far it can be trusted, and decide.
+def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) -> UnitState:
+    """Fit the unit's map, forecast its error, and measure it where there is an audit.
 
     Args:
         problem: the unit with its lot's source; the method is the one its source model was made with.
-        on_map: told once the map and its forecast are there, before an audit is scored: that may train a network.
+        on_map: called once the map and its forecast are there, before an audit is scored: that may train a network.
 
     Raises:
         UnitRefused: the recording allows no map at all; the reason says why and what to do.
         InputError: the limit is stated in another unit than the reference, or a rule is not installed here.
     """
-    model, target, limit, audit = problem.source, problem.recording, problem.limit_in_force, problem.audit
+    limit, audit, network = problem.limit_in_force, problem.audit, problem.source.network
+    fit, estimates = fit_unit(problem)
+    state = UnitState(fit=fit, limit=limit, unreadable_audit=problem.unreadable_audit)
+    if on_map is not None:
+        on_map()
+    if audit is not None:
+        state = measure(network, state, audit, problem.recording, problem.own)
+    return _with_rules(problem, state, estimates)
+
+
+def fit_unit(problem: UnitProblem) -> tuple[Fit, Array]:
+    """Fit the unit's map and forecast its error; return beside it f on evenly spaced mapped windows.
+
+    Raises:
+        UnitRefused: the recording allows no map at all.
+    """
+    model, target = problem.source, problem.recording
     method, known = model.method, model.source.unlabelled
     check_windows(target, method.inspection)
     check_alive(target, known, method.health)
@@ -54,7 +69,6 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
         line=problem.line,
         day_rmse=0.0 if bridge is None else bridge.day_rmse,
     )
-    forecast = forecast_error(evidence.budget, evidence.knowledge)
     lag = find_readout_lag(fit.source.unlabelled, target, fit.synchrony, method.map)
     # What a logger did comes first: the rest may be a consequence.
     findings = missing_findings(target, method) + jump_findings(target, method.inspection)
@@ -64,64 +78,46 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
             *map_findings(model, target, evidence, lag),
             *(opening_findings(chosen.evidence, method.findings) if lag is None else ()),
         )
-    if on_map is not None:
-        on_map()
-    scores = None if audit is None else score_map(model.network, chosen.unit_map, audit, problem.own, method.decision)
-    measured_rmse = None if scores is None else scores.after.rmse
-    grounds = Grounds(
-        forecast,
-        findings,
-        # What rules of other packages have against the unit.
-        rule_findings(
-            problem.rules, RuleFacts(target, model.source, evidence.estimate, forecast, limit, measured_rmse)
-        ),
-        told=(*problem.bridge_reasons(), problem.line_reason(evidence.load_rms)),
-        measured=scores,
-        bars=problem.bars(),
-        rules=problem.rules,
-    )
-    calibration = Calibration(
+    own = own_terms(model, target, chosen.unit_map, evidence)
+    rest = method.map.crossing.robust_range[0]
+    interval = model.interval.widened(variance_table(model, evidence) + problem.reference_variance())
+    fitted = Fit(
+        id=problem.fit_id,
         serial=target.serial,
         network_id=model.network.id,
-        unit_map=chosen.unit_map,
-        interval=model.interval.widened(variance_table(model, evidence) + problem.reference_variance()),
-        output_limits=limits,
-        forecast=forecast,
-        decision=grounds.decide(limit),
-        grounds=grounds,
-        knowledge=evidence.knowledge,
-        evidence=_numbers(problem, chosen, evidence, findings, lag),
+        recording_sha256=target.sha256,
+        family=chosen.unit_map.family,
+        map_sha256=map_sha256(chosen.unit_map),
         method=method,
+        knowledge=evidence.knowledge,
+        forecast=forecast_error(evidence.budget, evidence.knowledge),
+        budget=evidence.budget,
+        own_terms=own,
+        own_rmse=forecast_own(own, evidence.knowledge),
+        diagnostics=chosen.evidence,
+        findings=findings,
+        remarks=(*problem.bridge_reasons(), problem.line_reason(evidence.load_rms)),
+        blocking_reasons=problem.blocking_reasons(),
+        rules=problem.rules,
         reference=problem.reference,
+        output_level=output_level(target, is_rising=model.interval.slope_limit > 0, rest=rest),
+        missing=missing_samples(target, method.inspection).shares,
+        load_rms=evidence.load_rms,
+        correction_rms=evidence.correction_rms,
+        readout_lag_s=None if lag is None else lag.time_constant_s,
+        fitted=FittedMap(chosen.unit_map, interval, limits),
     )
-    return calibration if audit is None else with_audit(model.network, calibration, audit, target)
+    return fitted, evidence.estimate
 
 
-def _numbers(
-    problem: UnitProblem,
-    chosen: ChosenMap,
-    evidence: MapEvidence,
-    findings: tuple[Finding, ...],
-    lag: ReadoutLag | None,
-) -> Mapping[str, float | str | None]:
-    model, target = problem.source, problem.recording
-    own = own_terms(model, target, chosen.unit_map, evidence)
-    rest = model.method.map.crossing.robust_range[0]
-    level = output_level(target, is_rising=model.interval.slope_limit > 0, rest=rest)
-    return {
-        **{f"map_{name}": value for name, value in chosen.evidence.items()},
-        **{f"u_{name}": value for name, value in evidence.budget.items()},
-        "correction_rms": evidence.correction_rms,
-        "load_rms": evidence.load_rms,
-        OUTPUT_REST: level.rest,
-        OUTPUT_SPAN: level.span,
-        **missing_samples(target, problem.source.method.inspection).to_evidence(),
-        **limit_evidence(problem.limit_in_force),
-        "findings": ", ".join(finding.kind for finding in findings),
-        **({} if lag is None else {"readout_lag_s": lag.time_constant_s}),
-        **{f"own_{name}": value for name, value in own.items()},
-        "own_rmse_forecast": forecast_own(own, evidence.knowledge),
-    }
+def _with_rules(problem: UnitProblem, state: UnitState, estimates: Array) -> UnitState:
+    """Return the state with what rules of other packages have against the unit."""
+    if not problem.rules:
+        return state
+    measured = None if state.scores is None else state.scores.after.rmse
+    source, fit = problem.source.source, state.fit
+    inputs = RuleFacts(problem.recording, source, estimates, fit.forecast, state.limit, measured)
+    return replace(state, fit=replace(fit, rule_findings=rule_findings(problem.rules, inputs)))
 
 
 def nearest(problems: Sequence[UnitProblem]) -> UnitProblem:
@@ -140,9 +136,9 @@ def nearest(problems: Sequence[UnitProblem]) -> UnitProblem:
     ranked = []
     for place, problem in enumerate(problems):
         try:
-            made = calibrate(replace(problem, audit=None, own=None))
-            if made.forecast is not None and made.knowledge.is_placed:
-                ranked.append((0, made.forecast.rmse, place))
+            fit, _ = fit_unit(problem)
+            if fit.knowledge.is_placed:
+                ranked.append((0, fit.forecast.rmse, place))
             else:
                 known, config = problem.source.source, problem.source.method.map
                 ranked.append((1, shape_distance(known, problem.recording, config), place))

@@ -11,7 +11,6 @@ from softcal.core.network.network import Network
 from softcal.core.recording import Array, Indices, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.health import run_lengths
-from softcal.core.unit.method import Method
 from softcal.core.windows import TAPS
 
 Flags = NDArray[np.str_]
@@ -115,7 +114,7 @@ def judge(
     half = interval.half(value, shape, distance)
     flag = np.full(len(value), "", dtype=FLAG_TYPE)
     flag[distance > interval.familiar_distance] = UNFAMILIAR
-    margin = (calibration.method or Method()).range_margin * (interval.high - interval.low)
+    margin = calibration.method.range_margin * (interval.high - interval.low)
     flag[(value < interval.low - margin) | (value > interval.high + margin)] = OUT_OF_RANGE
     flag[(newest <= limits.rail_low) | (newest >= limits.rail_high)] = SATURATED
     flag[run >= limits.stuck_samples] = STUCK

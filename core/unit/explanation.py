@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.recording import Array, OutputRecording
-from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.evidence import DAY, LINE, gather_evidence
 from softcal.core.unit.source_model import SourceModel
+from softcal.core.unit.state import Fit, UnitState
 from softcal.core.unit.uncertainty import DIRECTIONS
 from softcal.core.words.reason import Reason
 
@@ -39,8 +39,8 @@ class Explanation:
     mapped_density: Array
     unmapped_density: Array
     contributions: Mapping[str, float]
-    forecast: tuple[float, float, float] | None
-    limit: float | None
+    forecast: tuple[float, float, float]
+    limit: float
     t_s: Array
     estimate: Array
     distance: Array
@@ -49,14 +49,13 @@ class Explanation:
     directions: tuple[str, ...] = DIRECTIONS
 
 
-def explain(model: SourceModel, calibration: Calibration, target: OutputRecording) -> Explanation:
+def explain(model: SourceModel, state: UnitState, target: OutputRecording) -> Explanation:
     """Return the arrays that explain a unit's verdict."""
     interval = model.interval
+    calibration, forecast = state.calibration, state.forecast
     evidence = gather_evidence(model, target, calibration.unit_map, calibration.output_limits)
     both = np.concatenate([model.estimate, evidence.estimate])
     edges = np.linspace(both.min(), both.max(), DENSITY_BINS + 1)
-    forecast = calibration.forecast
-    limit = calibration.evidence.get("limit_rmse")
     return Explanation(
         levels=interval.levels,
         half_width=calibration.interval.half_width,
@@ -65,25 +64,22 @@ def explain(model: SourceModel, calibration: Calibration, target: OutputRecordin
         source_density=_density(model.estimate, edges),
         mapped_density=_density(evidence.estimate, edges),
         unmapped_density=_density(evidence.unmapped, edges),
-        contributions=contributions(calibration),
-        forecast=None if forecast is None else (forecast.lower, forecast.rmse, forecast.upper),
-        limit=None if limit is None else float(limit),
+        contributions=contributions(state.fit),
+        forecast=(forecast.lower, forecast.rmse, forecast.upper),
+        limit=state.limit.maximum_rmse,
         t_s=target.t_s[target.window_rows[evidence.rows]],
         estimate=evidence.estimate,
         distance=evidence.distance,
         familiar_distance=interval.familiar_distance,
-        reasons=calibration.decision.reasons,
+        reasons=state.decision.reasons,
     )
 
 
-def contributions(calibration: Calibration) -> dict[str, float]:
+def contributions(fit: Fit) -> dict[str, float]:
     """Return the contributions c_i u_i to the forecast error in the reference unit, largest first."""
-    evidence = calibration.evidence
-    budget = {name.removeprefix("u_"): float(str(u)) for name, u in evidence.items() if name.startswith("u_")}
-    config = calibration.knowledge.config
-    weights = {config.base_term: config.base_factor, **calibration.knowledge.sensitivity, LINE: 1.0, DAY: 1.0}
-    # What the line adds stands in the budget of a lot alone.
-    parts = {name: weight * budget[name] for name, weight in weights.items() if name in budget}
+    config = fit.knowledge.config
+    weights = {config.base_term: config.base_factor, **fit.knowledge.sensitivity, LINE: 1.0, DAY: 1.0}
+    parts = {name: weight * fit.budget[name] for name, weight in weights.items() if name in fit.budget}
     return dict(sorted(parts.items(), key=lambda item: -item[1]))
 
 

@@ -1,8 +1,7 @@
 """A measured error with the rows it was made from: the one place that gives an error its interval."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -70,17 +69,3 @@ class Scores:
     after: MeasuredError
     own: OwnScores | None = None
     unscored: Mapping[str, int] = field(default_factory=dict)
-
-    def to_json(self) -> dict[str, object]:
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, stored: Mapping[str, Any]) -> "Scores":
-        """Read what `to_json` wrote."""
-        own = stored["own"]
-        return cls(
-            before=MeasuredError(**stored["before"]),
-            after=MeasuredError(**stored["after"]),
-            own=own and OwnScores(**{name: MeasuredError(**one) for name, one in own.items()}),
-            unscored=stored["unscored"],
-        )

@@ -223,8 +223,8 @@ class ReleaseConfig:
             many standard deviations of what the other audits of the lot moved, or of this share of the span.
         stranger_rest, stranger_factor: an audit is of another unit where its rest moved by more than the first share
             of the span, and by the second times as much as that of any other audit.
-        common_chance: a gain or a zero that audited units share, or its slope over what their outputs show, is none
-            where chance shows it more often than this; for each, above and below.
+        min_correction_audits: below so many audited units the spread between units says nothing of their mean, and
+            nothing is taken off the maps of the lot.
     """
 
     risk: float = setting(0.10)
@@ -242,7 +242,7 @@ class ReleaseConfig:
     least_rest: float = setting(0.005)
     stranger_rest: float = setting(0.2)
     stranger_factor: float = setting(4.0)
-    common_chance: float = setting(0.0025, f"{SET}: two lots in a hundred are corrected by chance, and by little")
+    min_correction_audits: int = setting(3)
 
 
 @dataclass(frozen=True)

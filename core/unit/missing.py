@@ -27,8 +27,25 @@ MASKED = {
 }
 """Kind of masked samples → code of the reason that says so."""
 
-LEFT_OUT, SHARES = "masked_", ("missing_share", "window_share")
-"""Names under which a calibration stores what is missing of its recording."""
+
+@dataclass(frozen=True)
+class MissingShares:
+    """What is missing of a recording, as a fit stores it.
+
+    Args:
+        masked: samples that were left out, by kind.
+        share: of the samples that its time would hold, those that are masked or in no row.
+        window_share: of the windows that its rows would fill, those that are left.
+    """
+
+    masked: Mapping[str, int]
+    share: float
+    window_share: float
+
+    def numbers(self) -> dict[str, float]:
+        """Return its numbers by the names that reports give them."""
+        masked = {f"masked_{kind}": float(count) for kind, count in self.masked.items()}
+        return {**masked, "missing_share": self.share, "window_share": self.window_share}
 
 
 @dataclass(frozen=True)
@@ -55,18 +72,10 @@ class MissingSamples:
     def is_any(self) -> bool:
         return bool(self.masked or self.gaps or self.slow)
 
-    def to_evidence(self) -> dict[str, float]:
-        """Return its numbers as a calibration stores them; none where nothing is missing."""
-        if not self.is_any:
-            return {}
-        masked = {f"{LEFT_OUT}{kind}": float(count) for kind, count in self.masked.items()}
-        return {**masked, **dict(zip(SHARES, (self.share, self.window_share), strict=True))}
-
-
-def missing_evidence(evidence: Mapping[str, float | str | None]) -> dict[str, float]:
-    """Return of a calibration's stored numbers those that `MissingSamples.to_evidence` gave."""
-    names = (name for name in evidence if name.startswith(LEFT_OUT) or name in SHARES)
-    return {name: float(str(evidence[name])) for name in names}
+    @property
+    def shares(self) -> MissingShares | None:
+        """What a fit stores of it; None where nothing is missing."""
+        return MissingShares(self.masked, self.share, self.window_share) if self.is_any else None
 
 
 @lru_cache(maxsize=CACHED)

@@ -11,8 +11,9 @@ from softcal.core.errors import InputError
 from softcal.core.maps.anchors import AnchoredMap, SourceLevels, check_loads
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
 from softcal.core.metrics import rms, rmse
-from softcal.core.recording import Array, OutputRecording
+from softcal.core.recording import OutputRecording
 from softcal.core.settings import setting
+from softcal.core.unit.state import Trim
 from softcal.core.unit.uncertainty import NORMAL_90, Interval
 from softcal.core.windows import resting
 
@@ -35,55 +36,21 @@ class NeedlessTrim(InputError):
     """The map reads the loads as well as a trim by them would be known."""
 
 
-@dataclass(frozen=True, eq=False)
-class Trimmed:
-    """A map after a trim.
-
-    Args:
-        covariance: (2, 2) of zero and gain: of the straight line, in the reference unit and in its share, that the
-            estimates may be off by.
-        before_rmse, after_rmse: error of the estimates at the loads, without and with the trim, in the reference unit.
-    """
-
-    unit_map: AnchoredMap
-    covariance: Array
-    before_rmse: float
-    after_rmse: float
-
-    @property
-    def gain_error(self) -> float:
-        """Standard uncertainty of the gain, as a share of it."""
-        return float(np.sqrt(self.covariance[1, 1]))
-
-    @property
-    def rest_error(self) -> float:
-        """Standard uncertainty of an estimate without load, in the reference unit."""
-        return float(np.sqrt(self.covariance[0, 0]))
-
-    def variance(self, interval: Interval) -> Array:
-        """Return the (LEVELS,) variance of the trim at the load levels of an interval, in squares of the reference.
-
-        The errors at the loads are independent, and run on in a straight line between and beyond them.
-        """
-        line = np.stack([np.ones(len(interval.levels)), interval.levels], axis=1)
-        return np.asarray(np.sum((line @ self.covariance) * line, axis=1))
-
-
 def trim(
     problem: FitProblem,
     unit_map: UnitMap,
     interval: Interval,
     loads: Anchors,
     config: TrimConfig = TrimConfig(),  # noqa: B008 - frozen
-) -> Trimmed:
-    """Re-anchor a map by known loads at the place of use.
+) -> Trim:
+    """Re-anchor a fitted map by known loads at the place of use.
 
     Gain and offset carry what the map makes of the loads onto what the source shows under them, by a straight line
     weighted with the inverse variances. The map is not believed beside the loads: it is trimmed since it has moved.
     Not known of a load are the load itself, the error of the calibration at any reading, and what f misreads at rest.
 
     Args:
-        unit_map: in use now; an earlier trim of it is trimmed further, not stacked.
+        unit_map: as it was fitted; a trim replaces an earlier one.
         loads: outputs at rest under known loads, at least two different ones.
 
     Raises:
@@ -149,10 +116,17 @@ def trim(
     # Loads that do not fit a straight line know neither number better than they fit.
     spread = max(1.0, rms(left))
     covariance = np.asarray(np.linalg.inv(design.T @ design) * spread**2, np.float64)
-    if isinstance(unit_map, AnchoredMap):
-        # One gain and offset in place of two behind one another.
-        anchored = AnchoredMap(unit_map.inner, gain * unit_map.gain, offset + gain * unit_map.offset)
-    return Trimmed(anchored, covariance, before, after)
+    (zero, both), (_, slope) = covariance
+    return Trim(
+        output=tuple(map(float, output)),
+        reference=tuple(map(float, load)),
+        recording_sha256=problem.target.sha256,
+        gain=gain,
+        offset=offset,
+        covariance=((float(zero), float(both)), (float(both), float(slope))),
+        before_rmse=before,
+        after_rmse=after,
+    )
 
 
 def as_given_now(recording: OutputRecording, before: UnitMap, after: UnitMap) -> OutputRecording:

@@ -168,6 +168,17 @@ class Interval:
 
 
 @dataclass(frozen=True)
+class Widening:
+    """What becomes of an interval's half-width h, in the reference unit: sqrt((scale h)^2 + added^2)."""
+
+    scale: float = 1.0
+    added: float = 0.0
+
+    def __call__(self, half: Array) -> Array:
+        return np.hypot(self.scale * half, self.added)
+
+
+@dataclass(frozen=True)
 class ErrorForecast:
     """The RMSE a unit will show against a reference, forecast without one.
 

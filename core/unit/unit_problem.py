@@ -13,7 +13,6 @@ from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.bridge import Bridge
 from softcal.core.unit.budget import Reference
-from softcal.core.unit.judging import UNREADABLE
 from softcal.core.unit.line_spread import LineSpread
 from softcal.core.unit.rules import rules_in_force
 from softcal.core.unit.source_model import SourceModel
@@ -52,26 +51,36 @@ class UnitProblem:
     unread_audit: str = ""
 
     @cached_property
+    def fit_id(self) -> str:
+        """Content hash of everything that the fit depends on: equal input, equal fit."""
+        anchors = self.anchors
+        return content_sha256(
+            {},
+            {
+                "recording": self.recording.sha256,
+                "network": self.source.network.id,
+                "method": self.source.method.id,
+                "anchors": None if anchors is None else [anchors.output.tolist(), anchors.reference.tolist()],
+                "line": self.line and self.line.to_json(),
+                "golden": self.bridge and self.bridge.sha256,
+                "reference": self.reference and self.reference.to_json(),
+                "other_networks": sorted(self.beside),
+                # Rules look at the limit and at what was measured.
+                "rules": [*sorted(self.rules), *self._decided_by] if self.rules else [],
+            },
+        )
+
+    @cached_property
     def input_sha256(self) -> str:
-        """Content hash of everything the calibration depends on: equal input, equal result."""
-        anchors, audit = self.anchors, self.audit
-        settings: dict[str, object] = {
-            "recording": self.recording.sha256,
-            "network": self.source.network.id,
-            "method": self.source.method.id,
-            "limit": None if self.limit is None else self.limit.to_json(),
-            "anchors": None if anchors is None else [anchors.output.tolist(), anchors.reference.tolist()],
-            "audit": None if audit is None else audit.sha256,
-            # Without an audit no own calibration is trained, whatever was asked.
-            "own": None if audit is None or self.own is None else asdict(self.own),
-            "line": None if self.line is None else self.line.to_json(),
-            "golden": None if self.bridge is None else self.bridge.sha256,
-            "reference": None if self.reference is None else self.reference.to_json(),
-            "beside": sorted(self.beside),
-            "unread_audit": self.unread_audit,
-            "rules": sorted(self.rules),
-        }
-        return content_sha256({}, settings)
+        """Content hash of everything that the unit's state depends on: equal input, equal state."""
+        # Without an audit no own calibration is trained, whatever was asked.
+        own = None if self.audit is None or self.own is None else asdict(self.own)
+        return content_sha256({}, {"fit": self.fit_id, "decided_by": self._decided_by, "own": own})
+
+    @property
+    def _decided_by(self) -> list[object]:
+        limit, audit = self.limit, self.audit
+        return [limit and limit.to_json(), audit and audit.sha256, self.unread_audit]
 
     @cached_property
     def fit(self) -> FitProblem:
@@ -113,12 +122,15 @@ class UnitProblem:
         loads = self.source.interval.levels
         return np.zeros_like(loads) if self.reference is None else self.reference.variance(loads)
 
-    def bars(self) -> tuple[Reason, ...]:
-        """Return what keeps the unit from passing whatever is found."""
+    def blocking_reasons(self) -> tuple[Reason, ...]:
+        """Return what keeps the unit from passing whatever its error is."""
         highest = float(self.source.source.reference.max())
-        barred = () if self.reference is None else self.reference.bars(highest)
-        unread = (reason(UNREADABLE, error=self.unread_audit),) if self.unread_audit else ()
-        return (*unread, *barred)
+        return () if self.reference is None else self.reference.bars(highest)
+
+    @property
+    def unreadable_audit(self) -> Reason | None:
+        """Why a file that was brought as its audit cannot be read; None where none was or it can."""
+        return reason("audit.unreadable", error=self.unread_audit) if self.unread_audit else None
 
     def line_reason(self, load_rms: float) -> Reason:
         """Say what the line adds that no recording shows, at the RMS load above rest of the unit's recording."""

@@ -3,10 +3,9 @@
 A limit is agreed before measuring; the guard bands follow ILAC-G8:09/2019. What was measured outranks a forecast.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
 
 import numpy as np
 
@@ -109,11 +108,6 @@ class Limit:
     def to_json(self) -> dict[str, object]:
         return {**vars(self), "origin": self.origin.to_json()}
 
-    @classmethod
-    def of(cls, kept: Mapping[str, Any]) -> "Limit":
-        """Read what `to_json` wrote."""
-        return cls(**{**kept, "origin": Reason.of(kept["origin"])})
-
 
 def stated_limit(unit: str, rmse: float | None) -> Limit | None:
     """Return the limit a lot states; None where it leaves it to the source's own error."""
@@ -155,14 +149,6 @@ class Judgement:
     verdict: Verdict
     reasons: tuple[Reason, ...]
 
-    def to_json(self) -> dict[str, object]:
-        return {"verdict": str(self.verdict), "reasons": [one.to_json() for one in self.reasons]}
-
-    @classmethod
-    def of(cls, kept: Mapping[str, Any]) -> "Judgement":
-        """Read what `to_json` wrote."""
-        return cls(Verdict(kept["verdict"]), tuple(map(Reason.of, kept["reasons"])))
-
 
 @dataclass(frozen=True)
 class Decision:
@@ -172,37 +158,37 @@ class Decision:
         predicted: from the forecast and the findings; alone it is conditional at best.
         measured: from an audit; it counts wherever there is one.
         sampled: from audits of other units of the lot; it counts where the unit itself was not measured.
-        bars: what keeps the unit from passing whatever was found: the reference itself cannot be relied on.
-        doubt: why its audit may not be what it is said to be: nothing is decided before that is known.
+        blocking_reasons: what keeps the unit from passing whatever its error is.
+        suspect_audit: why its audit may not be of this unit: nothing is decided before that is known.
     """
 
     predicted: Judgement
     measured: Judgement | None = None
     sampled: Judgement | None = None
-    bars: tuple[Reason, ...] = ()
-    doubt: Reason | None = None
+    blocking_reasons: tuple[Reason, ...] = ()
+    suspect_audit: Reason | None = None
 
     @property
     def verdict(self) -> Verdict:
-        if self.doubt is not None:
+        if self.suspect_audit is not None:
             return Verdict.RETEST
         known = self.measured or self.sampled
-        best = Verdict.CONDITIONAL if known is None or self.bars else Verdict.PASS
+        best = Verdict.CONDITIONAL if known is None or self.blocking_reasons else Verdict.PASS
         return worst_of([(known or self.predicted).verdict, best])
 
     @property
     def is_audited(self) -> bool:
         """Whether its error was measured, and nothing speaks against that."""
-        return self.measured is not None and self.doubt is None
+        return self.measured is not None and self.suspect_audit is None
 
     @property
     def reasons(self) -> tuple[Reason, ...]:
         """Why, most important first; where an audit changed the word, what was predicted stands behind it."""
-        if self.doubt is not None:
-            return (self.doubt, *self._found, *self.bars)
+        if self.suspect_audit is not None:
+            return (self.suspect_audit, *self._found, *self.blocking_reasons)
         if self.verdict.severity > Verdict.CONDITIONAL.severity:
-            return (*self._found, *self.bars)
-        return (*self.bars, *self._found)
+            return (*self._found, *self.blocking_reasons)
+        return (*self.blocking_reasons, *self._found)
 
     @property
     def _found(self) -> tuple[Reason, ...]:
@@ -217,21 +203,6 @@ class Decision:
         why = self.predicted.reasons[0]
         overruled = reason("predicted_otherwise", verdict=str(self.predicted.verdict), why=why)
         return (*self.measured.reasons, overruled)
-
-    def to_json(self) -> dict[str, object]:
-        others = {"measured": self.measured, "sampled": self.sampled}
-        kept = {name: None if other is None else other.to_json() for name, other in others.items()}
-        barred = {"bars": [one.to_json() for one in self.bars]} if self.bars else {}
-        doubted = {} if self.doubt is None else {"doubt": self.doubt.to_json()}
-        return {"predicted": self.predicted.to_json(), **kept, **barred, **doubted}
-
-    @classmethod
-    def of(cls, kept: Mapping[str, Any]) -> "Decision":
-        """Read what `to_json` wrote."""
-        judged = {name: kept.get(name) for name in ("predicted", "measured", "sampled")}
-        known = {name: Judgement.of(one) for name, one in judged.items() if one is not None}
-        doubt = None if kept.get("doubt") is None else Reason.of(kept["doubt"])
-        return cls(**known, bars=tuple(map(Reason.of, kept.get("bars", ()))), doubt=doubt)
 
 
 _STATED = {
@@ -257,7 +228,7 @@ def statement(error: ErrorForecast, limit: Limit) -> str:
     return "conditional fail" if error.lower <= limit.maximum_rmse else "fail"
 
 
-def decide(
+def compare_with_limit(
     error: ErrorForecast, limit: Limit, findings: tuple[Finding, ...] = (), source: str = "predicted"
 ) -> Judgement:
     """Combine an error, `predicted` or `measured`, with what was found; the worse of the words stands.
@@ -302,9 +273,9 @@ def _decide_without_limit(error: ErrorForecast, limit: Limit, findings: tuple[Fi
     return Judgement(word, (*(finding.reason for finding in ordered), said))
 
 
-def decide_audited(scores: Scores, limit: Limit, held: tuple[Finding, ...] = ()) -> Judgement:
+def compare_with_audit(scores: Scores, limit: Limit, findings: tuple[Finding, ...] = ()) -> Judgement:
     """Decide on a unit by what its audit showed of f before and after its map, in the limit's unit."""
     before, after = scores.before.rmse, scores.after.rmse
     harm = reason("harmful", after=after, before=before, unit=limit.unit)
-    findings = (Finding(harm, Verdict.FAIL),) if after > before else ()
-    return decide(scores.after.interval, limit, (*findings, *held), source="measured")
+    harmful = (Finding(harm, Verdict.FAIL),) if after > before else ()
+    return compare_with_limit(scores.after.interval, limit, (*harmful, *findings), source="measured")

@@ -24,7 +24,6 @@ from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, Mask, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import check_fits
-from softcal.core.unit.method import Method
 from softcal.core.use.adapter import QUEUES, AdaptConfig
 from softcal.core.use.batches import START, Batches, MapUpdate
 from softcal.core.use.doubt import QUEUE, due
@@ -93,7 +92,7 @@ class QueuedTransport(Batches):
         if self._queue < TAPS:
             raise InputError(f"a queue of {self._queue} is smaller than a window; give {TAPS} or more")
         self._mode, self._pool = config.mode, pool
-        self._plan = (calibration.method or Method()).map.plan
+        self._plan = calibration.method.map.plan
         self._map: UnitMap = calibration.unit_map
         is_anchored = isinstance(self._map, AnchoredMap)
         self._given = None if is_anchored else SourcePairs(source.windows, source.windows)

@@ -163,7 +163,7 @@ recordings = table(
     *keys(sha256=SHA256, lot_id=NAME, kind=String(8)),
     *needed(serial=NAME, samples=Integer, sample_rate_Hz=Double, output_unit=Text),
     *needed(output_sha256=SHA256),
-    *optional(reference_unit=Text),
+    *optional(reference_unit=Text, measured_at=UtcTime),
     Column("blob_sha256", SHA256, ForeignKey("blobs.sha256"), nullable=False),
     *needed(added_at=UtcTime),
     sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
@@ -182,20 +182,33 @@ networks = table(
     *needed(added_at=UtcTime),
 )
 
+methods = table("methods", *keys(id=SHA256), *needed(numbers=CanonicalJson))
+"""Every number that units were calibrated with, once for all units of a method."""
+
+fits = table(
+    "fits",
+    *keys(lot_id=NAME, sha256=SHA256),
+    *needed(serial=NAME),
+    Column("network_id", ForeignKey("networks.id"), nullable=False),
+    Column("method_id", ForeignKey("methods.id"), nullable=False),
+    *needed(recording_sha256=SHA256, content=CanonicalJson),
+    Column("blob_sha256", SHA256, ForeignKey("blobs.sha256"), nullable=False),
+    sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
+)
+"""What recordings gave, by the hash of their content: no act changes a fit."""
+
 calibrations = table(
     "calibrations",
     *keys(serial=NAME, revision=Integer, origin=ORIGIN),
     *needed(lot_id=NAME, made_at=UtcTime, actor=Text, reason=Text),
     *optional(rolled_back_to=Integer),
-    Column("network_id", ForeignKey("networks.id"), nullable=False),
-    *needed(family=Text, map_sha256=SHA256),
-    Column("blob_sha256", SHA256, ForeignKey("blobs.sha256"), nullable=False),
-    *needed(settings=CanonicalJson),
+    *needed(fit_sha256=SHA256, network_id=SHA256, method_id=SHA256, family=Text, map_sha256=SHA256),
+    *needed(state_sha256=SHA256, state=CanonicalJson),
     *optional(predicted_rmse=Double, before_rmse=Double, after_rmse=Double, own_rmse=Double),
-    *optional(fit_s=Double),
-    *needed(verdict=String(16), reasons=CanonicalJson, evidence=CanonicalJson, input_sha256=SHA256),
-    *needed(recording_sha256=SHA256),
+    *needed(limit_rmse=Double, is_limit_stated=sa.Boolean, is_suspect=sa.Boolean),
+    *needed(verdict=String(16), reasons=CanonicalJson, input_sha256=SHA256, recording_sha256=SHA256),
     sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
+    sa.ForeignKeyConstraint(["lot_id", "fit_sha256"], ["fits.lot_id", "fits.sha256"]),
     CheckConstraint("revision >= 1", name="revision"),
     CheckConstraint("verdict IN ('pass', 'conditional', 'fail', 'retest')", name="verdict"),
     Index("ix_calibrations_lot_id_serial", "lot_id", "serial", "made_at"),
@@ -210,6 +223,15 @@ refusals = table(
     sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     CheckConstraint("verdict IN ('fail', 'retest')", name="verdict"),
 )
+
+lot_decisions = table(
+    "lot_decisions",
+    Column("lot_id", ForeignKey("lots.id"), primary_key=True),
+    *keys(number=Integer, origin=ORIGIN),
+    *needed(made_at=UtcTime, actor=Text, reason=Text, decision=CanonicalJson),
+    CheckConstraint("number >= 1", name="number"),
+)
+"""What was decided on a lot as a whole: its correction, and the statement on the units that nobody measured."""
 
 in_use = table(
     "in_use",
@@ -351,7 +373,8 @@ deliveries = table(
 )
 
 AUDITED = tuple(
-    "lots limits line_rules units recordings networks network_releases calibrations refusals in_use adaptations "
+    "lots limits line_rules units recordings networks network_releases methods fits calibrations lot_decisions "
+    "refusals in_use adaptations "
     "certificates golden_runs".split()
 )
 """Tables whose every row stands in the audit trail, too, in the order rows may be copied."""

@@ -21,7 +21,7 @@ class Found:
         lots: rows of lots that were compared with the audit trail.
         heads: number and hash of the newest row of a chain of the trail, by registry.
         blobs: hashes of blobs that are stored.
-        networks: ids of networks that are stored.
+        networks, methods: ids of those that are stored.
         units: lot and serial of units that are registered.
         without: table, lot, serial: the unit was registered here, without such a row yet.
     """
@@ -30,6 +30,7 @@ class Found:
     heads: dict[str, tuple[int, str]] = field(default_factory=dict)
     blobs: set[str] = field(default_factory=set)
     networks: set[str] = field(default_factory=set)
+    methods: set[str] = field(default_factory=set)
     units: set[tuple[str, str]] = field(default_factory=set)
     without: set[tuple[str, str, str]] = field(default_factory=set)
 

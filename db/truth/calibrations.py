@@ -8,20 +8,24 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy import RowMapping, bindparam, func, select
 
 from softcal.core.errors import AmbiguousUnit, InputError, NoSuchNetwork, NoSuchRevision, NoSuchUnit
+from softcal.core.identity import content_sha256
 from softcal.core.words.reason import Reason, to_kept
 from softcal.db.entries import StoredCalibration
-from softcal.db.schema.arrays import get_arrays, put_arrays
+from softcal.db.schema.arrays import put_arrays
 from softcal.db.schema.database import given
-from softcal.db.schema.tables import calibrations, networks, refusals
+from softcal.db.schema.tables import calibrations, canonical_json, fits, methods, networks, refusals
 from softcal.db.truth import history
 from softcal.db.truth.in_use import NEWEST_FIRST, InUseTable, heads_of, names_several, newest_of_unit
-from softcal.db.truth.lot_pages import PLAIN_FIELDS, record_of, standing_units
+from softcal.db.truth.lot_pages import standing_units
 from softcal.db.truth.registry_base import damaged, of_row
+from softcal.db.truth.unit_states import FIT_SHA256, fits_of, state_of
 
 if TYPE_CHECKING:
-    from softcal.core.unit.calibration import CalibrationRecord
+    from softcal.core.unit.state import Fit, UnitState
 
 KNOWN_NETWORK = select(networks.c.id).where(networks.c.id == bindparam("network"))
+KNOWN_METHOD = select(methods.c.id).where(methods.c.id == bindparam("method"))
+KNOWN_FIT = select(fits.c.sha256).where(fits.c.lot_id == bindparam("lot"), fits.c.sha256 == bindparam("fit"))
 LAST_REVISION = select(
     func.max(calibrations.c.revision).label("revision"), func.max(calibrations.c.made_at).label("made_at")
 ).where(calibrations.c.serial == bindparam("unit"))
@@ -30,50 +34,126 @@ ASKING = ("batch", "line")
 """Who asks for what an input gives; all others decide about what there is."""
 
 
+def state_sha256(fit_sha256: str, adjustments: Mapping[str, Any]) -> str:
+    """Return the content hash of a state: equal states of a unit are one revision."""
+    return content_sha256({}, {"fit": fit_sha256, "state": canonical_json(adjustments)})
+
+
 class CalibrationTables(InUseTable):
     """The calibrations of every unit, and which one is in use."""
 
     def add(
         self,
         lot_id: str,
-        record: CalibrationRecord,
+        state: UnitState,
         actor: str | None = None,
         reason: str = "",
         *,
+        input_sha256: str | None = None,
         decided_by: str = "line",
         work_sha256: str | None = None,
     ) -> int:
-        """Store a calibration as the next revision of its serial and put it into use.
+        """Store a state of a unit as the next revision of its serial and put it into use.
 
         Args:
+            input_sha256: content hash of what asked for it; by default that of the revision with this fit.
             decided_by: who puts it into use. A batch and the line ask for what their input gives; what others decide
-            (release, trim) stays until another input is asked for.
+                (release, trim) stays until another input is asked for.
             work_sha256: hash of the files and settings it answers.
 
         Raises:
             InputError: the lot or the network is not registered.
         """
+        from softcal.core.unit.state_json import adjustments_to_json
+
+        fit = state.fit
         with self.database.writing():
             self._lot_row(lot_id)
-            stored, network = self.database.found.networks, record.network_id
+            stored, network = self.database.found.networks, fit.network_id
             if network not in stored:
                 if self.database.row(KNOWN_NETWORK, {"network": network}) is None:
                     raise NoSuchNetwork(f"network {network[:12]} is not in the registry; add it before its maps")
                 stored.add(network)
-            self._add_unit(lot_id, record.serial, "target", actor)
-            values = {field: getattr(record, field) for field in PLAIN_FIELDS}
-            values |= {"lot_id": lot_id, "settings": dict(record.settings), "evidence": dict(record.evidence)}
-            values |= {"reasons": [to_kept(why) for why in record.reasons], "rolled_back_to": None}
-            values["blob_sha256"] = put_arrays(self.database, record.arrays)
-            asked = record.input_sha256 if decided_by in ASKING else None
-            content = {"decided_by": decided_by, "work_sha256": work_sha256, "input_sha256": asked}
-            return self._add_revision(values, content, "calibrate", actor, reason)
+            self._add_unit(lot_id, fit.serial, "target", actor)
+            content = adjustments_to_json(state)
+            fit_sha256 = self._store_fit(lot_id, fit, actor)
+            asked = input_sha256 or self._input_of(lot_id, fit.serial, fit_sha256) or fit.id
+            values: dict[str, Any] = {
+                "serial": fit.serial,
+                "lot_id": lot_id,
+                "rolled_back_to": None,
+                "fit_sha256": fit_sha256,
+                "network_id": network,
+                "method_id": fit.method.id,
+                "family": fit.family,
+                "map_sha256": state.map_sha256,
+                "state_sha256": state_sha256(fit_sha256, content),
+                "state": content,
+                **state.errors,
+                "limit_rmse": state.limit.maximum_rmse,
+                "is_limit_stated": state.limit.is_stated,
+                "is_suspect": state.suspect_audit is not None,
+                "verdict": str(state.verdict),
+                "reasons": [to_kept(why) for why in state.decision.reasons],
+                "input_sha256": asked,
+                "recording_sha256": fit.recording_sha256,
+            }
+            named = {"decided_by": decided_by, "work_sha256": work_sha256}
+            named["input_sha256"] = asked if decided_by in ASKING else None
+            return self._add_revision(values, named, "calibrate", actor, reason)
 
-    def decide(self, stored: StoredCalibration, decided_by: str, *, actor: str | None = None, reason: str = "") -> None:
-        """Put a calibration that was made before into use, until another input is asked for."""
+    def put_state(self, lot_id: str, state: UnitState, decided_by: str, *, actor: str | None, reason: str) -> bool:
+        """Put a state of a unit into use where another one is; return whether one was.
+
+        A state that was stored before comes back as its own revision.
+        """
+        from softcal.core.unit.state_json import adjustments_to_json
+
+        c, serial = calibrations.c, state.serial
         with self.database.writing():
-            named = {"revision": stored.revision, "made_by": stored.origin}
-            self._state(stored.lot_id, stored.serial, named, {"decided_by": decided_by}, actor, reason)
+            wanted = state_sha256(self._store_fit(lot_id, state.fit, actor), adjustments_to_json(state))
+            query = select(c.revision, c.origin).where(c.lot_id == lot_id, c.serial == serial, c.state_sha256 == wanted)
+            row = self.database.row(query.order_by(*NEWEST_FIRST).limit(1))
+            if row is None:
+                self.add(lot_id, state, actor, reason, decided_by=decided_by)
+                return True
+            heads = heads_of(self.database, lot_id, serial)
+            if [(head["revision"], head["made_by"]) for head in heads] == [(row["revision"], row["origin"])]:
+                return False
+            named = {"revision": row["revision"], "made_by": row["origin"]}
+            self._state(lot_id, serial, named, {"decided_by": decided_by}, actor, reason)
+            return True
+
+    def _store_fit(self, lot_id: str, fit: Fit, actor: str | None) -> str:
+        """Store a fit once, with its method, and return its hash."""
+        if (known := FIT_SHA256.get(fit)) is not None and self._has_fit(lot_id, known):
+            return known
+        from softcal.core.unit.state_json import fit_to_json
+
+        stored = fit_to_json(fit)
+        blob = put_arrays(self.database, stored.arrays)
+        sha256 = content_sha256({}, {"content": stored.content, "blob": blob})
+        FIT_SHA256[fit] = sha256
+        if self._has_fit(lot_id, sha256):
+            return sha256
+        if fit.method.id not in self.database.found.methods:
+            if self.database.row(KNOWN_METHOD, {"method": fit.method.id}) is None:
+                self._store(methods, {"id": fit.method.id, "numbers": fit.method.to_json()}, "add", actor)
+            self.database.found.methods.add(fit.method.id)
+        values = {name: getattr(fit, name) for name in ("serial", "network_id", "recording_sha256")}
+        values |= {"lot_id": lot_id, "sha256": sha256, "method_id": fit.method.id}
+        self._store(fits, values | {"content": stored.content, "blob_sha256": blob}, "fit", actor)
+        return sha256
+
+    def _has_fit(self, lot_id: str, sha256: str) -> bool:
+        return self.database.row(KNOWN_FIT, {"lot": lot_id, "fit": sha256}) is not None
+
+    def _input_of(self, lot_id: str, serial: str, fit_sha256: str) -> str | None:
+        """Return what asked for the first revision with a fit."""
+        c = calibrations.c
+        query = select(c.input_sha256).where(c.lot_id == lot_id, c.serial == serial, c.fit_sha256 == fit_sha256)
+        first: str | None = self.database.value(query.order_by(c.revision).limit(1))
+        return first
 
     def rollback(
         self,
@@ -105,7 +185,7 @@ class CalibrationTables(InUseTable):
             before = None
             if heads and not names_several(self.database, heads):
                 used = self._revision_row(lot, serial, heads[0]["revision"], heads[0]["made_by"])
-                if (old["map_sha256"], old["blob_sha256"]) == (used["map_sha256"], used["blob_sha256"]):
+                if old["state_sha256"] == used["state_sha256"]:
                     raise InputError(f"revision {to} of {serial} is the one in use; nothing was changed")
                 before = {"revision": used["revision"], "map_sha256": used["map_sha256"]}
             values, content = {**old, "rolled_back_to": to}, {"decided_by": "rollback"}
@@ -252,5 +332,6 @@ class CalibrationTables(InUseTable):
         named = {(head["revision"], head["made_by"]) for head in (heads if is_conflict else heads[:1])}
         is_named = (row["revision"], row["origin"]) in named
         stands = {"is_current": is_named and not is_conflict, "is_conflict": is_named and is_conflict}
-        record = record_of(row, get_arrays(self.database, row["blob_sha256"]), row["settings"])
-        return of_row(StoredCalibration, row, record=record, **stands)
+        return of_row(
+            StoredCalibration, row, state=state_of(self.database, row, fits_of(self.database, [row])), **stands
+        )

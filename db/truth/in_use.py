@@ -4,7 +4,6 @@ A unit is a serial of a lot. The newest statement holds. Two registries that wer
 have made one. Where they name different maps nobody can say which is right, and a person has to.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -32,12 +31,6 @@ NEWEST_FIRST = (calibrations.c.made_at.desc(), calibrations.c.revision.desc(), c
 
 STALE = (LIMIT_IS_OTHER, LIMIT_IS_GONE) = ("stale_limit", "stale_limit_open")
 """Codes of the reasons why a verdict does not stand any more."""
-
-LIMIT_WAS_STATED = str(Reason("part.stated"))
-"""The origin that a calibration keeps of a limit that somebody stated."""
-
-RMSE, ORIGIN = "limit_rmse", "limit_origin"
-"""The first of `core.unit.judging.LIMIT_EVIDENCE`. Whoever lists units need not wait for the numerics behind it."""
 
 
 def _of_unit(table: sa.Table, *columns: Any) -> sa.Select[Any]:
@@ -194,7 +187,7 @@ def names_several(database: Database, heads: Sequence[RowMapping]) -> bool:
     named = set()
     for head in heads:
         is_named = (c.serial == head["serial"], c.revision == head["revision"], c.origin == head["made_by"])
-        named.add(tuple(database.tuples(select(c.blob_sha256, c.verdict).where(*is_named))[0]))
+        named.add(tuple(database.tuples(select(c.map_sha256, c.verdict).where(*is_named))[0]))
     return len(named) > 1
 
 
@@ -212,7 +205,7 @@ def conflicts_of(
         follower.c.follows_number == u.number,
     )
     differ = sa.or_(
-        func.min(calibrations.c.blob_sha256) != func.max(calibrations.c.blob_sha256),
+        func.min(calibrations.c.map_sha256) != func.max(calibrations.c.map_sha256),
         func.min(calibrations.c.verdict) != func.max(calibrations.c.verdict),
     )
     query = select(u.lot_id, u.serial).select_from(in_use).join(calibrations, OF_STATEMENT)
@@ -229,21 +222,14 @@ class LimitInForce:
     unit: str
 
     def is_other_in_sql(self) -> sa.ColumnElement[bool]:
-        """Return whether a calibration was judged against another limit, by its evidence; False where that has none."""
-        text = sa.type_coerce(calibrations.c.evidence, sa.Text)
-
-        def says(name: str, value: object) -> sa.ColumnElement[bool]:
-            pair = json.dumps({name: value}, separators=(",", ":"))[1:-1]
-            return sa.or_(*(text.contains(f"{pair}{end}", autoescape=True) for end in ",}"))
-
+        """Return whether a calibration was decided on against another limit."""
+        c = calibrations.c
         if self.rmse is None:
-            return says(ORIGIN, LIMIT_WAS_STATED)
-        is_this = and_(says(RMSE, self.rmse), says(ORIGIN, LIMIT_WAS_STATED))
-        return and_(text.contains(f'"{RMSE}":', autoescape=True), ~is_this)
+            return c.is_limit_stated
+        return sa.or_(~c.is_limit_stated, c.limit_rmse != self.rmse)
 
-    def why(self, evidence: Mapping[str, object]) -> Reason:
-        """Return why a verdict does not stand any more."""
-        judged = float(str(evidence[RMSE]))
+    def why(self, judged: float) -> Reason:
+        """Return why a verdict against another limit does not stand any more."""
         if self.rmse is None:
             return reason(LIMIT_IS_GONE, judged=judged, unit=self.unit)
         return reason(LIMIT_IS_OTHER, judged=judged, limit=self.rmse, unit=self.unit)
@@ -295,12 +281,8 @@ def _last(database: Database, table: sa.Table, query: sa.Select[Any], lot_id: st
 
 
 def of_this_method() -> sa.ColumnElement[bool]:
-    """Return whether a calibration was made with the method of this version, by whatever map family, as SQL.
-
-    The settings are canonical JSON text: the hash of such a method stands in it or it does not.
-    """
+    """Return whether a calibration was made with the method of this version, by whatever map family, as SQL."""
     # Whoever lists units needs none of the method's numbers.
     from softcal.core.unit.method import current_ids
 
-    settings = sa.type_coerce(calibrations.c.settings, sa.Text)
-    return sa.or_(*(settings.contains(f'"method_id":"{one}"') for one in current_ids()))
+    return calibrations.c.method_id.in_(current_ids())

@@ -5,41 +5,33 @@ One question in SQL says it for a unit, a page of a lot of any size, counts and 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import sqlalchemy as sa
 from sqlalchemy import ColumnElement, and_, case, func, select
 
 from softcal.core.errors import InputError
-from softcal.core.words.reason import DOUBT, Reason, plain
-from softcal.db.entries import UNDECIDED, UNIT_ERRORS, MadeCalibration, UnitEntry, UnitStanding
+from softcal.core.words.reason import Reason, plain
+from softcal.db.entries import UNDECIDED, UNIT_ERRORS, CalibrationSummary, UnitEntry, UnitStanding
 from softcal.db.schema.database import Database, given, parts
 from softcal.db.schema.tables import calibrations, in_use, refusals, units
 from softcal.db.truth import history
 from softcal.db.truth.in_use import (
     OF_STATEMENT,
+    STALE,
     conflict_line,
     conflicts_of,
     limit_in_force,
     of_this_method,
 )
 from softcal.db.truth.registry_base import RegistryBase, damaged, of_row
-
-if TYPE_CHECKING:
-    from softcal.core.identity import Settings
-    from softcal.core.unit.calibration import CalibrationRecord
-
-PLAIN_FIELDS = tuple(
-    "serial network_id family map_sha256 predicted_rmse before_rmse after_rmse own_rmse fit_s verdict input_sha256 "
-    "recording_sha256".split()
-)
-"""Fields of `CalibrationRecord` that are columns as they are."""
+from softcal.db.truth.unit_states import fits_of, state_of
 
 SORTABLE = ("serial", "verdict", "made_at", "family", *UNIT_ERRORS)
-MADE_FIELDS = ("revision", "family", "map_sha256", *UNIT_ERRORS)
+MADE_FIELDS = ("revision", "family", "map_sha256", "state_sha256", *UNIT_ERRORS)
 
 MOST_FOUND = 50
 """So many serials a search offers."""
@@ -138,29 +130,34 @@ class LotPages(RegistryBase):
             entries = [standing.entry(row) for row in self.database.rows(query)]
         return UnitPage(tuple(entries), int(total))
 
-    def standings(self, lot_id: str, serials: Sequence[str]) -> dict[str, UnitStanding]:
+    def standings(self, lot_id: str, serials: Sequence[str], *, has_stale: bool = False) -> dict[str, UnitStanding]:
         """Return where units of a lot stand, as a report needs it.
 
         A unit with a conflict is to be decided by a person: its verdict is retest. So is that of
         one judged against another limit than the one in force.
+
+        Args:
+            has_stale: whether a unit that was judged against another limit has its summary all the same.
         """
         standings: dict[str, UnitStanding] = {}
         c = calibrations.c
-        columns = [*(c[name] for name in PLAIN_FIELDS), c.revision, c.settings, c.reasons, c.evidence]
         for part in parts(serials):
             with self.database.reading():
                 stands = standing_units(self.database, lot_id, part)
+                stands = [(unit, is_made or (has_stale and is_stale(unit))) for unit, is_made in stands]
                 named = [(unit.serial, unit.revision) for unit, is_made in stands if is_made]
-                query = select(*columns).where(c.lot_id == lot_id, sa.tuple_(c.serial, c.revision).in_(named))
-                # Two registries may have made a revision of this number: the map tells which.
-                rows = {(row["serial"], row["map_sha256"]): row for row in self.database.rows(query)}
+                query = select(calibrations).where(c.lot_id == lot_id, sa.tuple_(c.serial, c.revision).in_(named))
+                # Two registries may have made a revision of this number: the state tells which.
+                rows = {(row["serial"], row["state_sha256"]): row for row in self.database.rows(query)}
+                found = fits_of(self.database, list(rows.values()))
             for unit, is_made in stands:
                 if unit.verdict is not None and unit.made_at is not None:
-                    made, row = None, rows.get((unit.serial, unit.map_sha256))
+                    summary, row = None, rows.get((unit.serial, unit.state_sha256))
                     if is_made and row is not None:
-                        made = MadeCalibration.of(record_of(row, {}, row["settings"]), row["revision"])
+                        state = state_of(self.database, row, found, has_arrays=False)
+                        summary = CalibrationSummary(state, row["revision"], row["map_sha256"])
                     stated = (unit.verdict, unit.reasons, unit.made_at)
-                    standings[unit.serial] = UnitStanding(unit.serial, *stated, made)
+                    standings[unit.serial] = UnitStanding(unit.serial, *stated, summary)
         return standings
 
     def find_serials(self, text: str) -> list[str]:
@@ -192,7 +189,7 @@ class LotPages(RegistryBase):
             self._lot_row(lot_id)
             table = StandingQuery(self.database, lot_id).table(role="target")
             predicted, *audited = (table.c[name] for name in UNIT_ERRORS)
-            measured = [case((table.c.is_doubted, None), else_=error) for error in audited]
+            measured = [case((table.c.is_suspect, None), else_=error) for error in audited]
             query = select(table.c.revision, table.c.serial, table.c.verdict, predicted, *measured)
             # Asked for in SQL, "with a map" makes PostgreSQL read the calibrations of all lots.
             rows = self.database.tuples(query.order_by(table.c.serial))
@@ -238,8 +235,8 @@ class StandingQuery:
             # What is left out of an entry.
             "is_made": and_(is_stated, ~is_undecided),
             "is_refused": is_refused,
-            "is_doubted": sa.type_coerce(c.c.reasons, sa.Text).contains(f'"code":"{DOUBT}'),
-            "evidence": case((is_unjudged, c.c.evidence), else_=None),
+            "is_suspect": c.c.is_suspect,
+            "judged_by": case((is_unjudged, c.c.limit_rmse), else_=None),
         }
         stated = units.outerjoin(u, and_(_is_of_unit(u), _is_newest(u, ("made_at", "number", "origin"))))
         refused = and_(_is_of_unit(r), _is_newest(r, ("made_at", "origin")))
@@ -254,11 +251,16 @@ class StandingQuery:
             raise damaged(f"unit {serial} of lot {self.lot_id}: the calibration in use was not found")
         if row["is_conflict"] and not row["is_refused"]:
             reasons: tuple[Reason, ...] = (plain(conflict_line(self.database, self.lot_id, serial)),)
-        elif row["evidence"] is not None:
-            reasons = (self.limit.why(row["evidence"]),)
+        elif row["judged_by"] is not None:
+            reasons = (self.limit.why(row["judged_by"]),)
         else:
             reasons = tuple(map(Reason.of, row["reasons"] or ()))
         return of_row(UnitEntry, row, reasons=reasons)
+
+
+def is_stale(unit: UnitEntry) -> bool:
+    """Return whether a unit was decided on against another limit than the one in force."""
+    return bool(unit.reasons) and unit.reasons[0].code in STALE
 
 
 def standing_units(
@@ -274,20 +276,6 @@ def standing_units(
         if lost := sorted({*database.values(query.distinct())} - known):
             raise damaged(f"unit {lost[0]} of lot {lot_id} has a result and was not found itself")
     return [(standing.entry(row), bool(row["is_made"])) for row in rows]
-
-
-def record_of(row: sa.RowMapping, arrays: Mapping[str, Any], settings: Settings) -> CalibrationRecord:
-    """Return the calibration of a row, with the arrays and settings that belong to it."""
-    # Whoever lists units needs none.
-    from softcal.core.unit.calibration import CalibrationRecord
-
-    return CalibrationRecord(
-        **{field: row[field] for field in PLAIN_FIELDS},
-        arrays=arrays,
-        settings=settings,
-        reasons=tuple(map(Reason.of, row["reasons"])),
-        evidence=row["evidence"],
-    )
 
 
 def _is_of_unit(table: sa.Table) -> ColumnElement[bool]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from datetime import datetime
 from typing import TYPE_CHECKING, cast
 
 from sqlalchemy import RowMapping, and_, bindparam, or_, select
@@ -30,9 +31,18 @@ KINDS = ("source", "unit", "audit")
 class RecordingTables(RegistryBase):
     """Recordings, by the hash of their content."""
 
-    def add(self, lot_id: str, recording: Recording, kind: str, *, actor: str | None = None) -> str:
+    def add(
+        self,
+        lot_id: str,
+        recording: Recording,
+        kind: str,
+        *,
+        actor: str | None = None,
+        measured_at: datetime | None = None,
+    ) -> str:
         """Store a recording of kind source, unit or audit once, with its unit; return its content hash.
 
+        `measured_at` is when it was measured, UTC, by its own stamps or as stated; None where nobody says.
         Only a `unit` recording has no reference. `InputError`: the lot is not registered.
         """
         if kind not in KINDS or (kind == "unit") == ("reference" in recording.arrays()):
@@ -48,7 +58,7 @@ class RecordingTables(RegistryBase):
                 facts = {"sha256": sha256, "lot_id": lot_id, "kind": kind, "samples": len(recording)}
                 facts["output_sha256"] = recording.output_sha256
                 values = facts | recording.settings() | {"blob_sha256": blob, "added_at": self.settings.clock()}
-                self._store(recordings, {"reference_unit": None} | values, "add", actor)
+                self._store(recordings, {"reference_unit": None, "measured_at": measured_at} | values, "add", actor)
             return sha256
 
     def get(self, sha256: str) -> Recording:

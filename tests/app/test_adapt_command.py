@@ -111,7 +111,7 @@ def test_source_of_the_lot_has_the_identity_as_its_map(bench: Path, tmp_path: Pa
     estimate, reference = pd.read_csv(tmp_path / "out.csv")["estimate"], pd.read_csv(source)["reference"]
     assert np.sqrt(np.nanmean((estimate - reference) ** 2)) < 0.3
     with open_registry(url(bench)) as registry:
-        assert registry.calibrations.get("A0").record.family == "identity"
+        assert registry.calibrations.get("A0").state.fit.family == "identity"
 
 
 def test_registry_keeps_every_map_once_however_often_a_file_is_run(bench: Path, stream: Path, tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from softcal.app.batch.audit import lot_audit
-from softcal.app.batch.release import doubted_record
 from softcal.app.texts.catalogue import text
 from softcal.app.views.alerts import Alert
 from softcal.app.views.lot import lot_view
@@ -59,7 +58,7 @@ def test_recordings_are_looked_at_and_what_cannot_audit_a_unit_says_why(
     assert not screen.exception and not screen.error
     with open_registry(calibrated) as registry:
         assert {entry.serial for entry in registry.recordings.of_lot("small", kind="audit")} == kept | {"A1"}
-        assert registry.calibrations.get("A1", lot_id="small").record.after_rmse is not None
+        assert registry.calibrations.get("A1", lot_id="small").state.errors["after_rmse"] is not None
         assert any(row.actor == "Erin" for row in registry.trail.rows())
 
 
@@ -101,13 +100,9 @@ def test_every_audited_unit_is_listed_and_one_in_doubt_is_confirmed_with_a_reaso
 ) -> None:
     with open_registry(calibrated) as registry:
         audited = sorted(entry.serial for entry in registry.recordings.of_lot("small", kind="audit"))
-        made = registry.pages.standings("small", audited)[audited[0]].made
-        assert made is not None
-        stored = registry.calibrations.get(audited[0], lot_id="small")
-        record = stored.record
-        fitted = replace(record, evidence={**record.evidence, "base_revision": float(stored.revision)})
-        doubted = doubted_record(fitted, Reason("doubt.gain", {"gain": 0.01, "usual": 1.0, "others": 5}))
-        registry.calibrations.add("small", doubted, decided_by="release")
+        state = registry.calibrations.get(audited[0], lot_id="small").state
+        suspect = replace(state, suspect_audit=Reason("doubt.gain", {"gain": 0.01, "usual": 1.0, "others": 5}))
+        registry.calibrations.add("small", suspect, decided_by="release")
     screen = show(calibrated, "audit", lot="small")
     assert sorted(screen.table[-1].value.iloc[:, 0]) == audited
     key = f"reason-text-confirm-{audited[0]}"
@@ -121,4 +116,5 @@ def test_every_audited_unit_is_listed_and_one_in_doubt_is_confirmed_with_a_reaso
     with open_registry(calibrated) as registry:
         assert len(registry.trail.of("audit_doubt", ("small",))) == 1
         standing = registry.pages.standings("small", audited)[audited[0]]
-        assert standing.verdict == record.verdict and standing.made is not None and standing.made.is_audited
+        assert standing.verdict == state.verdict and standing.summary is not None
+        assert standing.summary.state.decision.is_audited

@@ -145,7 +145,7 @@ def test_a_unit_that_kills_its_worker_is_named_and_the_rest_is_done(
     with open_registry(registry_url) as registry:
         report = run_batch(open_lot_folder(folder), registry, config)
         assert registry.verify() == []
-    lost = {unit.serial: unit.reasons for unit in report.units if unit.made is None}
+    lost = {unit.serial: unit.reasons for unit in report.units if unit.summary is None}
     assert list(lost) == ["A5"] and len(lost["A5"]) == 1
     assert len(kept(registry_url)) == UNITS - 1
 
@@ -193,7 +193,7 @@ def test_every_file_is_read_once_and_nothing_made_is_read_back(
     config = BatchConfig(network=NetworkConfig(hidden=(16, 8)), score_own=False)
     with open_registry(registry_url) as registry:
         # What the audits then say of the lot is another matter.
-        monkeypatch.setattr("softcal.app.batch.batch.judge_lot", lambda *_: None)
+        monkeypatch.setattr("softcal.app.batch.batch.decide_lot", lambda *_: None)
         run_batch(open_lot_folder(folder), registry, config)
     files = [f"units/A{k}.csv" for k in range(1, UNITS + 1)] + [f"audit/A{k}.csv" for k in (1, 2, 3)]
     assert sorted(read) == sorted(files)

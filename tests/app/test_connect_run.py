@@ -28,6 +28,8 @@ from softcal.app.connect.settings import ConnectSettings, OpcUaSettings, read_se
 from softcal.app.rest.server import ServingOptions
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
+from softcal.core.maps.affine_map import AffineMap
+from softcal.core.maps.interface import map_sha256
 from softcal.core.words.reason import plain
 from softcal.db.care.sync import synchronise
 from softcal.db.connection import open_registry
@@ -219,9 +221,10 @@ def test_a_conflict_of_two_registries_is_told_as_retest(calibrated, tmp_path):
     with open_registry(calibrated) as here, open_registry(f"sqlite:///{other}") as there:
         for registry, reason in ((here, "here"), (there, "there")):
             newest = registry.calibrations.get("A1", lot_id=lot)
-            gain = {name: value * (1.1 if reason == "here" else 1.2) for name, value in newest.record.arrays.items()}
-            changed = replace(newest.record, arrays=gain, map_sha256=reason.ljust(64, "0"), input_sha256="b" * 64)
-            registry.calibrations.add(lot, changed)
+            scale = AffineMap(1.1 if reason == "here" else 1.2, 0.0)
+            fitted = replace(newest.state.fit.fitted, unit_map=scale)
+            fit = replace(newest.state.fit, fitted=fitted, family="affine", map_sha256=map_sha256(scale), id=reason)
+            registry.calibrations.add(lot, replace(newest.state, fit=fit))
         synchronise(here, there)
         (unit,) = here.lots.units(lot, "A1")
         assert unit.is_conflict

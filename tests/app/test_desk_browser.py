@@ -126,11 +126,11 @@ def long_names(desk: tuple[str, str]) -> tuple[str, str, str]:
     address, url = desk
     lot_id, serial = LONG
     with open_registry(url) as registry:
-        lot, known = registry.lots.get("small"), registry.calibrations.get("A1").record
+        lot, state = registry.lots.get("small"), registry.calibrations.get("A1").state
         registry.lots.add(replace(lot, id=lot_id))
         source = registry.recordings.get(registry.recordings.of_lot("small", kind="source")[-1].sha256)
         registry.recordings.add(lot_id, source, "source")
-        registry.calibrations.add(lot_id, replace(known, serial=serial, verdict="fail"))
+        registry.calibrations.add(lot_id, replace(state, fit=replace(state.fit, serial=serial)))
     return address, lot_id, serial
 
 

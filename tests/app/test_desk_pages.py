@@ -58,7 +58,7 @@ def test_a_limit_is_set_with_its_reason_and_lands_in_the_audit_trail(calibrated:
     with open_registry(calibrated) as registry:
         limit, rows = registry.lots.limit("small"), registry.trail.rows()
         units = [unit for unit in registry.lots.units("small") if unit.revision is not None]
-        judged = [registry.calibrations.get(unit.serial, lot_id="small").record.limit_rmse for unit in units]
+        judged = [registry.calibrations.get(unit.serial, lot_id="small").state.limit.maximum_rmse for unit in units]
     assert limit is not None and limit.rmse == 0.25
     assert ("Erin", "set_limit", "drawing D 117 rev. B") in [(row.actor, row.action, row.reason) for row in rows]
     assert judged and set(judged) == {0.25}
@@ -133,9 +133,9 @@ def test_networks_and_families_are_compared_on_the_lot(calibrated: str, show, jo
 @pytest.mark.long
 def test_a_rollback_needs_a_reason_and_stays_in_the_history(calibrated: str, show) -> None:
     with open_registry(calibrated) as registry:
-        record = registry.calibrations.get("A1").record
-        arrays = {name: array * 1.01 if "map" in name else array for name, array in record.arrays.items()}
-        registry.calibrations.add("small", replace(record, arrays=arrays, map_sha256="b" * 64))
+        state = registry.calibrations.get("A1").state
+        fit = replace(state.fit, load_rms=1.01 * state.fit.load_rms)
+        registry.calibrations.add("small", replace(state, fit=fit))
     screen = show(calibrated, "unit", unit="A1")
     screen.text_input(key="reason-text-rollback-A1-1").set_value("wrong fixture in week 47")
     press(screen, "unit.rollback.do")

@@ -49,14 +49,14 @@ def test_figure_shows_forecast_against_limit_and_all_panels(url: str) -> None:
         view = unit_view(registry, "A1")
     figure = why_figure(view, palette("light"), partial(text, "en"))
     diamond = next(trace for trace in figure.data if trace.name == text("en", "column.predicted"))
-    assert diamond.x[0] == pytest.approx(view.calibration.predicted_rmse)
+    assert diamond.x[0] == pytest.approx(view.stored.state.predicted_rmse)
     assert [line.x0 for line in figure.layout.shapes] == [view.explanation.limit]
     assert figure.layout.xaxis.range[1] > max(view.explanation.limit, *diamond.x, *figure.data[0].x)
     drawn = [trace for trace in figure.data if trace.xaxis == "x2" and trace.x[0] is not None]
     edges = view.explanation.density_edges
     assert {(trace.x[0], trace.x[-1]) for trace in drawn} == {(edges[0], edges[-1])}
     assert len({trace.xaxis for trace in figure.data}) == 4
-    assert str(view.calibration.decision.reasons[0])[:40] in figure.layout.title.text
+    assert str(view.stored.state.decision.reasons[0])[:40] in figure.layout.title.text
 
 
 def test_a_figure_file_that_is_no_page_is_refused(url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

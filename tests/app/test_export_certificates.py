@@ -38,7 +38,7 @@ from softcal.core.unit.budget import SIMULATED, Reference, measured_budget
 from softcal.core.unit.estimate import Estimate
 from softcal.core.unit.measured_error import MeasuredError, Scores
 from softcal.core.unit.uncertainty import ErrorForecast
-from softcal.core.unit.verdict import Limit, decide_audited, default_limit
+from softcal.core.unit.verdict import Limit, compare_with_audit, default_limit
 from tests.app.pdf_text import read_fonts, read_pages, read_text
 
 CELL = Reference(
@@ -207,7 +207,7 @@ def _drawn(facts: Certificate, rng: np.random.Generator) -> Certificate:
     after = limit.maximum_rmse * float(rng.uniform(0.6, 1.3))
     before, rows = float(rng.uniform(1, 2)), int(rng.integers(50, 3000))
     scores = Scores(MeasuredError(before, rows), MeasuredError(after, rows))
-    judged, measured = decide_audited(scores, limit), scores.after.interval
+    judged, measured = compare_with_audit(scores, limit), scores.after.interval
     return replace(facts, limit=limit, measured=measured, verdict=str(judged.verdict))
 
 

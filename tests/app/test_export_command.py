@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,10 @@ from softcal.app.export.signature import open_signing_key, trusted_keys
 from softcal.core.errors import InputError
 from softcal.core.export.json_text import network_from_values, unit_from_values
 from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE, open_sensor
+from softcal.core.unit.state import FittedMap
+from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
+from softcal.core.unit.verdict import Finding, Verdict
+from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 
 FORMATS = ("json", "c", "blob", "hex", "onnx", "pdf", "dcc")
@@ -107,7 +112,7 @@ def test_onnx_agrees_with_the_float_model_and_carries_its_facts(run: Run, calibr
     assert np.abs(source_window - mapped).max() < 1e-5
     facts = {prop.key: prop.value for prop in onnx.load(path).metadata_props}
     assert (facts["serial"], facts["network_id"]) == ("A2", unit.network.id)
-    assert facts["map_sha256"] == unit.stored.record.map_sha256
+    assert facts["map_sha256"] == unit.stored.state.map_sha256
     assert (facts["window_period_ms"], facts["window_longest_step_ms"]) == ("20.0", "30")
 
 
@@ -175,12 +180,15 @@ def test_the_json_holds_the_calibration_without_loss(run: Run, calibrated: str, 
     run("--serial", "A1", "--format", "json")
     values = json.loads((tmp_path / "out" / "unit-A1.json").read_text())["calibration"]
     with open_registry(calibrated) as registry:
-        record = registry.calibrations.get("A1").record
-    for name, array in record.arrays.items():
+        state = registry.calibrations.get("A1").state
+    in_force = FittedMap(state.unit_map, state.interval, state.fit.fitted.output_limits)
+    stored_fit = fit_to_json(replace(state.fit, fitted=in_force))
+    for name, array in stored_fit.arrays.items():
         stored = values["arrays"][name]
         back = np.array(stored["values"], dtype=stored["dtype"]).reshape(stored["shape"])
         assert np.array_equal(back, array)
-    assert values["settings"] == record.settings
+    assert values["fit"] == json.loads(json.dumps(stored_fit.content))
+    assert values["state"] == json.loads(json.dumps(adjustments_to_json(state)))
 
 
 def test_a_lot_shares_one_network_and_one_manifest(run: Run, tmp_path: Path) -> None:
@@ -377,14 +385,13 @@ def test_a_key_that_cannot_sign_is_refused_before_anything_is_written(
 
 def _with_verdict(calibrated: str, folder: Path, verdict: str) -> str:
     """A copy of the registry in which A1's newest calibration has another verdict."""
-    from dataclasses import replace
-
     copy = folder / "failed.db"
     shutil.copy(calibrated.removeprefix("sqlite:///"), copy)
     with open_registry(f"sqlite:///{copy}") as registry:
         stored = registry.calibrations.get("A1")
-        record = replace(stored.record, verdict=verdict, reasons=("bent in the press",))
-        registry.calibrations.add(stored.lot_id, record, reason="test")
+        bent = Finding(plain("bent in the press"), Verdict(verdict))
+        fit = replace(stored.state.fit, rule_findings=(bent,))
+        registry.calibrations.add(stored.lot_id, replace(stored.state, fit=fit), reason="test")
     return f"sqlite:///{copy}"
 
 

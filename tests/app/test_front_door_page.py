@@ -115,7 +115,7 @@ def test_dropped_files_become_a_calibrated_lot_and_what_is_broken_is_left_out_wi
         counts = registry.pages.verdict_counts("mine")
         assert sum(counts.values()) == 2 and counts["none"] == 0
         assert {run.serial for run in registry.lots.runs("mine")} == {"A1", "A2"}
-        assert all(registry.calibrations.get(serial).record.after_rmse is not None for serial in ("A1", "A2"))
+        assert all(registry.calibrations.get(serial).state.errors["after_rmse"] is not None for serial in ("A1", "A2"))
         assert registry.trail.rows()[0].actor in ("Erin", "test")
 
 

@@ -72,7 +72,7 @@ def press_product(keeper, press_unit, serial="B1"):
 
 
 def bridges(stored: StoredCalibration) -> set[str]:
-    return {why.code for why in stored.record.reasons if why.code.startswith("bridge.")}
+    return {why.code for why in stored.state.decision.reasons if why.code.startswith("bridge.")}
 
 
 def batched(folder: Path, url: str, out: Path) -> dict[str, dict[str, object]]:
@@ -88,7 +88,7 @@ def test_a_unit_is_calibrated_over_the_golden_run_of_its_sitting(registry, keepe
     made = registry.calibrations.get("B1")
     assert bridges(made) == {"bridge.measured"}
     (golden,) = registry.recordings.of_lot("small", "A0", "audit")
-    assert golden_of(registry, "small", ["B0", "B1"]) == {made.record.recording_sha256: ("B1", golden.sha256)}
+    assert golden_of(registry, "small", ["B0", "B1"]) == {made.state.fit.recording_sha256: ("B1", golden.sha256)}
     assert registry.stations.golden_runs()[-1].recording_sha256 == golden.sha256
 
 
@@ -97,7 +97,7 @@ def test_whoever_calibrates_that_recording_again_crosses_the_same_bridge(
 ):
     press_golden(keeper, press_unit)
     press_product(keeper, press_unit)
-    made = registry.calibrations.get("B1").record
+    made = registry.calibrations.get("B1").state
     with lot_files(registry, "small", lambda done, of: None) as folder:
         again = batched(folder.root, registry_url, tmp_path / "again.json")
     assert (again["B1"]["is_new"], again["B1"]["map"]["sha256"]) == (False, made.map_sha256)
@@ -108,7 +108,7 @@ def test_whoever_calibrates_that_recording_again_crosses_the_same_bridge(
 def test_a_lot_that_is_laid_out_takes_its_golden_run_along(registry, keeper, press_unit, tmp_path):
     press_golden(keeper, press_unit)
     press_product(keeper, press_unit)
-    made = registry.calibrations.get("B1").record
+    made = registry.calibrations.get("B1").state
     written = write_lot_folder(registry, "small", tmp_path / "one")
     assert written["golden"] == ["A0"] and written["audit"] == []
     elsewhere = f"sqlite:///{tmp_path / 'elsewhere.db'}"
@@ -194,7 +194,7 @@ def test_line_batch_and_comparison_calibrate_a_recording_over_one_golden_run(
     if is_pressed_first or beside != "under the load cell":
         keeper.keep(order, run, quiet)
     batched(lot_folder, registry_url, tmp_path / "batch.json")
-    made = registry.calibrations.get("B1").record
+    made = registry.calibrations.get("B1")
     # The sitting goes on: a newer golden run is none of this recording's.
     newer = pressed(press_unit, "A0", seed=71, is_golden=True)
     keeper.keep(Order("g2", "s1", OrderKind.GOLDEN, "A0"), newer, quiet)
@@ -203,8 +203,8 @@ def test_line_batch_and_comparison_calibrate_a_recording_over_one_golden_run(
     with lot_files(registry, "small", lambda done, of: None) as folder:
         laid_out = batched(folder.root, registry_url, tmp_path / "laid_out.json")
     assert not again["B1"]["is_new"] and not laid_out["B1"]["is_new"]
-    now = registry.calibrations.get("B1").record
-    assert (now.input_sha256, now.map_sha256) == (made.input_sha256, made.map_sha256)
-    asked = {"lot": "small", "networks": [made.network_id], "families": [MapConfig().family], "units": 1}
+    now = registry.calibrations.get("B1")
+    assert (now.input_sha256, now.state.map_sha256) == (made.input_sha256, made.state.map_sha256)
+    asked = {"lot": "small", "networks": [made.state.fit.network_id], "families": [MapConfig().family], "units": 1}
     (row,) = compare_on_lot(registry, asked, lambda *_: None)
-    assert row["predicted"] == made.predicted_rmse
+    assert row["predicted"] == made.state.predicted_rmse

@@ -53,8 +53,8 @@ def test_a_reference_without_a_certificate_that_held_lets_no_unit_pass(lot_folde
     restated(lot_folder, NAMED.format(used_on="2026-06-01") + rough)
     assert judged(lot_folder, registry_url) == ({"conditional"}, "reference_uncertain")
     with open_registry(registry_url) as registry:
-        record = registry.calibrations.get("A1").record
-        assert record.reference == lot_reference(registry, "small")
+        fit = registry.calibrations.get("A1").state.fit
+        assert fit.reference == lot_reference(registry, "small")
         assert len(registry.trail.of("lot_reference", ("small",))) == 5
 
 

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from softcal.app.batch import lot_work
-from softcal.app.batch.calibrating import Known, LotFacts, Refusal
+from softcal.app.batch.calibrating import Calibrated, Known, LotFacts, Refusal
 from softcal.app.batch.known import KeptFacts
 from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
 from softcal.app.batch.unit_work import ChunkOutcome, UnitOutcome
@@ -28,8 +28,8 @@ from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.network.network import Network
-from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.method import Method
+from softcal.core.unit.state import UnitState
 from softcal.core.unit.verdict import Verdict
 from softcal.core.words.reason import plain
 from softcal.db.care.backup import back_up, restore
@@ -37,12 +37,13 @@ from softcal.db.care.sync import synchronise
 from softcal.db.connection import open_registry
 from softcal.db.truth.calibrations import CalibrationTables
 from softcal.db.truth.registry_base import RegistrySettings
+from tests.unit_states import state_of
 
 pytestmark = pytest.mark.long
 
 SERIALS, SIDES = ("A1", "A2"), ("station", "centre")
 BAD = 0
-LOT = Lot("L1", "S0", 50.0)
+LOT = Lot("L1", "S0", 50.0, limit_rmse=2.0)
 NETWORK = Network((np.zeros((15, 1)),), (np.zeros(1),), 0.0, 1.0, 0.0, 1.0)
 FACTS = LotFacts((SimpleNamespace(network=NETWORK, method=Method()),))
 
@@ -51,11 +52,8 @@ def input_of(serial: str, number: int) -> str:
     return content_sha256({}, {"serial": serial, "number": number})
 
 
-def record(serial: str, number: int) -> CalibrationRecord:
-    arrays = {"map.gain": np.array([float(number)])}
-    sha256 = content_sha256(arrays, {})
-    inputs = input_of(serial, number), sha256
-    return CalibrationRecord(serial, NETWORK.id, "affine", sha256, arrays, {}, 0.1, "pass", (plain("fine"),), *inputs)
+def unit_state(serial: str, number: int) -> UnitState:
+    return state_of(serial, NETWORK.id, "c" * 64, number)
 
 
 def fake_work(shared, chunk):
@@ -68,7 +66,7 @@ def fake_work(shared, chunk):
         elif input_of(task.serial, number) in task.known:
             result = Known(input_of(task.serial, number))
         else:
-            result = record(task.serial, number)
+            result = Calibrated(unit_state(task.serial, number), input_of(task.serial, number))
         units.append(UnitOutcome(task.item_id, task.serial, result))
     return ChunkOutcome(tuple(units), 0.0)
 
@@ -214,11 +212,11 @@ class OneAnswerMachine(RuleBasedStateMachine):
 
     @rule(side=st.sampled_from(SIDES), serial=st.sampled_from(SERIALS), number=st.integers(1, 2))
     def press(self, side: str, serial: str, number: int) -> None:
-        registry, made = self.registries[side], record(serial, number)
-        if registry.calibrations.find(serial, made.input_sha256, lot_id="L1") is None:
-            registry.calibrations.add("L1", made)
+        registry, asked = self.registries[side], input_of(serial, number)
+        if registry.calibrations.find(serial, asked, lot_id="L1") is None:
+            registry.calibrations.add("L1", unit_state(serial, number), input_sha256=asked)
         else:
-            registry.calibrations.put_in_use("L1", serial, made.input_sha256, "line")
+            registry.calibrations.put_in_use("L1", serial, asked, "line")
         self.put(side, serial, number, None)
 
     @rule(side=st.sampled_from(SIDES), serial=st.sampled_from(SERIALS), which=st.integers(0, 5))
@@ -227,7 +225,7 @@ class OneAnswerMachine(RuleBasedStateMachine):
             return
         history = self.registries[side].calibrations.history(serial)
         old = history[which % len(history)]
-        number = int(old.record.arrays["map.gain"][0])
+        number = round(old.state.fit.fitted.unit_map.gain - 1)
         numbers = {head.number for head in self.heads(side, serial)}
         try:
             self.registries[side].calibrations.rollback(serial, old.revision, origin=old.origin, reason="test")
@@ -269,7 +267,7 @@ class OneAnswerMachine(RuleBasedStateMachine):
                 assert listed.get(serial) == self.verdict(side, serial)
                 numbers = {head.number for head in self.heads(side, serial)}
                 try:
-                    used = {int(registry.calibrations.get(serial).record.arrays["map.gain"][0])}
+                    used = {round(registry.calibrations.get(serial).state.fit.fitted.unit_map.gain - 1)}
                 except InputError:
                     assert len(numbers) != 1
                 else:

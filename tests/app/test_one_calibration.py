@@ -86,13 +86,13 @@ def test_a_unit_pressed_on_the_line_and_batched_anywhere_has_one_calibration(
     with open_registry(other_url) as registry:
         for serial, stored in made.items():
             (only,) = registry.calibrations.history(serial)
-            assert (only.revision, only.record.input_sha256) == (1, stored.record.input_sha256)
-            assert only.record.fit_s and only.record.fit_s > 0
+            assert (only.revision, only.input_sha256) == (1, stored.input_sha256)
+            assert only.state.fit.fit_s and only.state.fit.fit_s > 0
             for report in (here, there):
                 assert not report[serial]["is_new"]
-                kept = {"family": stored.record.family, "revision": 1, "sha256": stored.record.map_sha256}
+                kept = {"family": stored.state.fit.family, "revision": 1, "sha256": stored.state.map_sha256}
                 assert report[serial]["map"] == kept
-                assert report[serial]["verdict"] == stored.record.verdict
+                assert report[serial]["verdict"] == stored.state.verdict
 
 
 KNOWN = ("nothing", "spread of the line", "audit", "loads", "golden run", "another source")
@@ -128,12 +128,12 @@ def test_whoever_calibrates_a_recording_starts_from_the_same(
     columns = [("t_s", unit.t_s), ("output", unit.output), ("stage_mm", unit.stage_mm)]
     write_columns(lot_folder / "units/A1.csv", columns)  # type: ignore[arg-type]
     batched(lot_folder, registry_url, tmp_path / "batch.json")
-    (made,) = (one.record for one in registry.calibrations.history("A1") if one.revision == 1)
+    (made,) = (one for one in registry.calibrations.history("A1") if one.revision == 1)
     keeper.keep(Order("o", "s1", OrderKind.UNIT, "A1", "small"), run, say)
-    assert [one.record.input_sha256 for one in registry.calibrations.history("A1")] == [made.input_sha256]
-    asked = {"lot": "small", "networks": [made.network_id], "families": [MapConfig().family], "units": 1}
+    assert [one.input_sha256 for one in registry.calibrations.history("A1")] == [made.input_sha256]
+    asked = {"lot": "small", "networks": [made.state.fit.network_id], "families": [MapConfig().family], "units": 1}
     (row,) = compare_on_lot(registry, asked, lambda *_: None)
-    assert (row["predicted"], row["after"]) == (made.predicted_rmse, made.after_rmse)
+    assert (row["predicted"], row["after"]) == (made.state.predicted_rmse, made.state.errors["after_rmse"])
     with lot_files(registry, "small", lambda *_: None) as folder:
         again = batched(folder.root, registry_url, tmp_path / "again.json")
     assert not again["A1"]["is_new"]
@@ -148,8 +148,8 @@ def test_a_worker_and_python_start_from_the_same(what, lot_folder, registry_url,
     elsewhere = f"sqlite:///{shutil.copy(tmp_path / 'registry.db', tmp_path / 'two.db')}"
     batched(lot_folder, elsewhere, tmp_path / "two.json", "--jobs", "2", "--refit")
     with open_registry(registry_url) as one, open_registry(elsewhere) as two:
-        made, by_worker = one.calibrations.history("A1")[0].record, two.calibrations.history("A1")[-1].record
-        network = one.networks.get(made.network_id)
+        made, by_worker = one.calibrations.history("A1")[0], two.calibrations.history("A1")[-1]
+        network = one.networks.get(made.state.fit.network_id)
     assert by_worker.input_sha256 == made.input_sha256
     if what not in ("nothing", "audit", "loads"):
         return
@@ -165,7 +165,7 @@ def test_a_worker_and_python_start_from_the_same(what, lot_folder, registry_url,
     anchors = pd.read_csv(lot_folder / "anchors.csv") if what == "loads" else None
     in_python = softcal.fit_map(source, read["unit"], anchors=anchors, audit=read.get("audit"))
     assert source.network.id == network.id
-    assert in_python.calibration.to_record("", "", 0.0).map_sha256 == made.map_sha256
+    assert in_python.state.map_sha256 == made.state.map_sha256
 
 
 def say(progress: Progress) -> None:
@@ -206,11 +206,11 @@ def test_known_loads_of_the_line_are_those_of_every_later_calibration(
     (kept,) = known_loads(registry, "small").values()
     np.testing.assert_allclose(kept.loads.output, [rest, pressed_level], atol=1e-5)
     # The owner of anchors makes the same of them: one input, one calibration.
-    model = source_model(registry, stored.record.network_id, Method())
-    unit = registry.recordings.get(stored.record.recording_sha256)
+    model = source_model(registry, stored.state.fit.network_id, Method())
+    unit = registry.recordings.get(stored.state.fit.recording_sha256)
     limit = stated_limit("N", registry.lots.get("small").limit_rmse)
     alone = UnitProblem(model, unlabelled(unit), limit, reference=lot_reference(registry, "small"))
-    assert stored.record.input_sha256 == replace(alone, anchors=kept.loads).input_sha256 != alone.input_sha256
+    assert stored.input_sha256 == replace(alone, anchors=kept.loads).input_sha256 != alone.input_sha256
     laid_out = tmp_path / "laid-out"
     write_lot_folder(registry, "small", laid_out)
     assert {"t_s", "output"} <= set(pd.read_csv(laid_out / "units" / "A1.csv"))

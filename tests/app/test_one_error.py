@@ -78,7 +78,7 @@ def test_every_surface_states_the_error_of_estimate_on_all_rows(batched, lot_fol
                 "frame": python.to_frame().after_rmse[0],
             }
             assert stated == pytest.approx(dict.fromkeys(stated, unit["after_rmse"]), rel=1e-12), serial
-            why = registry.calibrations.get(serial).record.decision.measured.reasons
+            why = registry.calibrations.get(serial).state.decision.measured.reasons
             (said,) = [one.values for one in why if one.code == "statement"]
             assert (said["lower"], said["upper"]) == (facts.measured.lower, facts.measured.upper)
             numbers = [
@@ -115,6 +115,6 @@ def test_an_audited_unit_is_scored_with_the_corrected_map_that_estimate_uses(mak
         for unit in audited[:3]:
             audit = folder / f"audit/{unit['serial']}.csv"
             rmse, rows = estimated(registry_url, audit, tmp_path / "estimate.parquet")
-            assert registry.calibrations.get(unit["serial"]).record.common_line is not None
+            assert registry.calibrations.get(unit["serial"]).state.correction is not None
             assert (unit["after_rmse"], unit["audit_scores"]["after"]["rows"]) == (pytest.approx(rmse, rel=1e-12), rows)
             assert softcal.Unit.from_registry(registry, unit["serial"]).rmse(pd.read_csv(audit)) == unit["after_rmse"]

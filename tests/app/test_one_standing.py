@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from softcal.app.batch.audit import confirmed_audits
-from softcal.app.batch.release import lot_standing
+from softcal.app.batch.release import decision_in_force, lot_standing
 from softcal.app.batch.results import lot_results
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions
@@ -42,6 +42,7 @@ class History:
         self.folder, self.url, self.rng, self.press = folder, url, rng, press
         self.told: list[str] = []
         self.passed: set[str] = set()
+        self.draw()
         self.batch()
 
     def run(self, *words: object) -> int:
@@ -51,6 +52,14 @@ class History:
 
     def serial(self) -> str:
         return f"{LOT}-{self.rng.integers(UNITS):02d}"
+
+    def draw(self) -> None:
+        """Fit the units without their audits and draw all of them, so that what is measured then is a sample."""
+        audits, away = self.folder / "audit", self.folder.parent / "away"
+        audits.rename(away)
+        self.batch()
+        self.run("lot", "audit-plan", LOT, "--random", "99")
+        away.rename(audits)
 
     def batch(self) -> None:
         self.run("batch", self.folder, *SMALL)
@@ -67,7 +76,7 @@ class History:
         self.batch()
 
     def limit(self) -> None:
-        self.run("lot", "limit", LOT, "--rmse", f"{self.rng.uniform(0.05, 0.5):.3f}", "--reason", "drawn")
+        self.run("lot", "limit", LOT, "--rmse", f"{self.rng.uniform(0.05, 0.5):.3f}", "--reason", "drawn", "--yes")
 
     def limit_of_another_registry(self) -> None:
         """A limit that comes without anybody judging by it."""
@@ -82,14 +91,14 @@ class History:
         outputs = 0.5 + np.array([0.0, 0.4]) * self.rng.uniform(0.8, 1.2)
         file = self.folder.parent / "loads.csv"
         pd.DataFrame({"output": outputs, "reference": [0.0, 4.0]}).to_csv(file, index=False)
-        self.run("trim", "--serial", self.serial(), "--loads", file)
+        self.run("trim", "--serial", self.serial(), "--loads", file, "--yes")
 
     def roll_back(self) -> None:
         serial = self.serial()
         with open_registry(self.url) as registry:
             revisions = [stored.revision for stored in registry.calibrations.history(serial) if not stored.is_current]
         if revisions:
-            words = ["--serial", serial, "--to", self.rng.choice(revisions), "--reason", "drawn"]
+            words = ["--serial", serial, "--to", self.rng.choice(revisions), "--reason", "drawn", "--yes"]
             self.run("registry", "rollback", *words)
 
     def golden_fails(self) -> None:
@@ -100,7 +109,7 @@ class History:
         with open_registry(self.url) as registry:
             doubted = [row.serial for row in lot_standing(registry, LOT).audited if row.doubt is not None]
         for serial in doubted[:1]:
-            self.run("lot", "audit", LOT, "--confirm", serial, "--reason", "drawn")
+            self.run("lot", "audit", LOT, "--confirm", serial, "--reason", "drawn", "--yes")
             with open_registry(self.url) as registry:
                 assert serial in confirmed_audits(registry, LOT)
 
@@ -153,13 +162,13 @@ def check(history: History, tmp_path: Path) -> None:
         assert lot_yields(registry, LOT).last_pass.count == view.yields.last_pass.count == counted["pass"]
         # Nothing passes beyond the limit in force, and nothing is judged by another one.
         limit, standings = lot_limit(registry, LOT), registry.pages.standings(LOT, list(truth))
-        made = {serial: one.made for serial, one in standings.items() if one.made is not None}
+        states = {serial: one.summary.state for serial, one in standings.items() if one.summary is not None}
         assert view.limit_rmse == limit.maximum_rmse
-        for serial, one in made.items():
-            if truth[serial] in ("pass", "conditional") and one.is_audited and one.after_rmse is not None:
-                assert one.after_rmse <= limit.maximum_rmse, serial
+        for serial, one in states.items():
+            if truth[serial] in ("pass", "conditional") and one.decision.is_audited:
+                assert one.scores.after.rmse <= limit.maximum_rmse, serial
         # Audits are the same number everywhere; one that is set aside counts nowhere.
-        audited = {serial for serial, one in made.items() if one.is_audited}
+        audited = {serial for serial, one in states.items() if one.decision.is_audited}
         assert {row.serial for row in view.audited} >= audited
         listed = {row.serial: row.doubt for row in lot_standing(registry, LOT).audited}
         assert audited <= {serial for serial, doubt in listed.items() if doubt is None}
@@ -179,8 +188,8 @@ def check(history: History, tmp_path: Path) -> None:
             lot_statement_facts(registry, standing, decided)
             assert {audit.serial for audit in decided.qualification.here} <= audited
             assert set(decided.doubts) == {serial for serial, doubt in listed.items() if doubt is not None}
-            sampled = {s for s, one in made.items() if truth[s] == "pass" and not one.is_audited}
-            assert sampled == set(decided.released) - {s for s in decided.released if made[s].decision.bars}
+            sampled = {s for s, one in states.items() if truth[s] == "pass" and not one.decision.is_audited}
+            assert sampled <= set(decision_in_force(registry, LOT).released)
         # Files are written for what passes, and for nothing else.
         try:
             exported = set(lot_serials(registry, LOT, ExportOptions()))

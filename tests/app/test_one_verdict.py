@@ -31,26 +31,23 @@ from softcal.core.errors import InputError
 from softcal.core.export.blob import CONDITIONAL, FAILED
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
 from softcal.core.unit.budget import Reference
-from softcal.core.unit.calibration import CalibrationRecord
-from softcal.core.unit.judging import limit_evidence
 from softcal.core.unit.measured_error import MeasuredError, Scores
+from softcal.core.unit.state import UnitState
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import (
-    Decision,
     Finding,
     Limit,
     Release,
     Verdict,
-    decide,
-    decide_audited,
     worst_of,
 )
 from softcal.core.words.reason import reason
 from softcal.db.connection import open_registry
-from softcal.db.entries import MadeCalibration
+from softcal.db.entries import CalibrationSummary
 from softcal.db.registry import Registry
 from softcal.db.truth.lot_pages import UnitFilter
 from tests.app.pdf_text import read_text
+from tests.unit_states import audit_of
 
 DRAWS = 200
 DCC = {"dcc": "https://ptb.de/dcc"}
@@ -73,35 +70,25 @@ def lot(trained_lot: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator
         yield registry, registry.lots.all()[0].id
 
 
-def drawn(rng: np.random.Generator, record: CalibrationRecord, number: int) -> CalibrationRecord:
-    """Return the record with another forecast, finding and audit, and what follows from them."""
+def drawn(rng: np.random.Generator, state: UnitState, number: int) -> UnitState:
+    """Return the state with another forecast, finding and audit."""
     rmse = float(rng.uniform(0.02, 0.8))
     forecast = ErrorForecast(rmse, rmse * float(rng.uniform(0.3, 1)), rmse * float(rng.uniform(1, 3)))
     findings = tuple(Finding(FOUND, Verdict(word)) for word in rng.choice(list(Verdict), rng.integers(0, 3)))
-    measured, audit, scores = None, None, {"before_rmse": None, "after_rmse": None}
+    audit = None
     if rng.random() < 0.5:
         before, after = (float(error) for error in rng.uniform(0.02, 0.8, 2))
         rows = int(rng.integers(50, 3000))
-        audit = Scores(MeasuredError(before, rows), MeasuredError(after, rows))
-        measured = decide_audited(audit, LIMIT)
-        scores = {"before_rmse": before, "after_rmse": after}
-    decision = Decision(decide(forecast, LIMIT, findings), measured)
-    return replace(
-        record,
-        **scores,
-        verdict=str(decision.verdict),
-        reasons=decision.reasons,
-        predicted_rmse=forecast.rmse,
-        settings={
-            **record.settings,
-            "decision": decision.to_json(),
-            "grounds": replace(record.grounds, measured=audit).to_json(),  # type: ignore[type-var]
-            "forecast": vars(forecast),
-            "reference": CELL.to_json(),
-        },
-        evidence={**record.evidence, **limit_evidence(LIMIT)},
-        input_sha256=f"{number:064x}",
+        fitted = replace(
+            audit_of(state, before, after), scores=Scores(MeasuredError(before, rows), MeasuredError(after, rows))
+        )
+        audit = replace(fitted, map_id="")
+    fit = replace(
+        state.fit, id=f"{number:064x}", forecast=forecast, findings=findings, rule_findings=(), reference=CELL
     )
+    fit = replace(fit, blocking_reasons=())
+    found = replace(state, fit=fit, limit=LIMIT, trim=None, correction=None, release=None, audit=None)
+    return found if audit is None else replace(found, audit=replace(audit, map_id=found.map_id))
 
 
 def documents(registry: Registry) -> tuple[str, str, str]:
@@ -137,24 +124,27 @@ def line_card(registry: Registry) -> LineView:
 @pytest.mark.long
 def test_every_surface_says_the_same_word(lot, rng):
     registry, lot_id = lot
-    first = registry.calibrations.get("A1").record
+    first = registry.calibrations.get("A1").state
     words = set()
     pressed(registry, lot_id)
     for number in range(DRAWS):
-        record = drawn(rng, first, number)
-        revision = registry.calibrations.add(lot_id, record)
-        measured, predicted = record.decision.measured, record.decision.predicted.verdict
+        state = drawn(rng, first, number)
+        revision = registry.calibrations.add(lot_id, state)
+        measured, predicted = state.decision.measured, state.decision.predicted.verdict
         # A forecast alone promises nothing: without an audit the best word is conditional.
         word = measured.verdict if measured else worst_of([predicted, Verdict.CONDITIONAL])
         words.add(word)
         stored = registry.calibrations.get("A1")
         result = UnitResult(
-            "A1", stored.record.verdict, stored.record.reasons, MadeCalibration.of(stored.record, revision)
+            "A1",
+            stored.state.verdict,
+            stored.state.decision.reasons,
+            CalibrationSummary(state, revision, state.map_sha256),
         )
         report = BatchReport(lot_id, None, (result,), 0.0)  # type: ignore[arg-type]
         (unit,) = registry.lots.units(lot_id, "A1")
         (page,) = [u for u in registry.pages.unit_page(lot_id, UnitFilter()).units if u.serial == "A1"]
-        assert {stored.record.verdict, unit.verdict, page.verdict, result.verdict, str(table_row(result)[1])} == {word}
+        assert {stored.state.verdict, unit.verdict, page.verdict, result.verdict, str(table_row(result)[1])} == {word}
         card = line_card(registry)
         assert {card.state.removesuffix("_used_up"), card.word.lower(), card.chips[0].word.lower()} == {word}
         assert report.has_passed == (word is Verdict.PASS)
@@ -174,9 +164,9 @@ def test_every_surface_says_the_same_word(lot, rng):
 def test_documents_and_files_say_the_same_word(lot, word, tmp_path):
     registry, lot_id = lot
     rng = np.random.default_rng(7)
-    first = registry.calibrations.get("A1", 1).record
-    record = next(r for r in (drawn(rng, first, 1000 + k) for k in range(500)) if r.verdict == word)
-    registry.calibrations.add(lot_id, replace(record, input_sha256=f"{hash(word) % 2**60:064x}"))
+    first = registry.calibrations.get("A1", 1).state
+    state = next(one for one in (drawn(rng, first, 1000 + k) for k in range(500)) if one.verdict == word)
+    registry.calibrations.add(lot_id, state)
     assert documents(registry) == (word, word, word if word in ("pass", "conditional") else "not released")
     unit = UnitLoader(registry, ExportOptions()).load("A1")
     read = read_text(certificate_pdf(certificate_of(unit))).split()

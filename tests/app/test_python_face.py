@@ -211,7 +211,7 @@ def test_pandas_goes_in_everywhere(tables, unit):
         list(output),
     ):
         found = softcal.fit_map(network, given, audit=tables[1])
-        assert found.calibration.scores is not None
+        assert found.state.scores is not None
         assert len(found.estimate(given)) == 1500 and found.map.family
     assert found.rmse(tables[1]) == pytest.approx(found.rmse(softcal.Recording.from_frame(
         tables[1], reference="reference", time_s="t_s")))  # fmt: skip

@@ -11,6 +11,7 @@ from softcal.app.cli.main import main
 from softcal.app.jobs import jobs
 from softcal.app.jobs.jobs import Teller
 from softcal.app.texts.catalogue import text
+from softcal.core.unit.verdict import Finding, Verdict
 from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 
@@ -90,9 +91,9 @@ def test_an_archive_of_the_lot_has_no_file_of_it(refused, monkeypatch, tmp_path)
 
 def test_who_takes_an_older_revision_of_a_unit_that_fails_now_is_warned(calibrated, tmp_path, capsys):
     with open_registry(calibrated) as registry:
-        made = registry.calibrations.get("A1").record
-        worse = replace(made, verdict="fail", reasons=(plain(WHY),), input_sha256="f" * 64)
-        registry.calibrations.add("small", worse)
+        state = registry.calibrations.get("A1").state
+        fit = replace(state.fit, rule_findings=(Finding(plain(WHY), Verdict.FAIL),))
+        registry.calibrations.add("small", replace(state, fit=fit))
     asked = ["export", "--registry", calibrated, "--serial", "A1", "--revision", "1", "--format", "json"]
     assert main([*asked, "--out", str(tmp_path / "files")]) == 0
     warned(capsys, "fail")
@@ -117,7 +118,7 @@ def test_a_page_shows_how_it_stands_and_gives_no_file(refused, show):
 
 def test_a_calibration_made_since_is_what_counts(refused, tmp_path):
     with open_registry(refused) as registry:
-        registry.calibrations.add("small", replace(registry.calibrations.get("A1").record, input_sha256="f" * 64))
+        registry.calibrations.add("small", registry.calibrations.get("A1").state, input_sha256="f" * 64)
     out = tmp_path / "files"
     assert main(["export", "--registry", refused, "--serial", "A1", "--format", "blob", "--out", str(out)]) == 0
     assert files_of(out, "A1") == ["unit-A1.ssc"]

@@ -3,6 +3,7 @@
 import csv
 import json
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import openpyxl
@@ -12,12 +13,12 @@ from softcal.app import logs
 from softcal.app.cli.main import main
 from softcal.app.files.spreadsheet import write_table
 from softcal.core.errors import InputError
-from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.network.network import Network
-from softcal.core.unit.calibration import CalibrationRecord
+from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
+from tests.unit_states import state_of
 
 
 @pytest.fixture
@@ -31,11 +32,10 @@ def url(tmp_path, monkeypatch):
         network = Network((np.zeros((15, 1)),), (np.zeros(1),), 0.0, 1.0, 0.0, 1.0)
         network_id = registry.networks.add("L1", network, {}, {}, "a" * 64)
         for number, serial in enumerate([*(f"A{k}" for k in range(30)), "A7"]):
-            arrays = {"map.gain": np.array([float(number)])}
-            sha256 = content_sha256(arrays, {})
-            made = (serial, network_id, "affine", sha256, arrays, {}, float(errors[number]))
-            record = CalibrationRecord(*made, "pass", ("fine",), sha256, sha256)
-            registry.calibrations.add("L1", record, actor="kim")
+            state = state_of(serial, network_id, "c" * 64, number, limit_rmse=0.2)
+            forecast = ErrorForecast(float(errors[number]), 0.0, 1.0)
+            state = replace(state, fit=replace(state.fit, forecast=forecast))
+            registry.calibrations.add("L1", state, actor="kim")
         registry.calibrations.refuse("L1", "B1", "retest", (plain("=cmd|calc"),))
     return url
 
@@ -78,8 +78,8 @@ def test_backup_restore_and_sync_go_round(url, capsys, tmp_path):
     assert run(capsys, "registry", "restore", tmp_path / "b.db", "--registry", copy)[0] == 0
     run(capsys, "registry", "rollback", "--registry", copy, "--serial", "A7", "--to", 1, "--reason", "x")
     code, out, _ = run(capsys, "registry", "sync", "--registry", url, "--with", copy, "--json", "-")
-    told = {"schema": "softcal.registry.sync/1", "sent": 0, "received": 4, "conflicts": [], "clocks": []}
-    assert code == 0 and json.loads(out) == told, "the restore, the revision, that it is in use, and what that decides"
+    told = {"schema": "softcal.registry.sync/1", "sent": 0, "received": 3, "conflicts": [], "clocks": []}
+    assert code == 0 and json.loads(out) == told, "the restore, the revision, and that it is in use"
     assert run(capsys, "registry", "verify", "--registry", url)[0] == 0
 
 

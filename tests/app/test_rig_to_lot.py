@@ -151,7 +151,7 @@ def test_orders_end_in_a_lot_folder_of_which_batch_computes_nothing_again(softca
         serve(registry, serving, tmp_path / "spool", lambda: not over.is_set())
         person.join()
         assert {queue.progress(serial).state for serial, _ in orders} == {RunState.DONE}
-        before = {serial: registry.calibrations.get(serial).record for serial in ("A1", "A2")}
+        before = {serial: registry.calibrations.get(serial).state for serial in ("A1", "A2")}
     softcal("lot", "folder", "L1", "--registry", url, "--out", "lot-1")
     folder = open_lot_folder(tmp_path / "lot-1")
     assert (folder.lot.id, folder.lot.source, sorted(folder.unit_paths)) == ("L1", "A0", ["A1", "A2"])

@@ -53,7 +53,7 @@ def test_each_unit_takes_the_source_that_is_bent_like_it(tables, registry_url):
     main(["batch", str(tables / "lot"), "--registry", registry_url, "--json", str(report), *SMALL])
     assert {unit["serial"] for unit in json.loads(report.read_text())["units"]} == {"STRAIGHT", "BENT"}
     with open_registry(registry_url) as registry:
-        networks = {serial: registry.calibrations.get(serial).record.network_id for serial in ("STRAIGHT", "BENT")}
+        networks = {serial: registry.calibrations.get(serial).state.fit.network_id for serial in ("STRAIGHT", "BENT")}
         trained = {
             entry.id: entry.training["source_recording_sha256"]
             for entry in map(registry.networks.entry, networks.values())

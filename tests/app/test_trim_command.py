@@ -8,7 +8,7 @@ import pytest
 
 from softcal.app.cli.main import main
 from softcal.core.export.loader import open_sensor
-from softcal.core.unit.calibration import CalibrationRecord
+from softcal.core.unit.state import UnitState
 from softcal.core.windows import windows
 from softcal.db.connection import open_registry
 
@@ -27,7 +27,7 @@ def trimmed(lot_folder: Path, registry_url: str, tmp_path: Path):  # type: ignor
     def run(output: list[float], reference: list[float]) -> int:
         file = tmp_path / "loads.csv"
         pd.DataFrame({"output": output, "reference": reference}).to_csv(file, index=False)
-        return main(["trim", "--registry", registry_url, "--serial", "A1", "--loads", str(file)])
+        return main(["trim", "--registry", registry_url, "--serial", "A1", "--loads", str(file), "--yes"])
 
     return run
 
@@ -60,8 +60,8 @@ def test_two_loads_make_a_revision_that_reads_them(trimmed, registry_url, tmp_pa
     assert error() < 0.6 * drifted
     assert _revisions(registry_url) == before + 1
     with open_registry(registry_url) as registry:
-        record = registry.calibrations.get("A1").record
-    assert record.knowledge.is_anchored and record.verdict != "pass" and record.after_rmse is None
+        record = registry.calibrations.get("A1").state
+    assert record.knowledge.is_anchored and record.verdict != "pass" and record.scores is None
 
 
 @pytest.mark.parametrize(
@@ -98,9 +98,9 @@ def test_a_trim_does_not_lift_a_measured_fail(trimmed, lot_folder, registry_url,
         assert trimmed(*loads) == 0
         assert batch(lot_folder, registry_url) == 1, "a batch that measures nothing new decides nothing new"
         with open_registry(registry_url) as registry:
-            record = registry.calibrations.get("A1").record
-        assert record.verdict == "fail" and record.decision.is_audited and record.after_rmse
-        assert {"trimmed", "audited_before_trim"} <= {why.code for why in record.reasons}
+            record = registry.calibrations.get("A1").state
+        assert record.verdict == "fail" and record.decision.is_audited and record.scores
+        assert {"trimmed", "audited_before_trim"} <= {why.code for why in record.decision.reasons}
     out = str(tmp_path / "out")
     export = ["export", "--registry", registry_url, "--serial", "A1", "--format", "blob", "--out", out]
     for more in ([], ["--release", "conditional"]):
@@ -112,15 +112,15 @@ def test_a_new_audit_decides_on_a_trimmed_unit_and_older_ones_of_others_do_not(t
     assert trimmed([drifted_V(0.0), drifted_V(2.5)], [0.0, 2.5]) == 0
     batch(lot_folder, registry_url)
     with open_registry(registry_url) as registry:
-        record = registry.calibrations.get("A1").record
+        record = registry.calibrations.get("A1").state
     assert record.verdict == "conditional" and not record.decision.is_audited
-    assert "audited_before_trim" in {why.code for why in record.reasons}
-    assert record.evidence["map_anchor_gain"] != 1.0, "the batch leaves the trimmed map in use"
+    assert "audited_before_trim" in {why.code for why in record.decision.reasons}
+    assert record.trim_in_force is not None, "the batch leaves the trimmed map in use"
 
 
-def _record(url: str) -> CalibrationRecord:
+def _record(url: str) -> UnitState:
     with open_registry(url) as registry:
-        return registry.calibrations.get("A1").record
+        return registry.calibrations.get("A1").state
 
 
 def test_a_new_fit_of_the_same_recording_keeps_the_trim(trimmed, lot_folder, registry_url):
@@ -129,8 +129,8 @@ def test_a_new_fit_of_the_same_recording_keeps_the_trim(trimmed, lot_folder, reg
     assert main(["batch", str(lot_folder), "--registry", registry_url, "--hidden", "16,8", "--no-own", "--refit"]) == 1
     after = _record(registry_url)
     assert after.map_sha256 == before.map_sha256
-    assert np.array_equal(after.arrays["interval.half_width"], before.arrays["interval.half_width"])
-    assert {"trimmed", "audited_before_trim"} <= {why.code for why in after.reasons}
+    assert np.array_equal(after.interval.half_width, before.interval.half_width)
+    assert {"trimmed", "audited_before_trim"} <= {why.code for why in after.decision.reasons}
 
 
 def test_a_new_audit_of_a_trimmed_unit_is_measured_with_the_trimmed_map(trimmed, lot_folder, registry_url, press_unit):
@@ -140,8 +140,8 @@ def test_a_new_audit_of_a_trimmed_unit_is_measured_with_the_trimmed_map(trimmed,
     batch(lot_folder, registry_url)
     after = _record(registry_url)
     assert after.map_sha256 == before.map_sha256 and after.decision.is_audited
-    assert after.after_rmse < 0.6 * after.before_rmse
-    assert not {why.code for why in after.reasons} & {"trimmed", "audited_before_trim"}
+    assert after.scores.after.rmse < 0.6 * after.scores.before.rmse
+    assert not {why.code for why in after.decision.reasons} & {"trimmed", "audited_before_trim"}
 
 
 def test_a_trim_is_older_than_a_new_recording_and_the_unit_says_so(trimmed, lot_folder, registry_url, press_unit):
@@ -151,7 +151,7 @@ def test_a_trim_is_older_than_a_new_recording_and_the_unit_says_so(trimmed, lot_
     new[["t_s", "output"]].to_csv(file, index=False)
     batch(lot_folder, registry_url)
     second = _record(registry_url)
-    assert "map_anchor_gain" not in second.evidence and "trim.older" in {why.code for why in second.reasons}
+    assert second.trim_in_force is None and "trim.older" in {why.code for why in second.decision.reasons}
     file.write_bytes(old)
     batch(lot_folder, registry_url)
     assert _record(registry_url).map_sha256 == first.map_sha256
@@ -160,7 +160,19 @@ def test_a_trim_is_older_than_a_new_recording_and_the_unit_says_so(trimmed, lot_
 def test_a_map_that_a_person_brought_back_is_not_trimmed_again(trimmed, lot_folder, registry_url):
     untrimmed = _record(registry_url)
     assert trimmed([drifted_V(0.0), drifted_V(2.5)], [0.0, 2.5]) == 0
-    back = ["registry", "rollback", "--registry", registry_url, "--serial", "A1", "--to", "1", "--reason", "heavier"]
+    back = [
+        "registry",
+        "rollback",
+        "--registry",
+        registry_url,
+        "--serial",
+        "A1",
+        "--to",
+        "1",
+        "--reason",
+        "heavier",
+        "--yes",
+    ]
     assert main(back) == 0
     assert main(["batch", str(lot_folder), "--registry", registry_url, "--hidden", "16,8", "--no-own", "--refit"]) == 0
     assert _record(registry_url).map_sha256 == untrimmed.map_sha256
@@ -169,13 +181,13 @@ def test_a_map_that_a_person_brought_back_is_not_trimmed_again(trimmed, lot_fold
 def test_a_second_trim_replaces_the_first(trimmed, registry_url):
     assert trimmed([drifted_V(0.0), drifted_V(2.5)], [0.0, 2.5]) == 0
     with open_registry(registry_url) as registry:
-        first = registry.calibrations.get("A1").record
+        first = registry.calibrations.get("A1").state
     assert trimmed([drifted_V(0.0) + 0.3, drifted_V(2.5) + 0.3], [0.0, 2.5]) == 0
     assert trimmed([drifted_V(0.0), drifted_V(2.5)], [0.0, 2.5]) == 0
     with open_registry(registry_url) as registry:
-        third = registry.calibrations.get("A1").record
+        third = registry.calibrations.get("A1").state
     assert third.map_sha256 == first.map_sha256
-    assert np.array_equal(third.arrays["interval.half_width"], first.arrays["interval.half_width"])
+    assert np.array_equal(third.interval.half_width, first.interval.half_width)
 
 
 def test_a_trimmed_unit_is_in_range_where_it_is_now(trimmed, registry_url, tmp_path, press_unit):
@@ -230,7 +242,7 @@ def test_known_loads_lie_in_the_lot_folder(lot_folder, registry_url):
     batch = ["batch", str(lot_folder), "--registry", registry_url, "--hidden", "16,8", "--no-own"]
     main(batch)
     with open_registry(registry_url) as registry:
-        assert registry.calibrations.get("A1").record.knowledge.is_anchored
-        assert not registry.calibrations.get("A2").record.knowledge.is_anchored
+        assert registry.calibrations.get("A1").state.knowledge.is_anchored
+        assert not registry.calibrations.get("A2").state.knowledge.is_anchored
     loads.assign(serial="NOBODY").to_csv(lot_folder / "anchors.csv", index=False)
     assert main(batch) == 2

@@ -15,11 +15,8 @@ from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import GAP, INVALID, STUCK, WARM_UP, estimate
 from softcal.core.unit.health import output_limits
-from softcal.core.unit.knowledge import known_by
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import make_source_model
-from softcal.core.unit.uncertainty import ErrorForecast
-from softcal.core.unit.verdict import Decision, Judgement, Verdict
 from softcal.core.use.adapter import STATE_FORMAT, AdaptConfig, Adapter
 from softcal.core.use.batches import BETWEEN, RECALIBRATE, STATES, UNSETTLED
 from softcal.core.use.doubt import MISSED
@@ -67,10 +64,8 @@ def maker(
         unit_map=AffineMap(1.0, 0.0, "identity"),
         interval=interval,
         output_limits=output_limits(recording, recording, True, Method().health),
-        forecast=ErrorForecast(0.01, 0.01, 0.01),
-        decision=Decision(Judgement(Verdict.PASS, ())),
-        knowledge=known_by({}, Method().knowledge),
-        evidence={},
+        method=Method(),
+        predicted_rmse=0.01,
     )
 
     def make(mode: str = "improved", method: UseMethod = UseMethod()) -> Adapter:  # noqa: B008 - frozen

@@ -5,13 +5,30 @@ from dataclasses import replace
 import pytest
 
 from softcal.core.quality.audit_check import doubtful_audits
-from softcal.core.unit.audit_reading import AuditReading
+from softcal.core.unit.measured_error import MeasuredError, Scores
+from softcal.core.unit.output_level import LoadLine
+from softcal.core.unit.state import AuditResult
 
 
 def reading(name, gain=1.0, rest=0.5, audit_rest=None):
-    return AuditReading(
-        name, f"loads of {name}", gain, rest, rest if audit_rest is None else audit_rest, 1.0, (0.0, 1.0), (1.0, 1.0)
+    return AuditResult(
+        map_id="",
+        recording_sha256=name,
+        output_sha256=name,
+        reference_sha256=f"loads of {name}",
+        scores=Scores(MeasuredError(0.2, 1000), MeasuredError(0.1, 1000)),
+        line=LoadLine(gain, 0.0),
+        fitted_line=LoadLine(gain, 0.0),
+        unit_rest=rest,
+        audit_rest=rest if audit_rest is None else audit_rest,
+        span=1.0,
+        residual=(0.0, 1.0),
+        half=(1.0, 1.0),
     )
+
+
+def with_gain(one, factor):
+    return replace(one, line=replace(one.line, gain=factor * one.line.gain))
 
 
 @pytest.fixture
@@ -63,12 +80,12 @@ def test_three_others_name_an_audit_in_another_unit_and_two_do_not(others, is_na
 
 @pytest.mark.parametrize("factor", [1 / 101.97, 9.80665, -1.0], ids=["gf for N", "kgf for N", "pushed for pulled"])
 def test_a_reference_in_another_unit_is_out_of_line(readings, factor):
-    readings["U4"] = replace(readings["U4"], gain=readings["U4"].gain * factor)
+    readings["U4"] = with_gain(readings["U4"], factor)
     assert codes(readings) == {"U4": "doubt.gain"}
 
 
 def test_a_lot_that_misreads_as_a_whole_does_not_contradict_itself(readings):
-    assert codes({s: replace(one, gain=5 * one.gain) for s, one in readings.items()}) == {}
+    assert codes({s: with_gain(one, 5.0) for s, one in readings.items()}) == {}
 
 
 def test_the_audit_of_a_unit_that_is_not_of_the_lot_is_named(readings):
@@ -80,10 +97,3 @@ def test_the_audit_of_a_unit_that_is_not_of_the_lot_is_named(readings):
 
 def test_audits_that_all_rest_elsewhere_name_nobody(readings, rng):
     assert codes({s: replace(one, audit_rest=one.audit_rest + 0.3 * rng.normal()) for s, one in readings.items()}) == {}
-
-
-def test_an_audit_is_kept_as_json_and_what_an_older_version_kept_is_read_again(readings):
-    assert AuditReading.of(readings["U1"].to_json()) == readings["U1"]
-    assert AuditReading.of({**reading("U1").to_json(), "ratios": [0.0, 1.0]}) is not None
-    older = {name: value for name, value in reading("U1").to_json().items() if name not in ("residual", "half")}
-    assert AuditReading.of({**older, "ratios": [0.0, 1.0]}) is None

@@ -13,12 +13,13 @@ from softcal.core.metrics import rmse
 from softcal.core.recording import OutputRecording
 from softcal.core.simulated_lot import LotDesign, simulate_lot
 from softcal.core.unit.calibrate import calibrate as calibrate_problem
-from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.explanation import contributions, explain
 from softcal.core.unit.findings import opening_findings
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import make_source_model
+from softcal.core.unit.state import UnitState
+from softcal.core.unit.state_json import adjustments_to_json, fit_from_json, fit_to_json, state_from_json
 from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import Limit
 
@@ -27,7 +28,7 @@ AFFINE, AUTO = Method(map=MapConfig(family="affine")), Method()
 
 @pytest.fixture(scope="module")
 def calibrate(source_model):
-    def run(unit: OutputRecording, limit: Limit | None = None, method: Method = AFFINE) -> Calibration:
+    def run(unit: OutputRecording, limit: Limit | None = None, method: Method = AFFINE) -> UnitState:
         return calibrate_problem(UnitProblem(replace(source_model, method=method), unit, limit))
 
     return run
@@ -39,7 +40,7 @@ def good(press) -> OutputRecording:
 
 
 def findings(calibration):
-    return str(calibration.evidence["findings"])
+    return ", ".join(finding.kind for finding in calibration.fit.findings)
 
 
 def test_good_units_are_near_their_forecasts_and_their_intervals_hold(calibrate, linear_network, press):
@@ -48,7 +49,7 @@ def test_good_units_are_near_their_forecasts_and_their_intervals_hold(calibrate,
         gain, offset_V = 0.8 + 0.1 * k, 0.02 * k
         calibration = calibrate(press(20 + k, gain, offset_V, seconds=120.0).unlabelled)
         audit = press(40 + k, gain, offset_V)
-        result = estimate(linear_network, calibration, audit.unlabelled)
+        result = estimate(linear_network, calibration.calibration, audit.unlabelled)
         rows = np.isfinite(result.estimate)
         covered.append(np.mean(((result.lower <= audit.reference) & (audit.reference <= result.upper))[rows]))
         ratios.append(rmse(result.estimate, audit.reference) / calibration.predicted_rmse)
@@ -57,22 +58,27 @@ def test_good_units_are_near_their_forecasts_and_their_intervals_hold(calibrate,
 
 
 def test_equal_input_gives_equal_result(calibrate, good):
-    first, second = calibrate(good).to_record("i", "r"), calibrate(good).to_record("i", "r")
-    assert first.map_sha256 == second.map_sha256 and first.settings == second.settings
-    assert first.evidence == second.evidence
+    first, second = (fit_to_json(calibrate(good).fit) for _ in range(2))
+    assert first.content == second.content
+    assert all(np.array_equal(array, second.arrays[name]) for name, array in first.arrays.items())
 
 
-def test_the_record_is_lossless_and_json(calibrate, linear_network, good):
-    calibration = calibrate(good)
-    record = calibration.to_record("input", "recording", fit_s=0.1)
-    settings, evidence = (json.loads(json.dumps(dict(kept))) for kept in (record.settings, record.evidence))
-    again = Calibration.from_record(replace(record, settings=settings, evidence=evidence))
-    for name in ("decision", "method", "forecast", "output_limits"):
-        assert getattr(again, name) == getattr(calibration, name)
-    assert all(isinstance(array, np.ndarray) for array in record.arrays.values())
-    one, two = (estimate(linear_network, c, good) for c in (calibration, again))
+def test_a_state_is_read_back_as_it_was_written(calibrate, linear_network, good):
+    state = calibrate(good)
+    stored = fit_to_json(state.fit)
+    content, adjustments = (json.loads(json.dumps(one)) for one in (stored.content, adjustments_to_json(state)))
+    again = state_from_json(fit_from_json(content, state.fit.method, stored.arrays), adjustments)
+    assert (again.decision, again.forecast, again.limit) == (state.decision, state.forecast, state.limit)
+    assert (again.map_id, again.map_sha256) == (state.map_id, state.map_sha256)
+    assert again.fit.fitted.output_limits == state.fit.fitted.output_limits
+    one, two = (estimate(linear_network, each.calibration, good) for each in (state, again))
     for name in ("estimate", "lower", "upper", "flag"):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+    # Without its arrays it is decided on alike, and estimates nothing.
+    listed = state_from_json(fit_from_json(content, state.fit.method), adjustments)
+    assert listed.decision == state.decision
+    with pytest.raises(ValueError, match="arrays"):
+        _ = listed.unit_map
 
 
 def test_without_a_limit_nothing_passes_and_the_error_stands_beside_the_range(calibrate, good, source_model):
@@ -166,7 +172,7 @@ def test_known_positions_reveal_a_gain_error_the_output_hides(source_model, line
 def test_the_explanation_adds_up_to_the_forecast(calibrate, source_model, good):
     calibration = calibrate(good)
     explanation = explain(source_model, calibration, good)
-    total = np.sqrt(sum(part**2 for part in contributions(calibration).values()))
+    total = np.sqrt(sum(part**2 for part in contributions(calibration.fit).values()))
     assert total == pytest.approx(calibration.predicted_rmse)
     for density in (explanation.source_density, explanation.mapped_density, explanation.unmapped_density):
         assert density.sum() == pytest.approx(1.0)
@@ -192,8 +198,8 @@ def test_unit_pressed_at_once_with_the_source_is_measured_against_its_reference(
     calibration = calibrate(unit.unlabelled, method=AUTO)
     assert calibration.unit_map.family == "synchronous"
     audit = press(41, gain=1.3, offset_V=0.05)
-    true = rmse(estimate(linear_network, calibration, audit.unlabelled).estimate[14:], audit.reference[14:])
-    assert float(str(calibration.evidence["u_paired"])) == pytest.approx(true, rel=0.25)
+    true = rmse(estimate(linear_network, calibration.calibration, audit.unlabelled).estimate[14:], audit.reference[14:])
+    assert calibration.fit.budget["paired"] == pytest.approx(true, rel=0.25)
     assert calibration.predicted_rmse == pytest.approx(true, rel=0.35)
     assert "wrong programme" not in findings(calibration)
 
@@ -204,7 +210,7 @@ def test_a_dull_unit_shows_in_its_corners(calibrate, press):
     rest_V = sharp.output[0]
     lagging_V = rest_V + np.convolve(sharp.output - rest_V, response / response.sum())[: len(sharp)]
     dull = replace(sharp, output=lagging_V)
-    corners = [float(str(calibrate(unit).evidence["u_corners"])) for unit in (sharp, dull)]
+    corners = [calibrate(unit).fit.budget["corners"] for unit in (sharp, dull)]
     assert corners[1] > 5 * max(corners[0], 0.01)
 
 
@@ -247,17 +253,17 @@ def test_a_unit_that_follows_late_in_a_shared_opening_is_told(lag_s, count):
 
 
 def test_what_an_audit_takes_is_no_part_of_what_the_map_took(source_model, good, press, monkeypatch):
-    import softcal.core.unit.calibrate as calibration_of
+    import softcal.core.unit.audit as measuring
     from softcal.app.batch import calibrating
 
-    now_s, score = [0.0], calibration_of.score_map
+    now_s, score = [0.0], measuring.score_map
 
     def slow_score(*arguments):
         now_s[0] += 100.0
         return score(*arguments)
 
-    monkeypatch.setattr(calibration_of, "score_map", slow_score)
+    monkeypatch.setattr(measuring, "score_map", slow_score)
     monkeypatch.setattr(calibrating.time, "perf_counter", lambda: now_s[0])
     audit = press(3, gain=1.3, offset_V=0.05, seconds=120.0)
-    record = calibrating.calibrated(UnitProblem(replace(source_model, method=AFFINE), good, audit=audit))
-    assert now_s[0] == 100.0 and record.fit_s == 0.0
+    made = calibrating.calibrated(UnitProblem(replace(source_model, method=AFFINE), good, audit=audit))
+    assert now_s[0] == 100.0 and made.state.fit.fit_s == 0.0

@@ -22,7 +22,7 @@ def calibration(source_model, linear_network, press) -> Calibration:
     problem = FitProblem(source_model.source, linear_network, unit)
     made = calibrate(UnitProblem(source_model, problem.target, anchors=problem.anchors))
     exact = AffineMap(gain=1 / 1.3, offset=-0.05 / 1.3)
-    return replace(made, unit_map=exact, output_limits=OutputLimits(-np.inf, np.inf, stuck_samples=100))
+    return replace(made.calibration, unit_map=exact, output_limits=OutputLimits(-np.inf, np.inf, stuck_samples=100))
 
 
 def test_estimates_follow_the_load_and_the_interval_encloses_them(linear_network, calibration, press):

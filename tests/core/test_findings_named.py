@@ -11,10 +11,10 @@ from softcal.core.network.training import fit_network
 from softcal.core.recording import OutputRecording
 from softcal.core.simulated_lot import LotDesign, SimulatedLot, simulate_lot
 from softcal.core.unit.calibrate import calibrate
-from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.findings import contradictions
 from softcal.core.unit.health import output_limits
 from softcal.core.unit.source_model import SourceModel, make_source_model
+from softcal.core.unit.state import UnitState
 from softcal.core.unit.unit_problem import UnitProblem
 from tests.layers import layered
 
@@ -36,9 +36,9 @@ def lot(seed: int, **design: object) -> SimulatedLot:
     return simulate_lot(seed, LotDesign(**design))  # type: ignore[arg-type]
 
 
-def found(model: SourceModel, recording: OutputRecording) -> tuple[Calibration, set[str]]:
+def found(model: SourceModel, recording: OutputRecording) -> tuple[UnitState, set[str]]:
     made = calibrate(UnitProblem(model, recording))
-    return made, {name for name in str(made.evidence["findings"]).split(", ") if name}
+    return made, {finding.kind for finding in made.fit.findings}
 
 
 def test_a_unit_pressed_over_half_the_range_is_a_retest_and_says_so(seed: int, model: SourceModel) -> None:
@@ -50,7 +50,7 @@ def test_a_unit_pressed_over_half_the_range_is_a_retest_and_says_so(seed: int, m
 def test_the_forecast_of_half_a_range_holds_the_doubt_of_its_gain(seed: int, model: SourceModel) -> None:
     (unit,) = lot(seed, good=1, shift="half range").units
     made, _ = found(model, unit.recording)
-    assert float(str(made.evidence["u_gain"])) > 0.5 * float(str(made.evidence["load_rms"]))
+    assert made.fit.budget["gain"] > 0.5 * made.fit.load_rms
 
 
 def test_a_good_unit_with_a_programme_of_its_own_is_not_told_it_was_pressed_lightly(
@@ -89,8 +89,8 @@ def test_a_map_bent_to_the_sources_use_does_not_hide_that_the_use_differs(seed: 
     straight = replace(model, method=line)
     bent, rigid = (calibrate(UnitProblem(one, unit.recording)) for one in (model, straight))
     assert bent.unit_map.family == "averaged"
-    for name in ("u_shift", "u_overlap"):
-        assert bent.evidence[name] == pytest.approx(rigid.evidence[name])
+    for name in ("shift", "overlap"):
+        assert bent.fit.budget[name] == pytest.approx(rigid.fit.budget[name])
 
 
 def lagging(recording: OutputRecording, lag_s: float) -> OutputRecording:
@@ -107,7 +107,7 @@ def test_a_readout_that_lags_beside_a_shared_clock_is_named_for_it(seed: int, mo
     (unit,) = lot(seed, good=1).units
     made, names = found(model, lagging(unit.recording, lag_s))
     assert "lagging" in names and "wrong programme" not in names
-    assert float(str(made.evidence["readout_lag_s"])) == pytest.approx(lag_s, rel=0.3)
+    assert made.fit.readout_lag_s == pytest.approx(lag_s, rel=0.3)
     assert made.decision.verdict != "pass"
 
 

@@ -34,7 +34,7 @@ def stated(problem):
 
 
 def load_N(calibration):
-    return calibration.evidence["load_rms"]
+    return calibration.fit.load_rms
 
 
 def test_a_stated_spread_is_in_the_forecast_in_quadrature(plain, stated, press):
@@ -42,7 +42,7 @@ def test_a_stated_spread_is_in_the_forecast_in_quadrature(plain, stated, press):
     # The estimates' own load, after a map without labels: rest and gain are a little out.
     assert load_N(plain) == pytest.approx(np.sqrt(np.mean(force_N**2)), rel=0.15)
     assert stated.forecast.rmse == pytest.approx(np.hypot(plain.forecast.rmse, 0.1 * load_N(plain)))
-    assert contributions(stated)["line"] == pytest.approx(0.1 * load_N(plain))
+    assert contributions(stated.fit)["line"] == pytest.approx(0.1 * load_N(plain))
     said = stated.decision.predicted.reasons[-1]
     assert said.code == "line.stated" and said.values["rmse"] == pytest.approx(0.1 * load_N(plain))
 
@@ -61,12 +61,12 @@ def test_a_spread_nobody_stated_is_said_in_newton_and_changes_no_number(plain):
     assert said.code == "line.open" and said.values["unit"] == "N"
     assert said.values["rmse"] == pytest.approx(np.hypot(default.load_spread, default.day_spread) * load_N(plain))
     assert said.values["rmse"] > 0
-    assert "u_line" not in plain.evidence and "line" not in contributions(plain)
+    assert "line" not in plain.fit.budget and "line" not in contributions(plain.fit)
 
 
 def test_a_stated_spread_is_no_finding_and_no_doubt_of_the_map(plain, stated):
-    assert stated.evidence["findings"] == plain.evidence["findings"]
-    assert stated.evidence["own_rmse_forecast"] == plain.evidence["own_rmse_forecast"]
+    assert stated.fit.findings == plain.fit.findings
+    assert stated.fit.own_rmse == plain.fit.own_rmse
 
 
 def test_what_was_stated_is_part_of_what_a_result_depends_on(problem):

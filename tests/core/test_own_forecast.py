@@ -14,7 +14,7 @@ from softcal.core.unit.unit_problem import UnitProblem
 
 def own_forecast(model, network, unit):
     calibration = calibrate(UnitProblem(model, unit))
-    return float(str(calibration.evidence["own_rmse_forecast"]))
+    return calibration.fit.own_rmse
 
 
 def test_noise_is_carried_through_the_slope_of_the_network(linear_network, press):

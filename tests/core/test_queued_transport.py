@@ -9,7 +9,7 @@ import numpy as np
 import ot
 import pytest
 
-from softcal.app.registry.unit import source_calibration
+from softcal.app.registry.unit import source_state
 from softcal.core.errors import InputError
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.anchors import AnchoredMap
@@ -49,7 +49,7 @@ def bench() -> Bench:
     force_N = load_N(30.0, 0)
     output = OutputRecording("A0", np.arange(len(force_N)) / RATE_HZ, read_V(force_N, 1), RATE_HZ)
     source = LabelledRecording(output, force_N)
-    return network, source_calibration(source, network), source
+    return network, source_state(source, network).calibration, source
 
 
 def make(bench: Bench, mode: str, queue: int = QUEUE, pool: Executor | None = None) -> QueuedTransport:

@@ -322,7 +322,8 @@ def test_a_forecast_is_multiplied_by_what_audits_measured_of_theirs_and_by_nothi
     forecasts = {"light": 0.3, "heavy": 0.75}
     decided = release_lot(forecasts, qualify(audits, [], NOW, "EG", "m1", units=14), LIMIT, Promise())
     assert decided.forecast_scale == pytest.approx(1.5)
-    assert [decided.judgement(serial).verdict for serial in forecasts] == ["pass", "fail"]
+    said = {serial: decided.sample_release(serial, 1) for serial in forecasts}
+    assert [said[serial].judgement(rmse, LIMIT).verdict for serial, rmse in forecasts.items()] == ["pass", "fail"]
     blind = release_lot(forecasts, qualify([], [], NOW, "EG", "m1", units=14), LIMIT, Promise())
     assert blind.forecast_scale == 1.0
-    assert [blind.judgement(serial).verdict for serial in forecasts] == ["conditional", "conditional"]
+    assert all(blind.sample_release(serial, 1) is None for serial in forecasts)

@@ -14,19 +14,19 @@ from sqlalchemy import URL, create_engine, delete, text
 from sqlalchemy.exc import OperationalError
 from sqlalchemy.pool import NullPool
 
-from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.unit.calibration import CalibrationRecord
-from softcal.core.words.reason import plain
+from softcal.core.unit.state import UnitState
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
 from softcal.db.schema.tables import metadata
 from tests.system_packages import NO_POSTGRESQL
+from tests.unit_states import state_of
 
 ADMIN_URL = os.environ.get("SOFTCAL_TEST_POSTGRESQL", "postgresql+psycopg://postgres@127.0.0.1:5432/postgres")
 CASES_ON_SERVER = 3
+LIMIT_N = 2.0
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -165,26 +165,11 @@ class Factory:
     lot_id: str
     network_id: str
 
-    def record(self, serial: str, number: int = 1, verdict: str = "pass") -> CalibrationRecord:
-        arrays = {"map.gain": np.array([1.0 + number]), "map.knots": np.linspace(0.0, 1.0, 5)}
-        return CalibrationRecord(
-            serial=serial,
-            network_id=self.network_id,
-            family="affine",
-            map_sha256=content_sha256(arrays, {}),
-            arrays=arrays,
-            settings={"map": {"order": 1}},
-            predicted_rmse=0.1 * number,
-            verdict=verdict,
-            reasons=(plain("as expected"),),
-            input_sha256=content_sha256({}, {"serial": serial, "number": number}),
-            recording_sha256=output_recording(serial).sha256,
-            fit_s=0.25,
-            evidence={"shift": 0.5, "none": None},
-        )
+    def state(self, serial: str, number: int = 1, verdict: str = "pass") -> UnitState:
+        return state_of(serial, self.network_id, output_recording(serial).sha256, number, verdict, LIMIT_N)
 
     def calibrate(self, serial: str, number: int = 1) -> int:
-        return self.registry.calibrations.add(self.lot_id, self.record(serial, number), actor="tester")
+        return self.registry.calibrations.add(self.lot_id, self.state(serial, number), actor="tester")
 
 
 @pytest.fixture
@@ -192,7 +177,7 @@ def make_factory(network) -> Callable[..., Factory]:
     """`make_factory(registry, lot_id="L1")` registers a lot with source S0 and a network."""
 
     def make(registry: Registry, lot_id: str = "L1") -> Factory:
-        registry.lots.add(Lot(lot_id, "S0", 50.0, limit_rmse=0.2))
+        registry.lots.add(Lot(lot_id, "S0", 50.0, limit_rmse=LIMIT_N))
         registry.recordings.add(lot_id, labelled_recording("S0"), "source")
         network_id = registry.networks.add(lot_id, network, {"rmse": 0.05}, {"seed": 0}, "a" * 64)
         return Factory(registry, lot_id, network_id)

@@ -15,7 +15,7 @@ from softcal.core.words.reason import plain
 from softcal.db.care.sync import synchronise
 from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.db.schema.arrays import get_arrays, parts_of, put_arrays
-from softcal.db.schema.tables import APPEND_ONLY, audit, blobs, calibrations, metadata, units
+from softcal.db.schema.tables import APPEND_ONLY, audit, blobs, calibrations, fits, metadata, units
 
 
 @pytest.fixture
@@ -47,6 +47,7 @@ def filled(factory, recording_of):
     factory.registry.stations.add_golden_run(
         GoldenRun("s1", "G1", datetime(2026, 5, 4, 6, tzinfo=UTC), 0.01, "N", True)
     )
+    factory.registry.decisions.add("L1", {"released": []}, action="withhold")
     factory.registry.networks.withdraw(factory.registry.networks.all()[0].id, reason="to be trained again")
     factory.registry.stations.add_certificate(
         CellCertificate("C1", "7", "lab", date(2026, 1, 1), date(2027, 1, 1), 50.0, 0.01)
@@ -108,7 +109,11 @@ def test_verify_finds_what_was_done_behind_its_back(filled, past_the_triggers, s
 
 def test_one_flipped_bit_in_a_blob_is_found_and_never_read(filled, past_the_triggers):
     with filled.registry.database.reading() as connection:
-        stored = connection.execute(select(calibrations.c.blob_sha256).where(calibrations.c.revision == 2)).scalar_one()
+        stored = connection.execute(
+            select(fits.c.blob_sha256)
+            .join(calibrations, calibrations.c.fit_sha256 == fits.c.sha256)
+            .where(calibrations.c.revision == 2)
+        ).scalar_one()
         content = bytearray(connection.execute(select(blobs.c.data).where(blobs.c.sha256 == stored)).scalar_one())
     content[-1] ^= 1
     past_the_triggers(update(blobs).where(blobs.c.sha256 == stored).values(data=bytes(content)))

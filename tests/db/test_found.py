@@ -13,7 +13,7 @@ def keep(factory, recording_of, serial, number=1):
     registry = factory.registry
     with registry.part():
         registry.recordings.add(factory.lot_id, recording_of(serial), "unit")
-        return registry.calibrations.add(factory.lot_id, factory.record(serial, number), work_sha256="f" * 64)
+        return registry.calibrations.add(factory.lot_id, factory.state(serial, number), work_sha256="f" * 64)
 
 
 def test_a_chunk_asks_once_for_what_its_units_share(factory, recording_of):

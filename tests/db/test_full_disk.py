@@ -20,14 +20,14 @@ from softcal.core.identity import content_sha256
 from softcal.db.care.backup import back_up
 from softcal.db.connection import open_registry
 with open_registry(sys.argv[1], create=False) as registry:
-    record = registry.calibrations.get("A0").record
+    state = registry.calibrations.get("A0").state
     limit = int(sys.argv[2])
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
     try:
         if sys.argv[3:]:
             back_up(registry.database, Path(sys.argv[3]))
         for number in range(100_000):
-            own = replace(record, serial=f"A{number}", input_sha256=content_sha256({}, {"number": number}))
+            own = replace(state, fit=replace(state.fit, serial=f"A{number}", id=content_sha256({}, {"number": number})))
             print(f"A{number}", registry.calibrations.add("L1", own), flush=True)
     except RegistryError as error:
         print(f"refused {error}", flush=True)

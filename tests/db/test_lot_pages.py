@@ -7,9 +7,11 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.quality.line_rules import LineRules
+from softcal.core.unit.measured_error import MeasuredError, OwnScores, Scores
 from softcal.core.words.reason import plain
 from softcal.db.entries import GoldenRun
 from softcal.db.truth.lot_pages import UnitFilter
+from tests.unit_states import ROWS
 
 
 @pytest.fixture
@@ -18,12 +20,14 @@ def lot(factory, recording_of):
     registry = factory.registry
     for k in range(6):
         verdict = ("pass", "fail", "conditional")[k % 3]
-        registry.calibrations.add("L1", factory.record(f"A{k}", k + 1, verdict))
-    registry.calibrations.add("L1", replace(factory.record("A1", 9), before_rmse=0.9, after_rmse=0.4, own_rmse=0.3))
+        registry.calibrations.add("L1", factory.state(f"A{k}", k + 1, verdict))
+    measured = factory.state("A1", 9)
+    scores = Scores(MeasuredError(0.9, ROWS), MeasuredError(0.4, ROWS), OwnScores(*[MeasuredError(0.3, 900)] * 3))
+    registry.calibrations.add("L1", replace(measured, audit=replace(measured.audit, scores=scores)))
     registry.calibrations.refuse("L1", "A2", "retest", (plain("cable"),))
     registry.calibrations.refuse("L1", "B1", "fail", (plain("dead"),))
     registry.calibrations.refuse("L1", "B2", "retest", (plain("noise"),))
-    registry.calibrations.add("L1", factory.record("B2", 2))
+    registry.calibrations.add("L1", factory.state("B2", 2))
     registry.recordings.add("L1", recording_of("C%1"), "unit")
     return registry
 

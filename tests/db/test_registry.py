@@ -8,6 +8,7 @@ import pytest
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, row_name
 from softcal.core.recording import OutputRecording
+from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
 from softcal.core.words.reason import plain, reason
 from softcal.db.connection import open_registry
 from softcal.db.truth.registry_base import RegistrySettings
@@ -45,12 +46,12 @@ def test_a_lot_with_another_source_is_refused(factory):
 
 def test_another_limit_makes_a_new_version(factory):
     factory.registry.lots.add(Lot("L1", "S0", 50.0, limit_rmse=0.3))
-    assert [entry.rmse for entry in factory.registry.lots.limit_versions("L1")] == [0.2, 0.3]
+    assert [entry.rmse for entry in factory.registry.lots.limit_versions("L1")] == [2.0, 0.3]
 
 
 def test_a_limit_set_in_the_registry_stays_until_the_lot_states_another(factory):
     factory.registry.lots.set_limit("L1", 0.1, reason="drawing C")
-    factory.registry.lots.add(Lot("L1", "S0", 50.0, limit_rmse=0.2))
+    factory.registry.lots.add(Lot("L1", "S0", 50.0, limit_rmse=2.0))
     assert factory.registry.lots.get("L1").limit_rmse == 0.1
     factory.registry.lots.add(Lot("L1", "S0", 50.0, limit_rmse=0.3))
     assert factory.registry.lots.get("L1").limit_rmse == 0.3
@@ -93,14 +94,15 @@ def test_the_first_of_two_networks_of_one_input_is_kept(factory, network):
 
 
 def test_a_calibration_comes_back_as_it_was_given(factory):
-    record = factory.record("A1")
-    revision = factory.registry.calibrations.add("L1", record, actor="kim", reason="first")
+    state = factory.state("A1")
+    revision = factory.registry.calibrations.add("L1", state, actor="kim", reason="first")
     stored = factory.registry.calibrations.get("A1")
     assert (revision, stored.revision, stored.actor, stored.reason) == (1, 1, "kim", "first")
-    given, kept = dict(vars(record)), dict(vars(stored.record))
-    arrays, back = given.pop("arrays"), kept.pop("arrays")
-    assert kept == given
-    assert all(np.array_equal(back[name], arrays[name]) and back[name].dtype == arrays[name].dtype for name in arrays)
+    given, back = (fit_to_json(one.fit) for one in (state, stored.state))
+    assert back.content == given.content and adjustments_to_json(stored.state) == adjustments_to_json(state)
+    arrays, stored_arrays = given.arrays, back.arrays
+    assert all(np.array_equal(stored_arrays[name], array) for name, array in arrays.items())
+    assert stored.state.decision == state.decision and stored.state.map_sha256 == state.map_sha256
 
 
 def test_revisions_count_per_serial_and_the_newest_is_in_use(factory):
@@ -114,7 +116,7 @@ def test_a_rollback_is_a_new_revision_that_repeats_the_old_one(factory):
     assert factory.registry.calibrations.rollback("A1", 1, reason="remounted", actor="lee") == 3
     current = factory.registry.calibrations.get("A1")
     assert (current.revision, current.rolled_back_to, current.reason, current.actor) == (3, 1, "remounted", "lee")
-    assert current.record.map_sha256 == factory.registry.calibrations.get("A1", 1).record.map_sha256
+    assert current.state.map_sha256 == factory.registry.calibrations.get("A1", 1).state.map_sha256
 
 
 @pytest.mark.parametrize(("to", "reason"), [(1, " "), (2, "x"), (7, "x")])
@@ -128,7 +130,7 @@ def test_a_senseless_rollback_changes_nothing(factory, to, reason):
 
 def test_finished_work_is_found_by_its_input(factory):
     factory.calibrate("A1", 1)
-    done = factory.record("A1", 1).input_sha256
+    done = factory.state("A1", 1).fit.id
     assert factory.registry.calibrations.find("A1", done).revision == 1
     assert factory.registry.calibrations.find("A1", done, lot_id="other") is None
     assert factory.registry.calibrations.find("A1", "f" * 64) is None
@@ -202,7 +204,7 @@ def test_what_raises_in_a_transaction_is_gone_whole(factory):
 
 
 def test_a_clock_set_back_does_not_reorder_the_history(registry_url, make_factory):
-    times = iter([datetime(2026, 5, 4, tzinfo=UTC)] * 12 + [datetime(2020, 1, 1, tzinfo=UTC)] * 12)
+    times = iter([datetime(2026, 5, 4, tzinfo=UTC)] * 14 + [datetime(2020, 1, 1, tzinfo=UTC)] * 14)
     with open_registry(registry_url, RegistrySettings(clock=lambda: next(times))) as registry:
         factory = make_factory(registry)
         revisions = [factory.calibrate("A1", number) for number in (1, 2, 3)]
@@ -232,4 +234,4 @@ def test_an_adaptation_resumes_from_its_last_step(factory):
 def test_a_lot_read_from_the_registry_states_no_new_limit(factory):
     factory.registry.lots.set_limit("L1", 0.1, reason="drawing C")
     factory.registry.lots.add(factory.registry.lots.get("L1"))
-    assert [entry.rmse for entry in factory.registry.lots.limit_versions("L1")] == [0.2, 0.1]
+    assert [entry.rmse for entry in factory.registry.lots.limit_versions("L1")] == [2.0, 0.1]

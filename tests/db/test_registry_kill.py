@@ -17,10 +17,10 @@ from dataclasses import replace
 from softcal.db.connection import open_registry
 from softcal.core.identity import content_sha256
 registry = open_registry(sys.argv[1], create=False)
-record = registry.calibrations.get("A0").record
+state = registry.calibrations.get("A0").state
 for number in range(100_000):
     serial = f"A{number % 7}"
-    own = replace(record, serial=serial, input_sha256=content_sha256({}, {"number": number}))
+    own = replace(state, fit=replace(state.fit, serial=serial, id=content_sha256({}, {"number": number})))
     with registry.transaction():
         revision = registry.calibrations.add("L1", own)
         registry.trail.add("export", "exports", (serial, revision), {})
@@ -44,7 +44,7 @@ def test_what_was_acknowledged_survives_a_kill(registry_url, make_factory, seed)
     with open_registry(registry_url, create=False) as registry:
         assert registry.verify() == []
         for serial, revision in acknowledged:
-            assert registry.calibrations.get(serial, int(revision)).record.serial == serial
+            assert registry.calibrations.get(serial, int(revision)).state.serial == serial
         exports = {row.key for row in registry.trail.rows() if row.entity == "exports"}
         made = {row.key for row in registry.trail.rows() if row.action == "calibrate"}
         assert len(exports) == len(made) - 1, "a transaction is there whole or not at all"

@@ -24,16 +24,16 @@ from sqlalchemy import Engine, create_engine, text
 from sqlalchemy.exc import OperationalError
 
 from softcal.core.errors import InputError
-from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.network.network import Network
 from softcal.core.recording import OutputRecording
-from softcal.core.unit.calibration import CalibrationRecord
+from softcal.core.unit.state import UnitState
 from softcal.core.words.reason import plain
 from softcal.db.care.backup import back_up, restore
 from softcal.db.connection import open_registry
 from softcal.db.truth import in_use
 from softcal.db.truth.calibrations import CalibrationTables
+from tests.unit_states import state_of
 
 pytestmark = pytest.mark.long
 
@@ -76,20 +76,16 @@ class RegistryMachine(RuleBasedStateMachine):
     def two_lots(self) -> None:
         network = Network((np.zeros((15, 1)),), (np.zeros(1),), 0.0, 1.0, 0.0, 1.0)
         for lot_id in ("L1", "L2"):
-            self.registry.lots.add(Lot(lot_id, "S0", 50.0))
+            self.registry.lots.add(Lot(lot_id, "S0", 50.0, limit_rmse=2.0))
             self.units[lot_id] = {"S0"}
         self.network_id = self.registry.networks.add("L1", network, {}, {}, "a" * 64)
 
-    def record(self, serial: str, number: int) -> CalibrationRecord:
-        arrays = {"map.gain": np.array([float(number)])}
-        sha256 = content_sha256(arrays, {})
-        return CalibrationRecord(
-            serial, self.network_id, "affine", sha256, arrays, {}, 0.1, "pass", ("fine",), sha256, sha256
-        )
+    def state(self, serial: str, number: int) -> UnitState:
+        return state_of(serial, self.network_id, "c" * 64, number)
 
     @rule(lot_id=LOTS, serial=SERIALS, number=NUMBERS)
     def calibrate(self, lot_id: str, serial: str, number: int) -> None:
-        revision = self.registry.calibrations.add(lot_id, self.record(serial, number))
+        revision = self.registry.calibrations.add(lot_id, self.state(serial, number))
         self.history.setdefault(serial, []).append(number)
         self.lots.setdefault(serial, []).append(lot_id)
         assert revision == len(self.history[serial])
@@ -130,7 +126,7 @@ class RegistryMachine(RuleBasedStateMachine):
     def break_off(self, serial: str) -> None:
         try:
             with self.registry.transaction():
-                self.registry.calibrations.add("L1", self.record(serial, 9))
+                self.registry.calibrations.add("L1", self.state(serial, 9))
                 raise ZeroDivisionError
         except ZeroDivisionError:
             pass
@@ -167,7 +163,7 @@ class RegistryMachine(RuleBasedStateMachine):
     def the_history_is_the_model_s(self) -> None:
         for serial, numbers in self.history.items():
             stored = self.registry.calibrations.history(serial)
-            assert [float(c.record.arrays["map.gain"][0]) for c in stored] == numbers
+            assert [c.state.fit.fitted.unit_map.gain - 1.0 for c in stored] == numbers
             used = {(lot_id, revision) for lot_id, revision in self.used[serial].items()}
             assert {(c.lot_id, c.revision) for c in stored if c.is_current} == used
 

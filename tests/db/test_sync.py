@@ -33,7 +33,7 @@ def test_a_new_central_registry_gets_everything(station, registry):
     report = synchronise(station.registry, registry)
     assert report.sent == len(station.registry.trail.rows()) and report.received == 0 and report.conflicts == ()
     assert same_history(station.registry, registry) and registry.verify() == []
-    assert registry.recordings.get(station.record("A1").recording_sha256).serial == "A1"
+    assert registry.recordings.get(station.state("A1").fit.recording_sha256).serial == "A1"
     assert registry.networks.get(station.network_id).id == station.network_id
 
 
@@ -49,7 +49,8 @@ def test_both_sides_get_what_the_other_did(station, registry, make_factory):
     central.calibrate("A1", 2)
     station.calibrate("A2", 3)
     report = synchronise(station.registry, registry)
-    assert (report.sent, report.received, report.conflicts) == (2, 2, ())
+    # A fit, a revision and a statement of use.
+    assert (report.sent, report.received, report.conflicts) == (3, 3, ())
     assert same_history(station.registry, registry)
     assert station.registry.calibrations.get("A1").revision == registry.calibrations.get("A2").revision == 2
     assert registry.verify() == station.registry.verify() == []
@@ -80,8 +81,8 @@ def test_of_two_results_for_one_serial_a_person_decides(station, registry, make_
     assert registry.calibrations.rollback("A1", 2, origin=mine, reason="the other was not seated") == 3
     assert synchronise(station.registry, registry).conflicts == ()
     for side in (station.registry, registry):
-        assert side.calibrations.get("A1").record.predicted_rmse == pytest.approx(0.2)
-        assert side.calibrations.get("A1", 2, origin=yours).record.predicted_rmse == pytest.approx(0.3)
+        assert side.calibrations.get("A1").state.predicted_rmse == pytest.approx(0.2)
+        assert side.calibrations.get("A1", 2, origin=yours).state.predicted_rmse == pytest.approx(0.3)
         assert side.verify() == []
     assert station.calibrate("A1", 4) == 4
 
@@ -98,7 +99,7 @@ def test_a_refusal_after_a_conflict_is_what_every_question_tells(station, regist
     assert unit == paged and unit.is_conflict
     for told in (unit, stated, registry.lots.runs("L1", "A1")[-1]):
         assert (told.verdict, told.reasons) == ("fail", (plain("cable"),))
-    assert stated.made is None and registry.pages.verdict_counts("L1")["fail"] == 1
+    assert stated.summary is None and registry.pages.verdict_counts("L1")["fail"] == 1
 
 
 def test_the_same_map_made_twice_is_no_conflict(station, registry, make_factory):
@@ -106,9 +107,7 @@ def test_the_same_map_made_twice_is_no_conflict(station, registry, make_factory)
     station.calibrate("A1", 2)
     make_factory(registry).calibrate("A1", 2)
     assert synchronise(station.registry, registry).conflicts == ()
-    assert (
-        registry.calibrations.get("A1").record.map_sha256 == station.registry.calibrations.get("A1").record.map_sha256
-    )
+    assert registry.calibrations.get("A1").state.map_sha256 == station.registry.calibrations.get("A1").state.map_sha256
 
 
 def test_two_persons_who_decide_differently_are_a_conflict_again(station, registry, make_factory):
@@ -200,11 +199,11 @@ def test_a_restored_copy_may_go_on_beside_the_old_one(station, registry, tmp_pat
     restore(tmp_path / "backup.db", f"sqlite:///{tmp_path / 'second.db'}")
     later = datetime.now(UTC) + timedelta(hours=1)
     with open_registry(f"sqlite:///{tmp_path / 'second.db'}", RegistrySettings(clock=lambda: later)) as second:
-        second.calibrations.add("L1", station.record("A1", 5))
+        second.calibrations.add("L1", station.state("A1", 5))
         station.calibrate("A1", 6)
         synchronise(second, registry)
         report = synchronise(station.registry, registry)
         assert "A1" in report.conflicts[0]
         registry.calibrations.rollback("A1", 2, origin=second.origin, reason="the second one is mounted")
-        assert registry.calibrations.get("A1").record.predicted_rmse == pytest.approx(0.5)
+        assert registry.calibrations.get("A1").state.predicted_rmse == pytest.approx(0.5)
         assert registry.verify() == []

@@ -13,6 +13,7 @@ from sqlalchemy.pool import NullPool
 from softcal.app.cli.main import main
 from softcal.core.errors import RegistryError, SoftcalError
 from softcal.core.recording import OutputRecording
+from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
 from softcal.core.words.reason import plain
 from softcal.db.care import checks
 from softcal.db.care.backup import back_up, restore
@@ -129,7 +130,7 @@ def test_rows_that_refer_to_nothing_are_found(people):
     if people.database.is_sqlite:
         behind(people, "DROP TRIGGER networks_no_delete")
     behind(people, "DELETE FROM networks")
-    assert any(line.startswith("calibrations: 2 rows") and "networks" in line for line in people.verify())
+    assert any(line.startswith("fits: 2 rows") and "networks" in line for line in people.verify())
 
 
 def test_the_command_remembers_where_the_trail_ended(file_registry, make_factory, tmp_path, monkeypatch):
@@ -181,7 +182,7 @@ def edits(registry) -> list[str]:
         ("UPDATE refusals SET made_at = replace(made_at, ' ', 'T')", "made_at", True),
         ("UPDATE lots SET added_at = replace(added_at, ' ', '1')", "added_at", True),
         ("UPDATE audit SET at = replace(at, ' ', 'T') WHERE seq = 2", "damaged", False),
-        ("UPDATE calibrations SET settings = replace(settings, ':', ': ')", "settings", False),
+        ("UPDATE calibrations SET state = replace(state, ':', ': ')", "state", False),
         ("UPDATE golden_runs SET passed = 2", "passed", False),
     ],
 )
@@ -247,12 +248,13 @@ def answer(url: str) -> object:
     """What is told of the unit: its map in use, bit by bit, and its verdict everywhere."""
     with open_registry(url, create=False) as registry:
         stored = registry.calibrations.get("A1")
-        arrays = {name: array.tobytes() for name, array in stored.record.arrays.items()}
-        network = {name: a.tobytes() for name, a in registry.networks.get(stored.record.network_id).arrays().items()}
+        fit = fit_to_json(stored.state.fit)
+        arrays = {name: array.tobytes() for name, array in fit.arrays.items()}
+        network = {name: a.tobytes() for name, a in registry.networks.get(stored.state.fit.network_id).arrays().items()}
         return (
             stored.revision,
             stored.origin,
-            vars(stored.record) | {"arrays": arrays},
+            (fit.content, adjustments_to_json(stored.state), arrays),
             network,
             registry.lots.get("L1"),
         )
@@ -310,9 +312,7 @@ def test_a_row_that_a_damaged_index_hides_or_swaps_is_missed_by_whoever_asks(
     def told(url: str) -> list[object]:
         with open_registry(url, create=False) as registry:
             pages = registry.pages.unit_page("L1", UnitFilter()).units
-            revisions = [
-                [c.record.map_sha256 for c in registry.calibrations.history(serial)] for serial in ("A1", "B1")
-            ]
+            revisions = [[c.state.map_sha256 for c in registry.calibrations.history(serial)] for serial in ("A1", "B1")]
             used = [registry.calibrations.get(serial).revision for serial in ("A1", "B1")]
             return [registry.lots.units(), pages, revisions, used]
 

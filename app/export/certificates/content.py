@@ -9,13 +9,13 @@ import numpy as np
 
 from softcal.app.export.calibrated_unit import CalibratedUnit
 from softcal.app.export.certificates.laboratory import NOT_STATED, Laboratory, read_laboratory
-from softcal.app.registry.limit import judged_limit
 from softcal.core.errors import InputError
 from softcal.core.lot import escape_serial
+from softcal.core.maps.anchors import AnchoredMap
 from softcal.core.recording import Array
 from softcal.core.unit.budget import COVERAGE, Budget, Reference, Standing, forecast_budget, measured_budget
-from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.estimate import Estimate, estimate
+from softcal.core.unit.state import Correction, UnitState
 from softcal.core.unit.uncertainty import NORMAL_90, ErrorForecast
 from softcal.core.unit.verdict import Limit, Verdict
 from softcal.core.words.figures import decimals_of, telling_decimals, written_value
@@ -353,7 +353,8 @@ class Certificate:
 
 def certificate_of(unit: CalibratedUnit) -> Certificate:
     """Gather the facts (`InputError`: no usable laboratory file, or it names another instrument)."""
-    record, lot = unit.stored.record, unit.lot
+    state, lot = unit.state, unit.lot
+    fit, scores = state.fit, state.scores
     found, share = estimate(unit.network, unit.calibration, unit.recording), COVERAGE / NORMAL_90
     # U_est (k = 2) in place of the 90 % interval.
     lower = found.estimate - share * (found.estimate - found.lower)
@@ -361,7 +362,7 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
     # The map at steady outputs, over the range of the unit's recording.
     output = np.linspace(float(unit.recording.output.min()), float(unit.recording.output.max()), 60)
     windows = np.repeat(output[:, None], unit.recording.windows.shape[1], axis=1)
-    source, reference = unit.shared.source.reference, record.reference
+    source, reference = unit.shared.source.reference, fit.reference
     laboratory = read_laboratory(unit.options.laboratory)
     _check_cell(laboratory, reference)
     # The part of the source's range that the unit's recording reaches; all where none.
@@ -370,20 +371,20 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
     if len(inside):
         low, high = float(inside.min()), float(inside.max())
     by_audits = ""
-    if record.common_line is not None:
-        gain, zero = record.common_line
+    if isinstance(state.line_behind, Correction):
+        line, number = state.line_behind.line, state.line_behind.number
         by_audits = (
-            "what the audited units of the lot misread alike was taken off the map: estimates less "
-            f"{zero:+.4g} {lot.reference_unit}, divided by {gain:.4g}"
+            f"correction {number} of the lot, from {state.line_behind.audits} audited units: estimates less "
+            f"{line.zero:+.4g} {lot.reference_unit}, divided by {line.gain:.4g}"
         )
     return Certificate(
-        identifier=f"softcal-{escape_serial(record.serial)}-r{unit.stored.revision}-{record.map_sha256[:8]}",
+        identifier=f"softcal-{escape_serial(unit.serial)}-r{unit.stored.revision}-{state.map_sha256[:8]}",
         made_on=unit.stored.made_at.date(),
         in_registry_since=unit.in_registry_since,
         source_since=unit.shared.source_since,
         issued_on=unit.options.issued_on or laboratory.performance.issued_on or datetime.now(UTC).date(),
         laboratory=laboratory,
-        serial=record.serial,
+        serial=unit.serial,
         revision=unit.stored.revision,
         lot=lot.id,
         sensor_model=lot.sensor_model,
@@ -396,26 +397,26 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
         left_out=len(unit.recording.masked),
         low=low,
         high=high,
-        forecast=unit.calibration.forecast,
-        limit=judged_limit(record, lot.reference_unit),
+        forecast=state.forecast,
+        limit=state.limit,
         verdict=unit.verdict,
         reasons=tuple(map(str, unit.reasons)),
-        before=record.before_rmse,
-        measured=None if record.scores is None else record.scores.after.interval,
-        rows=_rows(record),
-        is_sampled=record.decision.measured is None and record.decision.sampled is not None,
-        is_trimmed=_is_trimmed(record),
+        before=None if scores is None else scores.before.rmse,
+        measured=None if scores is None else scores.after.interval,
+        rows=_rows(state),
+        is_sampled=state.release_in_force is not None,
+        is_trimmed=_is_trimmed(state),
         reference=reference,
         bars=() if reference is None else tuple(map(str, reference.bars(float(source.max())))),
         budget=_budget(unit, float(np.sqrt(np.mean(source**2)))),
-        map_family=record.family,
-        by_loads=_by_loads(record, lot.output_unit),
+        map_family=fit.family,
+        by_loads=_by_loads(state, lot.output_unit),
         by_audits=by_audits,
         made_because=unit.stored.reason,
         hashes=(
-            ("network", record.network_id),
-            ("map", record.map_sha256),
-            ("unit's recording", record.recording_sha256),
+            ("network", fit.network_id),
+            ("map", state.map_sha256),
+            ("unit's recording", fit.recording_sha256),
             ("source recording", unit.shared.source_sha256),
         ),
         bands=_bands(estimates, low, high),
@@ -441,45 +442,41 @@ def _check_cell(laboratory: Laboratory, reference: Reference | None) -> None:
             )
 
 
-def _rows(record: CalibrationRecord) -> str:
+def _rows(state: UnitState) -> str:
     """Say how many rows the measured error was made from; empty without an audit."""
-    if record.scores is None:
+    if state.scores is None:
         return ""
-    left_out = ", ".join(f"{flag} {count}" for flag, count in record.scores.unscored.items() if count)
-    return f"Rows of the audit that have an estimate: {record.scores.after.rows}; without one: {left_out or 'none'}."
+    left_out = ", ".join(f"{flag} {count}" for flag, count in state.scores.unscored.items() if count)
+    return f"Rows of the audit that have an estimate: {state.scores.after.rows}; without one: {left_out or 'none'}."
 
 
-def _is_trimmed(record: CalibrationRecord) -> bool:
-    return any(why.code == "trimmed" for why in record.reasons)
+def _is_trimmed(state: UnitState) -> bool:
+    """Return whether the map was trimmed and not measured since."""
+    return any(why.code == "trimmed" for why in state.blocking_reasons)
 
 
-def _by_loads(record: CalibrationRecord, unit: str) -> str:
+def _by_loads(state: UnitState, unit: str) -> str:
     """Say what known loads did to the map; empty where there were none."""
-    gain, offset = (record.evidence.get(f"map_anchor_{name}") for name in ("gain", "offset"))
-    if gain is None or offset is None:
+    anchored = state.unit_map
+    if not state.knowledge.is_anchored or not isinstance(anchored, AnchoredMap):
         return ""
-    how = "trimmed" if _is_trimmed(record) else "set"
+    how = "trimmed" if state.trim_in_force else "set"
     return (
-        f"the map was {how} by known loads: what it gave is multiplied by {float(gain):.4g} and moved by "
-        f"{float(offset):+.4g} {unit}; what these loads are traced to is {NOT_STATED}"
+        f"the map was {how} by known loads: what it gave is multiplied by {anchored.gain:.4g} and moved by "
+        f"{anchored.offset:+.4g} {unit}; what these loads are traced to is {NOT_STATED}"
     )
 
 
 def _budget(unit: CalibratedUnit, load: float) -> Budget | None:
-    record = unit.stored.record
+    state, fit = unit.state, unit.state.fit
     # What is known of the map before a trim says nothing of this one.
-    if _is_trimmed(record):
+    if _is_trimmed(state):
         return None
-    if record.after_rmse is not None:
-        return measured_budget(record.after_rmse, record.reference, load)
-    terms = {
-        name.removeprefix("u_"): float(value)
-        for name, value in record.evidence.items()
-        if name.startswith("u_") and isinstance(value, int | float)
-    }
-    if record.predicted_rmse is None or "model" not in terms:
+    if state.scores is not None:
+        return measured_budget(state.scores.after.rmse, fit.reference, load)
+    if "model" not in fit.budget:
         return None
-    return forecast_budget(terms, record.knowledge, record.predicted_rmse, record.reference, load)
+    return forecast_budget(fit.budget, state.knowledge, state.predicted_rmse, fit.reference, load)
 
 
 def band_range(band: Uncertainty) -> str:

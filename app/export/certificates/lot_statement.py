@@ -53,18 +53,18 @@ def lot_statement_facts(registry: Registry, standing: LotStanding, decided: LotR
     """Gather what the page on a lot says (`decided`: on its units that nobody measured)."""
     lot_id, now = standing.lot_id, datetime.now(UTC)
     calibrated = next(u.serial for u in registry.lots.units(lot_id) if u.role == "target" and u.revision is not None)
-    record = registry.calibrations.get(calibrated, lot_id=lot_id).record
+    fit = registry.calibrations.get(calibrated, lot_id=lot_id).state.fit
     return LotStatementFacts(
         lot=registry.lots.get(lot_id),
         standing=standing,
         decided=decided,
-        network_id=record.network_id,
-        method_id=record.method_id,
+        network_id=fit.network_id,
+        method_id=fit.method.id,
         made_on=now.date(),
         software=f"softcal {version('softcal')}",
         sample=audited_sample(registry, lot_id),
         identifier=f"{lot_id} {now:%Y-%m-%d %H:%M} UTC",
-        is_simulated=record.reference is not None and record.reference.is_simulated,
+        is_simulated=fit.reference is not None and fit.reference.is_simulated,
     )
 
 

@@ -59,7 +59,7 @@ def render() -> None:
     left, right = (unit_view(registry(), str(serial)) for serial in chosen)
     for column, view in zip(st.columns(2), (left, right), strict=True):
         with column:
-            verdict_badge(view.stored.record.verdict)
+            verdict_badge(view.stored.state.verdict)
     one, other = _facts(left), _facts(right)
     first, second = left.stored.serial, right.stored.serial
     second = second if second != first else f"{second} "
@@ -76,15 +76,15 @@ def _calibrated(text: str) -> list[str]:
 
 
 def _facts(view: UnitView) -> dict[str, str]:
-    record, unit = view.stored.record, view.lot.reference_unit
+    errors, unit = view.stored.state.errors, view.lot.reference_unit
     return {
         say("choose.lot"): view.lot.id,
         say("column.revision"): str(view.stored.revision),
         say("column.made"): instant(view.stored.made_at),
-        say("column.family"): record.family,
-        say("lot.predicted"): number(record.predicted_rmse, unit),
-        say("column.before"): number(record.before_rmse, unit),
-        say("column.after"): number(record.after_rmse, unit),
-        say("column.own"): number(record.own_rmse, unit),
-        say("column.reasons"): all_said(record.reasons, say),
+        say("column.family"): view.stored.state.fit.family,
+        say("lot.predicted"): number(errors["predicted_rmse"], unit),
+        say("column.before"): number(errors["before_rmse"], unit),
+        say("column.after"): number(errors["after_rmse"], unit),
+        say("column.own"): number(errors["own_rmse"], unit),
+        say("column.reasons"): all_said(view.stored.state.decision.reasons, say),
     }

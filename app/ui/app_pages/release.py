@@ -6,7 +6,7 @@ from typing import Any
 
 import streamlit as st
 
-from softcal.app.batch.release import judge_lot, lot_standing
+from softcal.app.batch.release import decide_lot, lot_standing
 from softcal.app.export.certificates import laboratory
 from softcal.app.export.certificates.lot_statement import lot_statement_facts, lot_statement_pdf
 from softcal.app.export.names import FORMATS
@@ -78,7 +78,7 @@ def _statement(standing: LotStanding) -> None:
         return
     if st.button(say("release.do"), type="primary", icon=":material/verified:", key="release-do"):
         permit("release")
-        made = judge_lot(registry(), lot_id, actor())
+        made = decide_lot(registry(), lot_id, actor())
         released = len(made.released) if made is not None else 0
         finish("release", say("release.done", count=released, lot=lot_id))
     make = partial(lot_statement_pdf, lot_statement_facts(registry(), standing, decided), words())

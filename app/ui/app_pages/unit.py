@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import streamlit as st
 
-from softcal.app.batch.judging import judge_again
+from softcal.app.batch.release import roll_back
 from softcal.app.charts import unit as charts_unit
 from softcal.app.charts.why import HEIGHT, why_figure
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
@@ -66,14 +66,14 @@ def _revision(serial: str, history: list[StoredCalibration]) -> None:
     stored = next(entry for entry in history if entry.revision == revision)
     standing = standing_of(registry(), stored)
     with left:
-        verdict_badge(standing.verdict if standing.made is None else stored.record.verdict)
-    if standing.made is None:
+        verdict_badge(standing.verdict if standing.summary is None else stored.state.verdict)
+    if standing.summary is None:
         st.markdown(f"{say('unit.refused_since')} **{in_words(standing.reasons)}**")
-    record, unit = stored.record, registry().lots.get(lot_id).reference_unit
-    scores = [(say(f"column.{n}"), getattr(record, f"{n}_rmse"), None) for n in ("before", "after", "own")]
-    cells = [(say("lot.predicted"), record.predicted_rmse, say("unit.predicted.help")), *scores]
+    unit, errors = registry().lots.get(lot_id).reference_unit, stored.state.errors
+    scores = [(say(f"column.{name}"), errors[f"{name}_rmse"], None) for name in ("before", "after", "own")]
+    cells = [(say("lot.predicted"), errors["predicted_rmse"], say("unit.predicted.help")), *scores]
     numbers([(label, number(value, unit), tip) for label, value, tip in cells if value is not None])
-    for reason in record.reasons:
+    for reason in stored.state.decision.reasons:
         st.markdown(f"- {in_words(reason)}")
     if not rest_may_follow():
         return
@@ -138,17 +138,17 @@ def _history(serial: str, history: Sequence[StoredCalibration], lot: Lot) -> Non
     """Draw the revisions, newest first, and a way back to an older one."""
     rows, older = [], []
     for entry in reversed(history):
-        record = entry.record
+        state, errors = entry.state, entry.state.errors
         back = say("unit.rolled_back", revision=entry.rolled_back_to) if entry.rolled_back_to else ""
         rows.append(
             {
                 say("column.revision"): entry.revision,
                 say("column.in_use"): say("unit.in_use") if entry.is_current else "",
                 say("column.made"): instant(entry.made_at),
-                say("column.verdict"): say(f"verdict.{record.verdict}"),
-                say("column.predicted"): number(record.predicted_rmse, lot.reference_unit),
-                say("column.after"): number(record.after_rmse, lot.reference_unit),
-                say("column.family"): record.family,
+                say("column.verdict"): say(f"verdict.{state.verdict}"),
+                say("column.predicted"): number(errors["predicted_rmse"], lot.reference_unit),
+                say("column.after"): number(errors["after_rmse"], lot.reference_unit),
+                say("column.family"): state.fit.family,
                 say("column.actor"): entry.actor,
                 say("column.reason"): "; ".join(filter(None, (back, entry.reason))),
             }
@@ -165,8 +165,7 @@ def _history(serial: str, history: Sequence[StoredCalibration], lot: Lot) -> Non
         if reason is None:
             return
         with refusals_in_words():
-            registry().calibrations.rollback(serial, revision, reason=reason, actor=actor(), lot_id=lot.id)
-            judge_again(registry(), [lot.id], actor())
+            roll_back(registry(), serial, revision, reason=reason, actor=actor(), lot_id=lot.id)
             finish("unit", say("unit.rollback.done", revision=revision))
 
 

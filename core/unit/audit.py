@@ -1,0 +1,76 @@
+"""Measure a unit by a labelled recording of it: the error of the map in force, and what is stored beside it."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from softcal.core.identity import content_sha256
+from softcal.core.network.config import NetworkConfig
+from softcal.core.network.network import Network
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.unit.estimate import estimate
+from softcal.core.unit.measured_error import MeasuredError
+from softcal.core.unit.output_level import load_line, output_level
+from softcal.core.unit.scoring import score_map
+from softcal.core.unit.state import AuditResult, UnitState
+from softcal.core.windows import evenly
+
+INSTANTS = 201
+"""Instants of an audit that are stored, evenly spaced: enough for shares of its samples."""
+
+
+def measure(
+    network: Network,
+    state: UnitState,
+    audit: LabelledRecording,
+    recording: OutputRecording,
+    own: NetworkConfig | MeasuredError | None = None,
+) -> UnitState:
+    """Return the state with an audit of its map in force.
+
+    Args:
+        recording: the one that the unit was calibrated from.
+        own: how a network of the unit's own is trained on the audit, for comparison; or the error of one that was.
+    """
+    method = state.fit.method
+    before_widening = replace(state, release=None)
+    value, half = _estimates(network, before_widening, audit)
+    fitted = replace(state, release=None, trim=None, correction=None)
+    fitted_value = value if state.line_behind is None else _estimates(network, fitted, audit)[0]
+    rows = np.flatnonzero(np.isfinite(value))
+    spread = rows[evenly(len(rows), INSTANTS)]
+    rest = method.map.crossing.robust_range[0]
+    unit, now = (output_level(one, is_rising=audit.direction > 0, rest=rest) for one in (recording, audit.unlabelled))
+    result = AuditResult(
+        map_id=state.map_id,
+        recording_sha256=audit.sha256,
+        output_sha256=audit.output_sha256,
+        reference_sha256=content_sha256({"reference": audit.reference}, {}),
+        scores=score_map(network, state.unit_map, audit, own, method.decision),
+        line=load_line(value, audit.reference),
+        fitted_line=load_line(fitted_value, audit.reference),
+        unit_rest=unit.rest,
+        audit_rest=now.rest,
+        span=unit.span,
+        residual=_short(np.abs(value - audit.reference)[spread]),
+        half=_short(half[spread]),
+    )
+    return replace(state, audit=result)
+
+
+def measure_again(
+    network: Network, state: UnitState, audit: LabelledRecording, recording: OutputRecording
+) -> UnitState:
+    """Return the state with its own audit scored on the map in force, as after a correction."""
+    before = state.audit
+    own = None if before is None or before.scores.own is None else before.scores.own.own
+    return measure(network, state, audit, recording, own)
+
+
+def _estimates(network: Network, state: UnitState, audit: LabelledRecording) -> tuple[Array, Array]:
+    estimates = estimate(network, state.calibration, audit.unlabelled)
+    return estimates.estimate, estimates.upper - estimates.estimate
+
+
+def _short(values: Array) -> tuple[float, ...]:
+    return tuple(float(f"{value:.6g}") for value in values)

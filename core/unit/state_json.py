@@ -1,0 +1,100 @@
+"""A unit's state as named arrays and JSON values, and back: what the registry stores of it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from typing import Any, get_type_hints
+
+import msgspec
+import numpy as np
+
+from softcal.core.metrics import finite_or_none
+from softcal.core.recording import Arrays
+from softcal.core.unit.health import OutputLimits
+from softcal.core.unit.knowledge import LoadKnowledge
+from softcal.core.unit.method import Method
+from softcal.core.unit.state import Fit, FittedMap, UnitState
+from softcal.core.unit.uncertainty import Interval
+
+Json = dict[str, Any]
+
+_BESIDE = ("method", "knowledge", "fitted")
+"""Fields of a fit that are not written as they are."""
+
+
+@dataclass(frozen=True, eq=False)
+class StoredFit:
+    """A fit as values: its numbers and words as JSON, its arrays by name; the method is stored once for many."""
+
+    content: Json
+    arrays: Arrays
+
+
+def fit_to_json(fit: Fit) -> StoredFit:
+    """Return a fit as JSON values and arrays."""
+    content = {one.name: _plain(getattr(fit, one.name)) for one in fields(Fit) if one.name not in _BESIDE}
+    content["knowledge"] = {"kind": fit.knowledge.kind, "is_anchored": fit.knowledge.is_anchored}
+    if fit.fitted is None:
+        return StoredFit(content, {})
+    unit_map, interval, limits = fit.fitted.unit_map, fit.fitted.interval, fit.fitted.output_limits
+    content["fitted"] = {
+        "map": dict(unit_map.settings()),
+        "interval": interval.settings(),
+        "output_limits": {name: finite_or_none(value) for name, value in vars(limits).items()},
+    }
+    arrays = {f"map.{name}": array for name, array in unit_map.arrays().items()}
+    return StoredFit(content, arrays | {f"interval.{name}": array for name, array in interval.arrays().items()})
+
+
+def fit_from_json(content: Mapping[str, Any], method: Method, arrays: Arrays | None = None) -> Fit:
+    """Read what `fit_to_json` wrote; without arrays the fit can be listed and decided on, and estimates nothing.
+
+    Raises:
+        ValueError: the content is not what was written.
+    """
+    kinds, known = _types(Fit), content["knowledge"]
+    names = [one.name for one in fields(Fit) if one.name not in _BESIDE]
+    values = {name: msgspec.convert(content[name], kinds[name]) for name in names}
+    knowledge = LoadKnowledge(known["kind"], getattr(method.knowledge, known["kind"]), known["is_anchored"])
+    fit = Fit(**values, method=method, knowledge=knowledge)
+    return fit if arrays is None else replace(fit, fitted=_fitted(fit.family, content["fitted"], arrays))
+
+
+def adjustments_to_json(state: UnitState) -> Json:
+    """Return all of a state but its fit as JSON values."""
+    return {one.name: _plain(getattr(state, one.name)) for one in fields(UnitState) if one.name != "fit"}
+
+
+def state_from_json(fit: Fit, content: Mapping[str, Any]) -> UnitState:
+    """Read what `adjustments_to_json` wrote, beside its fit."""
+    kinds = _types(UnitState)
+    return UnitState(fit=fit, **{name: msgspec.convert(value, kinds[name]) for name, value in content.items()})
+
+
+def _fitted(family: str, written: Mapping[str, Any], arrays: Arrays) -> FittedMap:
+    # The families bring solvers that take seconds to import; a registry that lists units needs none of them.
+    from softcal.core.maps.catalogue import map_from_arrays
+
+    limits = written["output_limits"]
+    return FittedMap(
+        map_from_arrays(family, _group(arrays, "map."), written["map"]),
+        Interval.from_arrays(_group(arrays, "interval."), written["interval"]),
+        OutputLimits(
+            rail_low=-np.inf if limits["rail_low"] is None else float(limits["rail_low"]),
+            rail_high=np.inf if limits["rail_high"] is None else float(limits["rail_high"]),
+            stuck_samples=int(limits["stuck_samples"]),
+        ),
+    )
+
+
+@cache
+def _types(kind: type) -> dict[str, Any]:
+    return get_type_hints(kind)
+
+
+def _plain(value: object) -> Any:
+    return msgspec.to_builtins(value, enc_hook=lambda number: number.item())
+
+
+def _group(arrays: Arrays, prefix: str) -> Arrays:
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
