@@ -135,7 +135,7 @@ def _trend(values: Array, at: Sequence[float | None]) -> Trend:
     away = x - x.mean() if len(x) == count else np.zeros(count)
     slope, slope_error, centre, low, high = 0.0, 0.0, 0.0, 0.0, 0.0
     left, degrees = values - mean, count - 1
-    if count > 3 and np.any(away):
+    if degrees > 2 and np.any(away):
         raw = float(away @ values / (away @ away))
         raw_error = float(np.sqrt(np.sum((left - raw * away) ** 2) / (count - 2) / (away @ away)))
         slope, slope_error = _shrunk(raw, raw_error), raw_error

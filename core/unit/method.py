@@ -187,7 +187,7 @@ class FindingConfig:
 
 @dataclass(frozen=True)
 class DecisionConfig:
-    """From an error to a verdict (`verdict.py`, `audit_reading.py`).
+    """From an error to a verdict (`verdict.py`, `audit.py`).
 
     Args:
         default_factor: a lot that states no limit gets this factor times the source's own held-out RMSE.

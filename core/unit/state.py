@@ -1,7 +1,8 @@
 """The life of one unit: its fit, what was done to it since, and everything that follows from both.
 
 A state never changes; an act returns another one. Each act fills a slot of its own, and all that is said of a unit is
-computed from the slots. So acts on different slots commute, and no two statements about a unit can disagree.
+computed from the slots. So acts on different slots commute, and no two statements about a unit can disagree
+(docs/decisions/0144-one-state-of-a-unit.md).
 """
 
 from collections.abc import Mapping

@@ -15,6 +15,7 @@ import pytest
 from sqlalchemy import Engine
 from sqlalchemy import event as sqlalchemy_event
 
+from softcal.app.batch.audit import audited_sample
 from softcal.app.batch.audit_evidence import AuditReader
 from softcal.app.batch.judging import redecide
 from softcal.app.batch.known import stated_line
@@ -110,6 +111,44 @@ def test_whoever_is_listed_as_released_has_the_verdict_pass(barred_by, make_lot,
     assert sorted(json.loads(capsys.readouterr().out)["released"]) == sorted([*passed, *measured])
     assert sorted(decision_in_force(registry, "large").released) == passed
     assert str(len(passed) or "no unit") in report["release"]["statement"]
+
+
+def test_a_trim_of_an_audited_unit_changes_that_unit_alone(make_lot, batch, registry, registry_url, tmp_path):
+    """Nine audits are not ten: the correction of the lot stands until somebody makes the next one."""
+    folder = make_lot()
+    batch(folder)
+    serials = sorted(path.stem for path in (folder / "units").iterdir())
+    before = {serial: registry.calibrations.get(serial) for serial in serials}
+    trimmed = next(path.stem for path in sorted((folder / "audit").iterdir()))
+    low, high = pd.read_csv(folder / "units" / f"{trimmed}.csv")["output"].quantile([0.02, 0.98])
+    loads = tmp_path / "loads.csv"
+    loads.write_text(f"output,reference\n{low},0.3\n{high},2.9\n")
+    trim = ["trim", "--registry", registry_url, "--serial", trimmed, "--loads", str(loads)]
+    assert before[trimmed].state.is_released and main(trim) == 2, "it withdraws a released unit: it asks"
+    assert registry.calibrations.get(trimmed).revision == before[trimmed].revision
+    assert main([*trim, "--yes"]) == 0
+    for serial in serials:
+        after = registry.calibrations.get(serial)
+        assert (after.revision == before[serial].revision) == (serial != trimmed)
+    now = registry.calibrations.get(trimmed).state
+    codes = {why.code for why in now.decision.reasons}
+    assert {"trimmed", "audited_before_trim"} <= codes and "common" not in codes
+    # Of a map without the correction nothing is told of it; the lot's number stands for the others.
+    assert {registry.calibrations.get(serial).state.correction.number for serial in serials if serial != trimmed} == {1}
+    assert len(registry.decisions.of_lot("large")) == 1
+
+
+def test_audits_that_were_not_drawn_first_release_nobody(make_lot, registry, registry_url, tmp_path):
+    folder, report = make_lot(), tmp_path / "report.json"
+    calibrate = ["batch", str(folder), "--registry", registry_url, *SMALL, "--json", str(report)]
+    assert main(calibrate) == 1
+    assert main(["lot", "audit-plan", "large", "--random", "99", "--registry", registry_url]) == 0
+    assert main(calibrate) == 1
+    units = json.loads(report.read_text())["units"]
+    assert {unit["verdict"] for unit in units if not unit["audited"]} == {"conditional"}
+    assert {unit["verdict"] for unit in units if unit["audited"]} == {"pass"}, "each decides about its own unit"
+    sample = audited_sample(registry, "large")
+    assert (sample.since, sample.before, sample.without_draw) == (0, 10, 0)
 
 
 def test_units_nobody_measured_pass_on_the_audits_of_the_others(make_lot, batch, tmp_path, capsys, registry):

@@ -18,7 +18,7 @@ CORE = Path(__file__).parents[2] / "core"
 ROOMS = ("unit", "maps", "use")
 NO_DECISION = {
     "core/unit/method.py": {"CONFIDENCE", "LEVELS"},  # parts of the file formats, and fields of `Method`
-    "core/unit/audit_reading.py": {"INSTANTS"},  # instants of the stored reading
+    "core/unit/audit.py": {"INSTANTS"},  # instants of the stored reading
     "core/unit/bridge.py": {"SAME_DAY"},  # the identity
     "core/unit/line_spread.py": {"MOST_SPREAD"},  # 1, the end of what a share can be
     "core/unit/uncertainty.py": {"NORMAL_90"},  # a quantile of the normal distribution

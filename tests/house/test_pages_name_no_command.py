@@ -37,6 +37,7 @@ AT_A_TERMINAL = {
     "app/export/check.py": "checks a command makes",
     "app/gap/diagnose.py": "reports a command keeps as files",
     "app/registry/quality.py": "a limit that a command may state; a page draws no capability without one",
+    "app/gap/sealed_file.py": "an examiner that a command asks",
     "app/ui/components/line_card.py": "properties of a style sheet",
     "core/export/c_text.py": "the head of a file for a device",
     "core/unit/knowledge.py": "where a number of the method comes from",
