@@ -26,6 +26,19 @@ if TYPE_CHECKING:
 KNOWN_NETWORK = select(networks.c.id).where(networks.c.id == bindparam("network"))
 KNOWN_METHOD = select(methods.c.id).where(methods.c.id == bindparam("method"))
 KNOWN_FIT = select(fits.c.sha256).where(fits.c.lot_id == bindparam("lot"), fits.c.sha256 == bindparam("fit"))
+_OF_UNIT = (calibrations.c.lot_id == bindparam("lot"), calibrations.c.serial == bindparam("unit"))
+INPUT_OF_FIT = (
+    select(calibrations.c.input_sha256)
+    .where(*_OF_UNIT, calibrations.c.fit_sha256 == bindparam("fit"))
+    .order_by(calibrations.c.revision)
+    .limit(1)
+)
+KNOWN_STATE = (
+    select(calibrations.c.revision, calibrations.c.origin)
+    .where(*_OF_UNIT, calibrations.c.state_sha256 == bindparam("state"))
+    .order_by(*NEWEST_FIRST)
+    .limit(1)
+)
 LAST_REVISION = select(
     func.max(calibrations.c.revision).label("revision"), func.max(calibrations.c.made_at).label("made_at")
 ).where(calibrations.c.serial == bindparam("unit"))
@@ -109,11 +122,10 @@ class CalibrationTables(InUseTable):
         """
         from softcal.core.unit.state_json import adjustments_to_json
 
-        c, serial = calibrations.c, state.serial
+        serial = state.serial
         with self.database.writing():
             wanted = state_sha256(self._store_fit(lot_id, state.fit, actor), adjustments_to_json(state))
-            query = select(c.revision, c.origin).where(c.lot_id == lot_id, c.serial == serial, c.state_sha256 == wanted)
-            row = self.database.row(query.order_by(*NEWEST_FIRST).limit(1))
+            row = self.database.row(KNOWN_STATE, {"lot": lot_id, "unit": serial, "state": wanted})
             if row is None:
                 self.add(lot_id, state, actor, reason, decided_by=decided_by)
                 return True
@@ -150,9 +162,7 @@ class CalibrationTables(InUseTable):
 
     def _input_of(self, lot_id: str, serial: str, fit_sha256: str) -> str | None:
         """Return what asked for the first revision with a fit."""
-        c = calibrations.c
-        query = select(c.input_sha256).where(c.lot_id == lot_id, c.serial == serial, c.fit_sha256 == fit_sha256)
-        first: str | None = self.database.value(query.order_by(c.revision).limit(1))
+        first: str | None = self.database.value(INPUT_OF_FIT, {"lot": lot_id, "unit": serial, "fit": fit_sha256})
         return first
 
     def rollback(
