@@ -20,6 +20,7 @@ from softcal.db.schema.tables import AUDITED, UtcTime, audit, blobs, limits, met
 from softcal.db.schema.transaction_cache import HAS_TOLD, forget
 from softcal.db.truth import history
 from softcal.db.truth.in_use import conflict_line, conflicts_of
+from softcal.db.truth.lot_decisions import decision_conflicts
 from softcal.db.truth.registry_base import RegistryBase
 
 ROWS_AT_ONCE = 200
@@ -88,6 +89,7 @@ def conflicts(registry: RegistryBase) -> list[str]:
             f"lot {lot_id!r} limit version {number} was set by two registries; the newer one holds"
             for lot_id, number in database.tuples(doubles)
         ]
+        decided = decision_conflicts(database)
         chains: dict[str, set[str]] = {}
         for key, after in database.tuples(select(audit.c.key, audit.c.after).where(audit.c.entity == "lots")):
             facts = json.loads(after)
@@ -97,7 +99,7 @@ def conflicts(registry: RegistryBase) -> list[str]:
         for key, versions in sorted(chains.items())
         if len(versions) > 1
     ]
-    return [*used, *twice, *differing]
+    return [*used, *twice, *decided, *differing]
 
 
 def _send(source: Database, target: Database) -> int:

@@ -2,10 +2,12 @@
 
 from collections.abc import Mapping
 
+import sqlalchemy as sa
 from sqlalchemy import func, select
 
 from softcal.db.entries import LotDecisionEntry
-from softcal.db.schema.tables import lot_decisions
+from softcal.db.schema.database import Database
+from softcal.db.schema.tables import canonical_json, lot_decisions
 from softcal.db.truth.registry_base import RegistryBase, of_row
 
 
@@ -41,3 +43,24 @@ class LotDecisionTable(RegistryBase):
         d = lot_decisions.c
         query = select(lot_decisions).where(d.lot_id == lot_id).order_by(d.made_at, d.number, d.origin)
         return [of_row(LotDecisionEntry, row) for row in self.database.rows(query)]
+
+
+def decision_conflicts(database: Database) -> list[str]:
+    """Return a line for each lot of which two registries made a decision of the same, newest number, and differ.
+
+    The one that was made last is in force, units that either released stay; a person makes the next one.
+    """
+    d = lot_decisions.c
+    newest = select(d.lot_id, func.max(d.number).label("number")).group_by(d.lot_id).subquery()
+    is_newest = sa.and_(newest.c.lot_id == d.lot_id, newest.c.number == d.number)
+    query = select(d.lot_id, d.number, d.origin, d.made_at, d.decision).join(newest, is_newest)
+    made: dict[tuple[str, int], list[sa.RowMapping]] = {}
+    for row in database.rows(query.order_by(d.lot_id, d.made_at)):
+        made.setdefault((row["lot_id"], row["number"]), []).append(row)
+    return [
+        f"lot {lot_id}: decision {number} was made by the registries "
+        + ", ".join(f"{row['origin']} ({row['made_at']:%Y-%m-%d %H:%M:%S} UTC)" for row in rows)
+        + "; the last one is in force; decide by `softcal lot release` or a batch"
+        for (lot_id, number), rows in made.items()
+        if len({canonical_json(row["decision"]) for row in rows}) > 1
+    ]

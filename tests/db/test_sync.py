@@ -110,6 +110,20 @@ def test_the_same_map_made_twice_is_no_conflict(station, registry, make_factory)
     assert registry.calibrations.get("A1").state.map_sha256 == station.registry.calibrations.get("A1").state.map_sha256
 
 
+def test_two_decisions_on_a_lot_of_one_number_are_a_conflict_that_the_next_one_ends(station, registry):
+    synchronise(station.registry, registry)
+    for side, released in ((station.registry, ["A1"]), (registry, ["A2"])):
+        assert side.decisions.add("L1", {"released": released}, action="release") == 1
+    report = synchronise(station.registry, registry)
+    (line,) = report.conflicts
+    assert all(part in line for part in ("L1", "decision 1", station.registry.origin, registry.origin))
+    for side in (station.registry, registry):
+        assert side.decisions.in_force("L1").decision == {"released": ["A2"]}, "the one that was made last"
+    assert station.registry.decisions.add("L1", {"released": ["A1", "A2"]}, action="release") == 2
+    assert synchronise(station.registry, registry).conflicts == ()
+    assert registry.decisions.in_force("L1").number == 2
+
+
 def test_two_persons_who_decide_differently_are_a_conflict_again(station, registry, make_factory):
     synchronise(station.registry, registry)
     station.calibrate("A1", 2)
