@@ -4,6 +4,7 @@ import time
 from dataclasses import replace
 
 from softcal.app.batch.audit import update_lot
+from softcal.app.batch.changes import compare_verdicts, read_verdicts
 from softcal.app.batch.judging import redecide_dependent_lots
 from softcal.app.batch.known import KeptFacts, lot_facts, lot_method, state_family, state_line, state_sources
 from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
@@ -36,6 +37,7 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
             fitted.
     """
     start_s = time.perf_counter()
+    before = read_verdicts(registry, folder.lot.id) if folder.lot.id in registry.lots.ids() else {}
     # Known loads that somebody names outrank those that lie in the folder.
     config = replace(config, anchors=config.anchors or folder.read_anchors())
     looked = folder.inspect_sources().values()
@@ -69,6 +71,7 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     decided = decide_lot(registry, lot_id, actor)
     audit = update_lot(registry, lot_id, actor)
     redecide_dependent_lots(registry, lot_id, actor)
+    changes = compare_verdicts(lot_id, before, read_verdicts(registry, lot_id))
     units = tuple(work.told(list(folder.unit_paths)).values())
     read += sorted(work.files, key=lambda file: file.path)
     names = {file.path: file.path.relative_to(folder.root).as_posix() for file in read}
@@ -83,5 +86,5 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     not_used = (*folder.not_used, *unread, *unused_audits(folder.audit_paths, units))
     seconds = time.perf_counter() - start_s
     return BatchReport(
-        lot_id, trained[0], units, seconds, audit, config.release, decided, not_used, tuple(remarks), layouts
+        lot_id, trained[0], units, seconds, audit, config.release, decided, not_used, tuple(remarks), layouts, changes
     )

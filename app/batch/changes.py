@@ -66,13 +66,21 @@ def preview(registry: Registry, lot_id: str, act: Callable[[], object]) -> Chang
     changes = Changes((), {})
     try:
         with registry.transaction():
-            before = _verdicts(registry, lot_id)
-            act()
-            after = _verdicts(registry, lot_id)
-            changes = _compared(lot_id, before, after)
+            changes = carry_out(registry, lot_id, act)
             raise _NotKept
     except _NotKept:
         return changes
+
+
+def carry_out(registry: Registry, lot_id: str, act: Callable[[], object]) -> Changes:
+    """Do an act on a lot, and return what it changed.
+
+    Raises:
+        InputError: the act is refused, for its own reason.
+    """
+    before = read_verdicts(registry, lot_id)
+    act()
+    return compare_verdicts(lot_id, before, read_verdicts(registry, lot_id))
 
 
 def change_limit(
@@ -102,7 +110,7 @@ def preview_limit(registry: Registry, lot_id: str, rmse: float | None) -> Change
 Verdicts = dict[tuple[str, str], tuple[str, Reason]]
 
 
-def _verdicts(registry: Registry, lot_id: str) -> Verdicts:
+def read_verdicts(registry: Registry, lot_id: str) -> Verdicts:
     """Return the verdict and its first reason of every unit that an act on the lot may reach, by lot and serial."""
     model = registry.lots.get(lot_id).sensor_model
     lots = {lot_id, *(lot.id for lot in registry.lots.all() if model and lot.sensor_model == model)}
@@ -114,7 +122,8 @@ def _verdicts(registry: Registry, lot_id: str) -> Verdicts:
     }
 
 
-def _compared(lot_id: str, before: Verdicts, after: Verdicts) -> Changes:
+def compare_verdicts(lot_id: str, before: Verdicts, after: Verdicts) -> Changes:
+    """Return what changed of units that had a verdict before."""
     changed = [
         VerdictChange(*key, before[key][0], verdict, why)
         for key, (verdict, why) in after.items()

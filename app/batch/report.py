@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from softcal.app.batch.audit import LotAudit, audit_json, audit_line
+from softcal.app.batch.changes import Changes
 from softcal.app.batch.train import TrainedOrFound
 from softcal.app.files.not_used import NotUsed
 from softcal.core.quality.lot_release import LotRelease
@@ -52,7 +53,7 @@ class BatchReport:
     """What a batch did: `audit` is where a planned audit of the lot stands, `release` which
     verdicts release files, `decided` what audits say about the lot's other units, `not_used` what of
     the folder was not used, `remarks` what is odd and no error, `layouts` how each file that was read
-    now is laid out, "" where it has the plain form.
+    now is laid out, "" where it has the plain form, `changes` the verdicts that it replaced.
     """
 
     lot_id: str
@@ -65,6 +66,7 @@ class BatchReport:
     not_used: tuple[NotUsed, ...] = ()
     remarks: tuple[Reason | str, ...] = ()
     layouts: Mapping[str, str] = field(default_factory=dict)
+    changes: Changes = Changes((), {})  # noqa: RUF009 - frozen
 
     @property
     def counts(self) -> dict[str, int]:
@@ -137,6 +139,7 @@ def report_json(report: BatchReport) -> dict[str, object]:
         "audits": sum(unit.is_audited for unit in report.units),
         "not_used": [item.to_json() for item in report.not_used],
         "remarks": [str(remark) for remark in report.remarks],
+        "changes": report.changes.to_json(),
         "layouts": dict(report.layouts),
     }
 
@@ -217,6 +220,9 @@ def audit_lines(report: BatchReport) -> list[str]:
         state = unit.state
         if state is not None and unit.is_audited and state.decision.predicted.verdict != unit.verdict:
             lines.append(f"{unit.serial} audited: {unit.verdict}, was predicted {state.decision.predicted.verdict}")
+    if withdrawn := [f"{one.serial} of {one.lot_id}" for one in report.changes.withdrawn]:
+        more = f" and {len(withdrawn) - MAX_NAMES} more" if len(withdrawn) > MAX_NAMES else ""
+        lines.append(f"withdrawn: {', '.join(withdrawn[:MAX_NAMES])}{more}: released before, and no more")
     if report.decided is not None:
         lines.append(f"release: {report.decided.statement}")
     return lines if report.audit is None else [*lines, audit_line(report.audit)]

@@ -359,6 +359,7 @@ def _audit(options: argparse.Namespace) -> int:
 
 def _bring(options: argparse.Namespace) -> int:
     from softcal.app.batch.audit_files import look_at_audits, store_audits, unused_of_audits, write_audits
+    from softcal.app.batch.changes import carry_out
     from softcal.app.batch.judging import redecide
     from softcal.app.files.importing import Columns, tables_of
     from softcal.app.files.lot_folder import open_lot_folder
@@ -371,6 +372,7 @@ def _bring(options: argparse.Namespace) -> int:
     )
     files = [file for path in options.files for file in tables_of(path)]
     folder, replaced, then = Path(options.lot), list[str](), "they are scored, and the lot is judged"
+    changes = None
     if (folder / "lot.toml").is_file():
         opened = open_lot_folder(folder)
         lot = opened.lot
@@ -384,8 +386,12 @@ def _bring(options: argparse.Namespace) -> int:
             _check_rate(options.sample_rate, lot.sample_rate_Hz)
             looked = look_at_audits(lot, target_serials(registry, lot.id), files, columns, table)
             refusals, remarks = unused_of_audits(lot, looked, registry, source=source_of_lot(registry, lot))
-            store_audits(registry, lot.id, looked)
-            redecide(registry, [lot.id])
+
+            def take() -> None:
+                store_audits(registry, lot.id, looked)
+                redecide(registry, [lot.id])
+
+            changes = carry_out(registry, lot.id, take)
     for audit in looked:
         if audit.read is not None:
             say_layout(audit.file, audit.read.table.layout, audit.read.remarks)
@@ -394,11 +400,14 @@ def _bring(options: argparse.Namespace) -> int:
     layouts = {audit.file: audit.read.table.layout for audit in looked if audit.read is not None}
     not_used = (*(item for path in options.files for item in unread_files(path)), *refusals)
     facts = {"lot": lot.id, "audited": taken, "replaced": replaced, "refused": refused, "layouts": layouts}
+    facts["changes"] = changes and changes.to_json()
     if answer(options, "lot.audit-files/1", facts | unused_json(not_used, remarks)):
         rows = [
             [audit.file, audit.serial, "taken" if audit.recording else f"refused: {audit.refusal}"] for audit in looked
         ]
         print_table(("file", "serial", "result"), rows)
+        if changes is not None and changes.changed:
+            print_changes(changes)
     if replaced:
         say(f"an older audit of {', '.join(replaced)} was replaced")
     say(f"{len(taken)} of {len(looked)} files taken; {then}")

@@ -138,6 +138,30 @@ def test_a_trim_of_an_audited_unit_changes_that_unit_alone(make_lot, batch, regi
     assert len(registry.decisions.of_lot("large")) == 1
 
 
+def test_whoever_brings_audits_or_calls_a_batch_is_told_which_released_units_are_withdrawn(
+    make_lot, batch, registry_url, tmp_path, capsys, registry
+):
+    folder = make_lot()
+    report = batch(folder)
+    released = _released(report)
+    assert report["changes"]["released"] == 14 - sum(unit["verdict"] != "pass" for unit in report["units"])
+    measured = tmp_path / f"{released[0]}.csv"
+    table = pd.read_csv(folder / "audit/large-00.csv")
+    table.assign(reference=3.0 * table["reference"]).to_csv(measured, index=False)
+    capsys.readouterr()
+    bring = ["lot", "audit", "large", str(measured), "--registry", registry_url, "--json", "-"]
+    assert main(bring) == 0
+    changes = json.loads(capsys.readouterr().out)["changes"]
+    told = {row["serial"] for row in changes["changed"] if row["verdict"] == "pass"}
+    now = {unit.serial for unit in registry.lots.units("large") if unit.verdict == "pass"}
+    assert (
+        released[0] in told and told == {unit["serial"] for unit in report["units"] if unit["verdict"] == "pass"} - now
+    )
+    (folder / "lot.toml").write_text((folder / "lot.toml").read_text().replace("rmse = 0.8", "rmse = 0.03"))
+    report = batch(folder)
+    assert report["changes"]["withdrawn"] == len(now) > 0 and "withdrawn: " in capsys.readouterr().out
+
+
 def test_audits_that_were_not_drawn_first_release_nobody(make_lot, registry, registry_url, tmp_path):
     folder, report = make_lot(), tmp_path / "report.json"
     calibrate = ["batch", str(folder), "--registry", registry_url, *SMALL, "--json", str(report)]
