@@ -399,7 +399,8 @@ def _bring(options: argparse.Namespace) -> int:
     refused = {audit.file: str(audit.refusal) for audit in looked if audit.recording is None}
     layouts = {audit.file: audit.read.table.layout for audit in looked if audit.read is not None}
     not_used = (*(item for path in options.files for item in unread_files(path)), *refusals)
-    facts = {"lot": lot.id, "audited": taken, "replaced": replaced, "refused": refused, "layouts": layouts}
+    facts: dict[str, object] = {"lot": lot.id, "audited": taken, "replaced": replaced, "refused": refused}
+    facts["layouts"] = layouts
     facts["changes"] = changes and changes.to_json()
     if answer(options, "lot.audit-files/1", facts | unused_json(not_used, remarks)):
         rows = [
