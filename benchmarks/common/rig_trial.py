@@ -1,8 +1,9 @@
 """Trials of safety: a rig of any drive, cell and unit, pressed by the real code, and the largest force it truly saw."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from common.fault_trial import tells_truth
@@ -41,21 +42,33 @@ class ForceLaw:
 class LawUnit:
     """A unit under the simulated stage whose output follows its force; a `simulated.rig.Physics`.
 
+    Its noise is drawn instant by instant, so that it is the same in chunks of any size.
+
     Args:
         law: its force law; u = 0 of the rig is its surface.
         rng: of the noise.
         noise_N, noise_V: standard deviation of load cell and output.
     """
 
+    is_causal = True
+
     def __init__(self, law: ForceLaw, rng: np.random.Generator, noise_N: float = 0.004, noise_V: float = 0.002) -> None:
-        self.law, self._rng, self._noise_N, self._noise_V = law, rng, noise_N, noise_V
+        self.law, self._rng, self._noise = law, rng, (noise_N, noise_V)
 
     def advance(self, t_s: Array, stage_mm: Array) -> tuple[Array, Array]:
         """Return (force_N, output_V) at these stage positions, noise included."""
         force_N = self.law.force_N(stage_mm)
         output_V = 0.5 + 4.0 * force_N / (force_N + 8.0)
-        noise_N = self._rng.normal(0, self._noise_N, len(stage_mm))
-        return force_N + noise_N, output_V + self._rng.normal(0, self._noise_V, len(stage_mm))
+        noise_N, noise_V = self._rng.normal(0.0, self._noise, (len(stage_mm), 2)).T
+        return force_N + noise_N, output_V + noise_V
+
+    def state(self) -> Mapping[str, Any]:
+        """Return where the noise has got to."""
+        return self._rng.bit_generator.state
+
+    def go_back(self, state: Mapping[str, Any]) -> None:
+        """Go back to such a state."""
+        self._rng.bit_generator.state = state
 
 
 @dataclass(frozen=True)
