@@ -48,18 +48,10 @@ class SimulatedTextStream(FarEnd):
         # Whoever opens a port in mid-stream sees the end of a line first.
         self.wire.send(line[3:] if self._is_first else line, self.due_s)
         self._is_first = False
-        self.device_ms += 1000.0 / (self.rate_Hz * self._rate_factor)
+        period_s = 1.0 / (self.rate_Hz * self.rate_factor)
+        self.device_ms += 1000 * period_s
+        self.period_s = period_s / (1.0 + self._drift)
         super().do_due()
-
-    @property
-    def rate_factor(self) -> float:
-        """Get the share of its rate at which it samples."""
-        return self._rate_factor
-
-    @rate_factor.setter
-    def rate_factor(self, factor: float) -> None:
-        self._rate_factor = factor
-        self.period_s = 1.0 / (self.rate_Hz * factor) / (1.0 + self._drift)
 
     def restart(self) -> None:
         """The supply drops for a moment: the firmware starts again."""
