@@ -384,14 +384,14 @@ def test_a_key_that_cannot_sign_is_refused_before_anything_is_written(
 
 
 def _with_verdict(calibrated: str, folder: Path, verdict: str) -> str:
-    """A copy of the registry in which A1's newest calibration has another verdict."""
+    """A copy of the registry in which A1's newest calibration, which no audit measured, has another verdict."""
     copy = folder / "failed.db"
     shutil.copy(calibrated.removeprefix("sqlite:///"), copy)
     with open_registry(f"sqlite:///{copy}") as registry:
         stored = registry.calibrations.get("A1")
         bent = Finding(plain("bent in the press"), Verdict(verdict))
-        fit = replace(stored.state.fit, rule_findings=(bent,))
-        registry.calibrations.add(stored.lot_id, replace(stored.state, fit=fit), reason="test")
+        fit = replace(stored.state.fit, findings=(bent,))
+        registry.calibrations.add(stored.lot_id, replace(stored.state, fit=fit, audit=None), reason="test")
     return f"sqlite:///{copy}"
 
 
