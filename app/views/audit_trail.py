@@ -11,13 +11,13 @@ from softcal.app.views.common import percent
 from softcal.db.entries import ROLES, AuditRow
 
 _ENTITIES = {
-    "results": "calibrations refusals in_use adaptations unit lot_release audit_plan audit_result",
+    "results": "calibrations refusals in_use adaptations unit fits lot_decisions audit_plan audit_result",
     "rules": "limits line_rules",
     "networks": "networks network_releases",
     "people": "users tokens",
-    "station": "certificates golden_runs station station_gate alerts",
+    "station": "certificates golden_runs station station_gate station_qualification alerts",
     "papers": "laboratory",
-    "lots": "lots units recordings known_loads golden_of",
+    "lots": "lots units recordings known_loads golden_of map_family",
     "registry": "",
 }
 SECTIONS = {entity: heading for heading, entities in _ENTITIES.items() for entity in entities.split()}
@@ -102,6 +102,9 @@ def entry_of(row: AuditRow, words: Words) -> Entry:
 def _values(kept: str | None) -> Mapping[str, Any]:
     values = json.loads(kept) if kept else {}
     flat: dict[str, Any] = dict(values) if isinstance(values, dict) else {}
+    # What was done to a unit is said by its numbers and its verdict.
+    if isinstance(flat.get("state"), dict):
+        del flat["state"]
     # The rules of a line are one value of their table; each of them is said by itself.
     rules = flat.pop("rules", None)
     return flat | (rules if isinstance(rules, dict) else {})

@@ -16,7 +16,6 @@ from softcal.core.use.method import UseMethod
 from softcal.db.connection import open_registry
 from tests.layers import layered
 
-RELEASED = Path(__file__).parents[1] / "core" / "released"
 NETWORK = ("--hidden", "16,8")
 QUEUES, QUEUE = ("ot", "ot-improved"), 200
 
@@ -149,12 +148,11 @@ def test_another_stream_under_the_same_name_is_refused(bench: Path, stream: Path
     assert not (tmp_path / "second.csv").exists()
 
 
-def test_state_of_an_earlier_version_is_refused_in_one_line_that_says_what_to_do(
+def test_a_state_that_names_no_format_is_refused_in_one_line_that_says_what_to_do(
     bench: Path, stream: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    state = json.loads((RELEASED / "adapt-state-without-format.json").read_text())
     with open_registry(url(bench)) as registry:
-        entry = {"stream": "hall-5", "sample": state["row"], "event": "checkpoint", "state": state, "began": 0}
+        entry = {"stream": "hall-5", "sample": 400, "event": "checkpoint", "state": {"row": 400}, "began": 0}
         registry.adaptations.add("A1", 1, [entry])
 
     assert adapt(bench, stream, tmp_path / "out.csv", "--stream", "hall-5", "--resume") == 2

@@ -30,16 +30,20 @@ def busy(calibrated: str) -> str:
     """A registry in which everybody has done something."""
     with open_registry(calibrated) as registry:
         registry.lots.set_limit("small", 0.3, reason="customer drawing", actor="Quinn")
-        registry.lots.set_limit("small", 0.25, reason="revision C", actor="Quinn")
+        registry.lots.set_limit("small", 0.25, reason="revision C of the drawing", actor="Quinn")
         registry.lots.set_line_rules("small", LineRules(target=40), reason="order 4711", actor="Erin")
         registry.people.set("Lee", "engineer", "2580", actor="Quinn", reason="new colleague")
         cell = CellCertificate("LC-9", "K-1", "KRISS", date(2026, 1, 2), date(2027, 1, 2), 50.0, 1.0)
         registry.stations.add_certificate(cell, actor="Erin")
         registry.stations.add_golden_run(GoldenRun("line-1", "G1", NOW, 0.3, "N", False, ("too large",), "Oh"))
         registry.trail.add("export", "units", ("A1",), {"revision": 1, "file": "unit-A1.pdf"}, actor="Erin")
-        first = registry.calibrations.history("A1")[0]
+        first = registry.calibrations.history("A1")[0].state
         registry.calibrations.refuse("small", "A2", "retest", ("again",), actor="Erin")
-        registry.calibrations.decide(first, "line", actor="Erin", reason="looked at it")
+        another = replace(first, limit=replace(first.limit, maximum_rmse=2.0 * first.limit.maximum_rmse))
+        registry.calibrations.put_state("small", another, "release", actor="Erin", reason="held against another limit")
+        registry.calibrations.put_state("small", first, "line", actor="Erin", reason="looked at it")
+        for action in ("release", "withhold"):
+            registry.decisions.add("small", {"released": []}, action=action, actor="Erin")
     return calibrated
 
 
@@ -172,7 +176,7 @@ def test_the_page_is_searched_and_shows_the_row_itself_only_when_asked(busy: str
 
     screen = open_page(busy, page, role="quality")
     assert not screen.exception and not screen.error and not screen.code
-    screen.text_input(key="trail-find").set_value("limit revision").run()
+    screen.text_input(key="trail-find").set_value("drawing revision").run()
     (found,) = [frame.value for frame in screen.dataframe]
     assert len(found) == 1 and "0.3 → 0.25" in str(found.iloc[0].tolist())
     screen.multiselect(key="trail-actor").set_value(["Erin"]).run()

@@ -48,9 +48,9 @@ def start(folder: Path, url: str, *more: str) -> subprocess.Popen[bytes]:
 
 
 def kept(url: str) -> dict[str, int]:
-    """How many revisions every unit has."""
+    """How often every unit was fitted: a fit keeps how long it took, so that no two are stored as one."""
     with open_registry(url, create=False) as registry, registry.database.reading() as connection:
-        rows = connection.exec_driver_sql("SELECT serial, count(*) FROM calibrations GROUP BY serial").all()
+        rows = connection.exec_driver_sql("SELECT serial, count(*) FROM fits GROUP BY serial").all()
     return {str(serial): int(count) for serial, count in rows}
 
 
