@@ -143,7 +143,7 @@ def test_what_known_loads_did_to_a_map_stands_on_the_certificate(exported: Expor
     rise = [0.1 * load_N + 0.02 * load_N**2 for load_N in (0.0, 2.5)]
     output = [0.56 + 1.265 * value for value in rise]
     pd.DataFrame({"output": output, "reference": [0.0, 2.5]}).to_csv(loads, index=False)
-    assert main(["trim", "--registry", exported.url, "--serial", "A1", "--loads", str(loads)]) == 0
+    assert main(["trim", "--registry", exported.url, "--serial", "A1", "--loads", str(loads), "--yes"]) == 0
     _, dcc = exported.again(stated)
     after = str(dcc.findtext(".//dcc:usedMethod/dcc:description/dcc:content", "", DCC))
     assert after != before and "no reference room" in after

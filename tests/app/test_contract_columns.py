@@ -81,7 +81,7 @@ def test_estimate_adapt_audit_and_trim_find_them(
     loads = written(
         ends.assign(reference=1.05 * ends["estimate"])[["output", "reference"]], tmp_path / f"loads{suffix}"
     )
-    assert main(["trim", *known, "--loads", str(loads)]) == 0
+    assert main(["trim", *known, "--loads", str(loads), "--yes"]) == 0
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
