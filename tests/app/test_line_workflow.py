@@ -34,8 +34,8 @@ class Line:
         registry.lots.add(Lot("L1", "A0", 50.0))
         self.beat()
 
-    def beat(self, state=StationState.READY, age_s=-60.0, reasons=(), process="host:1"):
-        # A minute ahead: a slow machine must not let it grow silent.
+    def beat(self, state=StationState.READY, age_s=-25.0, reasons=(), process="host:1"):
+        # As far ahead as clocks may be: a slow machine must not let it grow silent.
         at = datetime.now(UTC) - timedelta(seconds=age_s)
         self.queue.beat(Heartbeat("line-1", state, at, reasons, process))
 
