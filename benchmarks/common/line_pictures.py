@@ -86,7 +86,7 @@ def opened(browser: Browser, address: str, theme: Theme) -> Page:
     """Open the screen in one theme, with an operator's badge."""
     page = browser.new_context(viewport=SIZE, color_scheme=theme).new_page()
     page.goto(address)
-    page.wait_for_function("document.activeElement.shadowRoot?.activeElement?.tagName === 'INPUT'")
+    page.locator("input:focus").wait_for(state="attached")
     scan(page, "BADGE:Kim Ji-woo")
     page.locator(".sc-cells").get_by_text("Kim Ji-woo").wait_for()
     return page

@@ -109,5 +109,5 @@ def focus(page: Page) -> str:
 def opened(page: Page, screen: Any) -> Page:
     """Open a screen; it listens from the moment it has the focus."""
     page.goto(screen.address)
-    page.wait_for_function(f"{FOCUS} === 'INPUT'")
+    page.locator("input:focus").wait_for(state="attached")
     return page

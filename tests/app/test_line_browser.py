@@ -10,7 +10,7 @@ from playwright.sync_api import Browser, Page, expect
 from softcal.app.line.line import START_S
 from softcal.app.ui.stop_key import PATH as STOP_PATH
 from softcal.core.orders import OrderKind
-from tests.app.line_screen import FOCUS, VERDICTS, Line, card, focus, opened, press, scan, shown, verdict_of
+from tests.app.line_screen import VERDICTS, Line, card, focus, opened, press, scan, shown, verdict_of
 
 pytestmark = pytest.mark.long
 
@@ -119,7 +119,7 @@ def test_a_unit_that_waits_stands_there_after_a_reload_a_restart_and_at_another_
     shown(other, "hand")
     shown(panel, "hand")
     panel.bring_to_front()
-    panel.wait_for_function(f"{FOCUS} === 'INPUT'")  # It listens from here on.
+    panel.locator("input:focus").wait_for(state="attached")  # It listens from here on.
     panel.keyboard.press("F2")
     panel.get_by_text("Scan the unit in your hand first").first.wait_for()
     assert line.facts.active is None
@@ -138,7 +138,7 @@ def test_no_number_of_presses_that_acknowledge_a_stop_moves_the_stage(line: Line
     shown(panel, "hand")
     panel.reload()
     shown(panel, "hand")
-    panel.wait_for_function(f"{FOCUS} === 'INPUT'")  # It listens from here on.
+    panel.locator("input:focus").wait_for(state="attached")  # It listens from here on.
     for key in ("F4", "F4", "F2", "F2"):
         panel.keyboard.press(key)
         panel.wait_for_timeout(apart_ms)
