@@ -242,7 +242,7 @@ def test_one_recording_under_two_serials_is_remarked(
 
 
 def _logged(calibrated: Path, folder: Path) -> Path:
-    """The unit's recording as a logger wrote it: other names, no time."""
+    """The unit's recording as a logger wrote it: other names, no t_s."""
     table = pd.read_csv(calibrated / "lot/units/A1.csv").rename(columns={"output": "output_V", "t_s": "when_s"})
     table["note"] = "x"
     table[["note", "output_V", "when_s"]].to_csv(folder / "logged.csv", index=False)
@@ -269,17 +269,24 @@ def test_tables_of_an_instrument_are_taken_as_import_takes_them(
     ("arguments", "words"),
     [
         (("estimate", "--output-column", "volts"), "'volts'"),
-        (("estimate", "--output-column", "output_V"), "'t_s'"),
+        (("estimate", "--output-column", "output_V", "no time"), "'t_s'"),
         (("estimate", "--output-column", "output_V", "--sample-rate", "80"), "80 Hz"),
-        (("adapt", "--output-column", "output_V", "--sample-rate", "50", "--stream", "a", "--resume"), "--time-column"),
+        (
+            ("adapt", "--output-column", "output_V", "--sample-rate", "50", "--stream", "a", "--resume", "no time"),
+            "--time-column",
+        ),
         (("adapt", "--output-column", "note", "--sample-rate", "50"), "'x'"),
     ],
 )
 def test_a_wrong_column_or_rate_is_one_line(
     calibrated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], words: str
 ) -> None:
-    command, *rest = arguments
-    place = [str(_logged(calibrated, tmp_path)), "--out", str(tmp_path / "out.csv")]
+    logged, (command, *rest) = _logged(calibrated, tmp_path), arguments
+    if rest[-1] == "no time":
+        rest.pop()
+        # A column that rises in a unit of time would be taken as the time.
+        pd.read_csv(logged).drop(columns="when_s").to_csv(logged, index=False)
+    place = [str(logged), "--out", str(tmp_path / "out.csv")]
     assert main([command, "--serial", "A1", "--registry", _url(calibrated), *place, *rest]) == 2
     assert words in capsys.readouterr().err
     assert not (tmp_path / "out.csv").exists()
