@@ -22,7 +22,7 @@ def unit_row(unit: UnitEntry) -> list[object]:
 
 def unit_json(unit: UnitEntry) -> dict[str, object]:
     """Return a unit as JSON values."""
-    return vars(unit) | {
+    return {name: value for name, value in vars(unit).items() if name != "state_sha256"} | {
         "reasons": [str(why) for why in unit.reasons],
         "made_at": unit.made_at and unit.made_at.isoformat(),
     }

@@ -103,7 +103,10 @@ class UnitsAnswer(_Page):
 
 
 class RevisionAnswer(_Answer):
-    """One calibration of a unit; errors in the reference unit of the lot, `evidence` by name."""
+    """One calibration of a unit; errors in the reference unit of the lot.
+
+    `fit` is what its recording gave, `state` what was done to the unit since: trim, correction, release, audit, limit.
+    """
 
     lot_id: str
     serial: str
@@ -127,7 +130,9 @@ class RevisionAnswer(_Answer):
     fit_s: float | None
     input_sha256: str
     recording_sha256: str
-    evidence: dict[str, float | str | None]
+    method_id: str
+    fit: dict[str, Any]
+    state: dict[str, Any]
 
 
 class RevisionsAnswer(_Page):
