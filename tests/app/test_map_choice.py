@@ -89,9 +89,9 @@ def test_a_job_takes_it_and_the_line_maps_by_it(lot, monkeypatch):
         placed = registry.job_board.place("calibrate", {"lot": "small", "map": "two_point"}, "Erin", None)
         assert run_job(registry, placed, lambda: None) == "done"
         made = [
-            registry.calibrations.get(u.serial, lot_id="small").record
+            registry.calibrations.get(u.serial, lot_id="small").state.fit
             for u in registry.lots.units("small")
             if u.role == "target"
         ]
-        assert {record.family for record in made} == {"two_point"}
-        assert {record.method_id for record in made} == {lot_method(registry, "small").id}
+        assert {fit.family for fit in made} == {"two_point"}
+        assert {fit.method.id for fit in made} == {lot_method(registry, "small").id}

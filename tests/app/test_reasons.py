@@ -18,7 +18,7 @@ from softcal.core.unit.evidence import DAY, LINE
 from softcal.core.unit.knowledge import KnowledgeConfig
 from softcal.core.unit.measured_error import MeasuredError, Scores
 from softcal.core.unit.uncertainty import ErrorForecast
-from softcal.core.unit.verdict import Limit, decide, decide_audited, default_limit
+from softcal.core.unit.verdict import Limit, compare_with_audit, compare_with_limit, default_limit
 from softcal.core.words import reason as reasons
 from softcal.core.words import rig_sentences
 from softcal.core.words.reason import ENGLISH, PLAIN, Reason, packed, plain, reason, to_kept, unpacked
@@ -96,7 +96,7 @@ def test_every_code_is_given_somewhere() -> None:
         if path.name not in ("reason.py", "sentences.py", "gap_sentences.py")
     ]
     source = "\n".join(path.read_text() for path in files)
-    # `decide` puts these two together from the name of what it judges.
+    # `compare_with_limit` puts these two together from the name of what it judges.
     known = {PLAIN, "part.predicted", "part.measured"}
     unused = [code for code in VERDICTS if f'"{code}"' not in source and code not in known]
     assert unused == []
@@ -122,7 +122,7 @@ def test_a_code_of_a_later_version_stays_readable() -> None:
 def test_the_statement_of_a_verdict_is_said_in_korean_with_its_values(error: float) -> None:
     forecast = ErrorForecast(error, error - 0.03, error + 0.03)
     for limit in (Limit("N", 0.12), default_limit("N", 0.04, 3.0)):
-        (one,) = decide(forecast, limit).reasons
+        (one,) = compare_with_limit(forecast, limit).reasons
         korean = said(one, KOREAN)
         assert f"{error:.3g} N" in korean and "예측" in korean
         assert one.code == "no_limit" or "0.12 N" in korean
@@ -132,7 +132,7 @@ def test_the_statement_of_a_verdict_is_said_in_korean_with_its_values(error: flo
 
 def test_an_audited_verdict_is_said_in_korean() -> None:
     harmful = Scores(MeasuredError(0.1, 900), MeasuredError(0.2, 900))
-    korean = [said(one, KOREAN) for one in decide_audited(harmful, Limit("N", 0.12)).reasons]
+    korean = [said(one, KOREAN) for one in compare_with_audit(harmful, Limit("N", 0.12)).reasons]
     assert any("측정" in one for one in korean) and any("보정하지 않는 것보다 나쁨" in one for one in korean)
 
 

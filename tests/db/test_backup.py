@@ -74,7 +74,7 @@ def test_a_registry_with_data_is_never_restored_over(factory, backup, registry_u
 
 def test_a_damaged_backup_restores_nothing(backup, tmp_path):
     content = bytearray(backup.read_bytes())
-    at = content.index(b"map.knots") + 200
+    at = content.index(b"interval.half_width") + 200
     content[at] ^= 0xFF
     damaged, target = tmp_path / "damaged.db", tmp_path / "target.db"
     damaged.write_bytes(content)

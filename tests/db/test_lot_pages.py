@@ -33,7 +33,7 @@ def lot(factory, recording_of):
 
 
 def test_the_pages_together_are_the_lot(lot):
-    pages = [lot.pages.unit_page("L1", UnitFilter(), page, 4) for page in (1, 2, 3)]
+    pages = [lot.pages.unit_page("L1", UnitFilter(), size=4, before=before) for before in (0, 4, 8)]
     assert [page.total for page in pages] == [9, 9, 9]
     expected = [unit for unit in lot.lots.units("L1") if unit.role == "target"]
     assert [unit for page in pages for unit in page.units] == expected

@@ -15,12 +15,14 @@ from softcal.core.export.integer_network import DeviceMap, IntegerMix
 from softcal.core.export.loader import OUT_OF_RANGE, open_sensor, run_self_test
 from softcal.core.export.quantise import quantise_layer
 from softcal.core.maps.affine_map import AffineMap
+from softcal.core.maps.anchors import AnchoredMap
 from softcal.core.maps.interface import Anchors, FitProblem
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.method import LEVELS
-from softcal.core.unit.trim import Trimmed, trim
+from softcal.core.unit.state import Trim as UnitTrim
+from softcal.core.unit.trim import trim
 from softcal.core.unit.uncertainty import NORMAL_90, Interval
 from softcal.core.windows import TAPS
 from tests.firmware.device_stream import Shift, Trim, TrimResult, find_trim
@@ -76,7 +78,7 @@ class Both:
     def count_N(self) -> float:
         return float(10.0**self.network_file.network.output_exponent)
 
-    def on_pc(self, output_V: list[float], load_N: list[float]) -> Trimmed:
+    def on_pc(self, output_V: list[float], load_N: list[float]) -> UnitTrim:
         return trim(self.problem, self.unit_map, interval(), Anchors(np.array(output_V), np.array(load_N)))
 
     def on_device(self, output_V: list[float], load_N: list[float], error_N: float = LOAD_ERROR_N) -> Any:
@@ -140,8 +142,8 @@ def test_the_same_loads_give_the_same_trim(both: Both, load_N: tuple[float, floa
     offset_V = net.input_lsb * (on_device.shift.offset - gain * low) - gain * net.input_zero
     # A source count at each load is what the device resolves.
     apart = abs(source_V(load_N[0]) - source_V(load_N[1]))
-    assert gain + 1 == pytest.approx(on_pc.unit_map.gain, abs=4 * net.input_lsb / apart + 2**-15)
-    assert offset_V == pytest.approx(on_pc.unit_map.offset, abs=4 * net.input_lsb * (1 + 1 / apart))
+    assert gain + 1 == pytest.approx(on_pc.gain, abs=4 * net.input_lsb / apart + 2**-15)
+    assert offset_V == pytest.approx(on_pc.offset, abs=4 * net.input_lsb * (1 + 1 / apart))
     levels_N = RANGE_N * (np.arange(LEVELS) + 0.5) / LEVELS
     open_N = NORMAL_90 * np.sqrt(on_pc.variance(interval()))
     open_on_device_N = both.count_N * np.array([on_device.reach_at(round(level / both.count_N)) for level in levels_N])
@@ -171,7 +173,7 @@ def test_what_a_map_does_to_windows_is_seen_through(both: Both, name: str) -> No
     on_pc = both.on_pc(output_V, load_N)
     for output, load in zip(output_V, load_N, strict=True):
         value, lower, upper, _ = changed.read(output)
-        mapped = on_pc.unit_map.apply(np.full((1, TAPS), output))
+        mapped = AnchoredMap(both.unit_map, on_pc.gain, on_pc.offset).apply(np.full((1, TAPS), output))
         # Shapes bend a window at rest a little; its mean is where the PC's stands.
         assert value * both.count_N == pytest.approx(both.problem.network.evaluate(mapped)[0], abs=0.05)
         assert lower * both.count_N <= load <= upper * both.count_N
