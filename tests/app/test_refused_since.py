@@ -92,8 +92,11 @@ def test_an_archive_of_the_lot_has_no_file_of_it(refused, monkeypatch, tmp_path)
 def test_who_takes_an_older_revision_of_a_unit_that_fails_now_is_warned(calibrated, tmp_path, capsys):
     with open_registry(calibrated) as registry:
         state = registry.calibrations.get("A1").state
-        fit = replace(state.fit, rule_findings=(Finding(plain(WHY), Verdict.FAIL),))
-        registry.calibrations.add("small", replace(state, fit=fit))
+        # Without its audit: a measured fail would be the verdict of this recording, whichever revision is named.
+        fit = replace(state.fit, findings=(Finding(plain(WHY), Verdict.FAIL),))
+        registry.calibrations.add("small", replace(state, fit=fit, audit=None))
+        (unit,) = registry.lots.units("small", "A1")
+        assert unit.verdict == "fail" and registry.calibrations.get("A1", 1).state.verdict == "pass"
     asked = ["export", "--registry", calibrated, "--serial", "A1", "--revision", "1", "--format", "json"]
     assert main([*asked, "--out", str(tmp_path / "files")]) == 0
     warned(capsys, "fail")
