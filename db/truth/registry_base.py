@@ -194,5 +194,8 @@ def of_row(kind: type[Entry], row: RowMapping, **others: Any) -> Entry:
 
 
 def _some(names: list[str]) -> str:
+    if None in names:
+        # No table takes a row without a name.
+        raise damaged("a row without a name was found")
     listed = ", ".join(names[:5]) or "nothing yet"
     return f"{listed}, ..." if len(names) > 5 else listed

@@ -11,6 +11,7 @@ from weakref import WeakKeyDictionary
 import sqlalchemy as sa
 from sqlalchemy import select
 
+from softcal.core.identity import content_sha256
 from softcal.db.schema.arrays import get_arrays
 from softcal.db.schema.database import Database, parts
 from softcal.db.schema.tables import canonical_json, fits, methods
@@ -28,13 +29,23 @@ FitRows = Mapping[tuple[str, str], tuple[sa.RowMapping, "Method"]]
 
 
 def fits_of(database: Database, rows: Sequence[sa.RowMapping]) -> FitRows:
-    """Return the fits that rows of `calibrations` rest on."""
+    """Return the fits that rows of `calibrations` rest on.
+
+    Raises:
+        RegistryError: a fit or its method is not what was stored under its hash.
+    """
     wanted = sorted({(row["lot_id"], row["fit_sha256"]) for row in rows})
     found: list[sa.RowMapping] = []
     for part in parts(wanted):
         found += database.rows(select(fits).where(sa.tuple_(fits.c.lot_id, fits.c.sha256).in_(part)))
     numbers = dict(database.tuples(select(methods.c.id, methods.c.numbers)))
-    return {(row["lot_id"], row["sha256"]): (row, _method(canonical_json(numbers[row["method_id"]]))) for row in found}
+    read = {}
+    for row in found:
+        if content_sha256({}, {"content": row["content"], "blob": row["blob_sha256"]}) != row["sha256"]:
+            raise damaged(f"unit {row['serial']} of lot {row['lot_id']}: its fit is not what was stored")
+        method = _method(row["method_id"], canonical_json(numbers.get(row["method_id"])))
+        read[(row["lot_id"], row["sha256"])] = (row, method)
+    return read
 
 
 def state_of(database: Database, row: sa.RowMapping, of: FitRows, *, has_arrays: bool = True) -> UnitState:
@@ -61,7 +72,10 @@ def state_of(database: Database, row: sa.RowMapping, of: FitRows, *, has_arrays:
 
 
 @lru_cache(maxsize=32)
-def _method(numbers: str) -> Method:
+def _method(method_id: str, numbers: str) -> Method:
     from softcal.core.unit.method import Method
 
-    return Method.of(json.loads(numbers))
+    kept = json.loads(numbers)
+    if content_sha256({}, kept) != method_id:
+        raise damaged(f"method {method_id} is not what was stored")
+    return Method.of(kept)

@@ -288,6 +288,32 @@ def test_no_flipped_bit_is_silent(file_registry, make_factory, tmp_path, seed, f
     assert silent == [] and defects == []
 
 
+@pytest.mark.parametrize(
+    "statement",
+    [
+        """UPDATE fits SET content = replace(content, '"rmse":0.1', '"rmse":0.2')""",
+        "UPDATE fits SET method_id = replace(method_id, substr(method_id, 1, 8), 'ffffffff')",
+        "UPDATE methods SET numbers = replace(numbers, '0.05', '0.06')",
+        "UPDATE methods SET id = replace(id, substr(id, 1, 8), 'ffffffff')",
+    ],
+)
+def test_whoever_reads_a_unit_is_told_that_its_fit_or_method_is_another(file_registry, make_factory, statement):
+    make_factory(file_registry).calibrate("A1", 1)
+    path = Path(file_registry.database.path)
+    file_registry.close()
+    with sqlite3.connect(path) as raw:
+        raw.execute("PRAGMA foreign_keys = OFF")
+        for table in ("fits", "methods"):
+            raw.execute(f"DROP TRIGGER {table}_no_update")
+        assert raw.execute(statement).rowcount == 1
+    with open_registry(f"sqlite:///{path}", create=False) as registry:
+        for asked in (registry.calibrations.get, registry.calibrations.history):
+            with pytest.raises(RegistryError):
+                asked("A1")
+        with pytest.raises(RegistryError):
+            registry.pages.standings("L1", ["A1"])
+
+
 HIDDEN = {
     "a calibration in use": "sqlite_autoindex_calibrations_1",
     "a revision": "ix_calibrations_serial_input",
