@@ -182,7 +182,9 @@ def expected(text: str) -> np.ndarray | None:
 
 
 def _sample(cell: str) -> float:
-    value = float(cell.strip().replace("_", "x").encode("ascii")) if cell.strip() else np.nan
+    # A typographic minus sign is a minus; every other letter beyond ASCII makes no number.
+    cell = cell.strip().replace("\N{MINUS SIGN}", "-")
+    value = float(cell.replace("_", "x").encode("ascii")) if cell else np.nan
     return value if np.isfinite(value) else np.nan
 
 
