@@ -569,7 +569,7 @@ def test_a_stretch_of_time_without_samples_is_refused(table, bounds):
 def test_a_part_of_a_unit_can_be_fitted_and_the_rest_audits_it(network, table):
     recording = softcal.Recording.from_frame(table, serial="S2")
     unit = softcal.fit_map(network, recording[:400], audit=recording.between(8.0, 12.0))
-    assert unit.calibration.scores is not None and unit.recording.t_s[-1] == recording.t_s[399]
+    assert unit.state.scores is not None and unit.recording.t_s[-1] == recording.t_s[399]
 
 
 def test_a_recording_goes_to_a_table_and_back(table):
