@@ -146,12 +146,12 @@ def test_every_code_of_a_device_is_explained_in_korean(english_in: Callable[[str
 NOW = datetime(2026, 3, 2, 9, 0, tzinfo=UTC)
 GOOD = StationFacts(
     NOW, CellAtGate("K-17", date(2027, 1, 1), 20.0, 0.02), 12.0, NOW, GoldenCheck(NOW, "G1", True),
-    RigFacts(timedelta(hours=2), is_homed=True),
+    rig=RigFacts(timedelta(hours=2), is_homed=True),
 )  # fmt: skip
 HOMING = reason("grbl.homing_failed", why=grbl.Alarm(9).reason)
 BAD = StationFacts(
     NOW, CellAtGate("K-17", date(2026, 1, 1), 9.0, 0.02), 12.0, NOW, GoldenCheck(NOW, "G1", False),
-    RigFacts(homing_fault=HOMING, zero_return_N=1.0),
+    rig=RigFacts(homing_fault=HOMING, zero_return_N=1.0),
 )  # fmt: skip
 FAULT = reason("rig.not_zero", zero_N=3.0, allowed_N=0.5)
 GATES = {
