@@ -38,11 +38,11 @@ MOMENTS = Moments()
 
 def ini_files(unit: CalibratedUnit) -> dict[str, bytes]:
     """Return the file of one unit, by name; softcal asks only for units whose verdict releases files."""
-    record = unit.stored.record
+    state = unit.stored.state
     lines = (
         "[unit]",
         f"serial = {unit.escaped_serial}",
-        f"verdict = {record.verdict}",
-        f"error_{unit.network.reference_unit} = {record.predicted_rmse:.6g}",
+        f"verdict = {state.verdict}",
+        f"error_{unit.network.reference_unit} = {state.predicted_rmse:.6g}",
     )
     return {f"unit-{unit.escaped_serial}.ini": ("\r\n".join(lines) + "\r\n").encode("ascii")}
