@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import date, datetime
+from datetime import date, datetime, timedelta
 from typing import TYPE_CHECKING
 
 from softcal.core.errors import InputError
@@ -142,6 +142,10 @@ class NetworkEntry:
     added_at: datetime
 
 
+INSTANTS_AGREE = timedelta(days=1)
+"""Two statements of when one thing was measured agree within it: clocks are set by hand, and a date has no time."""
+
+
 @dataclass(frozen=True)
 class RecordingEntry:
     """What is known of a recording (source, unit or audit) without reading it; `sha256` is of all its content."""
@@ -160,8 +164,8 @@ class RecordingEntry:
 
     @property
     def observed_at(self) -> datetime:
-        """When it was measured: by its own stamps or as stated, else when the registry saw it first."""
-        return self.measured_at or self.added_at
+        """When it was measured: by its own stamps or as stated, at the latest when the registry saw it first."""
+        return min(self.measured_at or self.added_at, self.added_at)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import msgspec
 from softcal.app.registry.limit import lot_limit
 from softcal.app.registry.lot_recordings import newest_audits
 from softcal.app.registry.stated import state, stated, statements
+from softcal.app.texts.reasons import Words
 from softcal.core.errors import InputError
 from softcal.core.quality.audit_plan import AuditConfig, AuditPlan, LotStatement, judge_lot, plan_audit
 from softcal.core.unit.verdict import Limit, Verdict
@@ -38,6 +39,18 @@ class Sample:
     since: int
     before: int
     without_draw: int
+
+    def to_json(self) -> dict[str, object]:
+        """Return the sample as JSON values."""
+        return vars(self) | {"drawn_at": None if self.drawn_at is None else self.drawn_at.isoformat()}
+
+    def render(self, words: Words) -> str:
+        """Return in one sentence how the audits stand to the draw."""
+        if self.drawn_at is None:
+            return words("paper.drawn.not", others=self.without_draw)
+        numbers = {"since": self.since, "before": self.before, "others": self.without_draw}
+        day = self.drawn_at.date().isoformat()
+        return words("paper.drawn.is", drawn=self.drawn, population=self.population, day=day, **numbers)
 
 
 def _drawn_at(registry: Registry, lot_id: str) -> dict[str, datetime]:

@@ -2,10 +2,13 @@
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from unicodedata import normalize
 
 from softcal.app.files.importing import Columns, ImportPlan, look_through
+from softcal.app.files.lot_folder import restate_measured_at
+from softcal.app.files.measured_at import measured_at
 from softcal.app.files.not_used import NotUsed
 from softcal.app.files.recording_file import FileRecording, write_rows
 from softcal.app.files.unused_parts import no_reference_column
@@ -22,13 +25,14 @@ from softcal.db.registry import Registry
 
 @dataclass(frozen=True, eq=False)
 class AuditFile:
-    """What would become of one table: a recording, or why it is refused."""
+    """What would become of one table: a recording and when it was measured (UTC), or why it is refused."""
 
     file: str
     serial: str
     recording: LabelledRecording | None
     refusal: Reason | None = None
     read: FileRecording | None = None
+    measured_at: datetime | None = None
 
 
 def unused_of_audits(
@@ -58,15 +62,23 @@ def unused_of_audits(
 
 
 def look_at_audits(
-    lot: Lot, units: Collection[str], files: Sequence[Path], columns: Columns, table: TableOptions = DETECT
+    lot: Lot,
+    units: Collection[str],
+    files: Sequence[Path],
+    columns: Columns,
+    table: TableOptions = DETECT,
+    stated: datetime | None = None,
 ) -> tuple[AuditFile, ...]:
     """Read tables as audits of a lot's units, and say which would be refused and why. A table is of
     one unit and called by its serial, or wide with a column per unit.
+
+    Args:
+        stated: when they were measured, UTC, where their own stamps do not tell.
     """
     plan = ImportPlan(files, columns, lot, audit=True, table=table)
     looked = []
     for look in look_through(plan):
-        recording, refusal = None, None
+        recording, refusal, at = None, None, None
         if look.unit is None:
             refusal = plain(look.problem)
         elif look.serial not in units:
@@ -76,18 +88,22 @@ def look_at_audits(
             refusal = no_reference_column(columns, look.unit.file.table) if is_asked else Reason("audit.no_reference")
         else:
             try:
+                at = measured_at(look.unit.audit or look.unit.file, stated)
                 recording = look.unit.labelled(lot.reference_unit)
             except InputError as error:
                 refusal = error.reason
         read = None if look.unit is None else look.unit.audit or look.unit.file
-        looked.append(AuditFile(look.file, look.serial, recording, refusal, read))
+        looked.append(AuditFile(look.file, look.serial, recording, refusal, read, at))
     return tuple(looked)
 
 
 def write_audits(folder: Path, audits: Sequence[AuditFile]) -> list[str]:
-    """Write the recordings that are taken into audit/; return the serials of those replaced."""
-    taken = {audit.serial: audit.read for audit in audits if audit.recording is not None and audit.read is not None}
-    return [serial for serial, read in taken.items() if _replaced(folder / "audit", serial, read)]
+    """Write the recordings that are taken into audit/, and when they were measured; return the serials replaced."""
+    taken = {audit.serial: audit for audit in audits if audit.recording is not None}
+    read = {serial: audit.read for serial, audit in taken.items() if audit.read is not None}
+    replaced = [serial for serial, file in read.items() if _replaced(folder / "audit", serial, file)]
+    restate_measured_at(folder, {serial: audit.measured_at for serial, audit in taken.items()})
+    return replaced
 
 
 def _replaced(folder: Path, serial: str, read: FileRecording) -> bool:
@@ -103,8 +119,8 @@ def _replaced(folder: Path, serial: str, read: FileRecording) -> bool:
 
 def store_audits(registry: Registry, lot_id: str, audits: Sequence[AuditFile], actor: str | None = None) -> int:
     """Keep the recordings that are taken, and return how many; the next calibration has them."""
-    taken = [audit.recording for audit in audits if audit.recording is not None]
+    taken = [(audit.recording, audit.measured_at) for audit in audits if audit.recording is not None]
     with registry.transaction():
-        for recording in taken:
-            registry.recordings.add(lot_id, recording, "audit", actor=actor)
+        for recording, at in taken:
+            registry.recordings.add(lot_id, recording, "audit", actor=actor, measured_at=at)
     return len(taken)

@@ -13,6 +13,7 @@ from softcal.app.batch.report import BatchReport, unused_audits
 from softcal.app.batch.train import train_or_find
 from softcal.app.batch.unit_work import ReadFile
 from softcal.app.files.lot_folder import LotFolder
+from softcal.app.files.measured_at import local_time_remarks
 from softcal.app.files.recording_file import naming
 from softcal.app.files.unused_parts import unused_columns
 from softcal.app.registry.golden import keep_golden_of
@@ -79,6 +80,7 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     of_files = [f"{names[file.path]}: {remark}" for file in read for remark in file.remarks]
     remarks: list[Reason | str] = [
         *of_files,
+        *local_time_remarks({file.path: file.start for file in read}),
         *same_recordings_of(registry, lot_id),
         *([] if units else [Reason("lot.no_units")]),
     ]

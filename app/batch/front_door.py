@@ -129,7 +129,9 @@ def lot_files(registry: Registry, lot_id: str, tell: Callable[[int, int], None])
             shutil.copytree(stored, folder)
         folder.mkdir(exist_ok=True)
         others = [source_recording(registry, network).serial for network in stated_sources(registry, lot_id)]
-        write_lot_toml(folder, lot, more_sources=others)
+        measured_at = open_lot_folder(folder).measured_at if stored.is_dir() else {}
+        audits = {serial: entry.observed_at for (kind, serial), entry in newest.items() if kind == "audit"}
+        write_lot_toml(folder, lot, more_sources=others, measured_at={**measured_at, **audits})
         # Parquet keeps every bit, so that the same recording is known again.
         for number, ((kind, serial), entry) in enumerate(newest.items()):
             tell(number, len(newest))

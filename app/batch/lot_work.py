@@ -243,6 +243,8 @@ class LotWork:
         beside: dict[str, object] = {} if golden is None else {"golden": golden}
         if audit is None and serial in kept.audits:
             beside["audit"] = kept.audits[serial].sha256
+        if audit is not None and serial in self._folder.measured_at:
+            beside["measured_at"] = self._folder.measured_at[serial].isoformat()
         return content_sha256({}, {"set": self._work.name, "files": files, "anchors": loads, **beside})
 
     def _chunks(self, claims: Claims) -> Iterator[Chunk]:
@@ -279,7 +281,8 @@ class LotWork:
                 # Asked for by another batch, or tried again: the file may be another by now.
                 self._works[item.serial] = self._work_sha256(item.serial, recording, audit)
             facts = self._known.of(item.serial, self._config.anchors.get(item.serial))
-            yield UnitTask(item.id, item.serial, recording, audit, facts, known.get(item.serial, frozenset()))
+            given, at = known.get(item.serial, frozenset()), self._folder.measured_at.get(item.serial)
+            yield UnitTask(item.id, item.serial, recording, audit, facts, given, stated=at)
 
     def _keep(self, claims: Claims, outcome: ChunkOutcome) -> list[UnitResult]:
         if outcome.work_s and outcome.units:
@@ -307,9 +310,10 @@ class LotWork:
         self._ended.add(unit.serial)
         try:
             with registry.part():
-                for recording, kind in ((unit.recording, "unit"), (unit.audit, "audit")):
+                for recording, kind, at in ((unit.recording, "unit", None), (unit.audit, "audit", unit.measured_at)):
                     if recording is not None:
-                        registry.recordings.add(self._lot_id, recording, kind, actor=self._config.actor)
+                        actor = self._config.actor
+                        registry.recordings.add(self._lot_id, recording, kind, actor=actor, measured_at=at)
                 if isinstance(result, PassingRefusal):
                     facts = {"lot": self._lot_id, "serial": unit.serial, "reason": str(result.reason)}
                     note("unit_failed", trace=result.trace, **facts)

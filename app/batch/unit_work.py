@@ -2,10 +2,13 @@
 
 import time
 from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
 
 from softcal.app.batch.calibrating import LotFacts, Refusal, Result, UnitInputs, calibrate_unit
+from softcal.app.files.measured_at import measured_at
 from softcal.app.files.recording_file import PLAIN, ColumnNames, FileRecording, inspect_recording
+from softcal.app.tables.timestamps import Start
 from softcal.core.errors import InputError
 from softcal.core.inspection.comparison import compare_recordings
 from softcal.core.lot import Lot
@@ -25,7 +28,8 @@ class FileContent:
 @dataclass(frozen=True, eq=False)
 class UnitTask:
     """One unit on its way to a worker: its file, or the problem with it. A file of its audit
-    outranks the audit among `facts`. Calibrations of `known` inputs are not computed again.
+    outranks the audit among `facts`; `stated` is when it was measured, UTC, as the lot says. Calibrations
+    of `known` inputs are not computed again.
     """
 
     item_id: int
@@ -35,6 +39,7 @@ class UnitTask:
     facts: UnitInputs = UnitInputs()
     known: frozenset[str] = frozenset()
     problem: str = ""
+    stated: datetime | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,16 +58,19 @@ class ReadFile:
     path: Path
     layout: str
     remarks: tuple[str, ...]
+    start: Start | None = None
 
     @classmethod
-    def from_recording(cls, file: FileRecording, remarks: tuple[str, ...] | None = None) -> "ReadFile":
-        """Return how a recording was read; of a unit the reasons tell what its samples show."""
-        return cls(file.table.path, file.table.layout, file.reading_remarks if remarks is None else remarks)
+    def from_recording(
+        cls, file: FileRecording, remarks: tuple[str, ...] | None = None, start: Start | None = None
+    ) -> "ReadFile":
+        """Return how a recording was read, of an audit when it begins; of a unit the reasons tell of its samples."""
+        return cls(file.table.path, file.table.layout, file.reading_remarks if remarks is None else remarks, start)
 
 
 @dataclass(frozen=True, eq=False)
 class UnitOutcome:
-    """What became of one unit, with the recordings to keep, and how its files were read."""
+    """What became of one unit, with the recordings to keep, when its audit was measured, how its files were read."""
 
     task_id: int
     serial: str
@@ -70,6 +78,7 @@ class UnitOutcome:
     recording: OutputRecording | None = None
     audit: LabelledRecording | None = None
     files: tuple[ReadFile, ...] = ()
+    measured_at: datetime | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +117,7 @@ def _work_on_unit(shared: SharedWork, task: UnitTask) -> UnitOutcome:
     except InputError as error:
         refusal = Refusal(Verdict.RETEST, reason("unreadable", error=str(error)))
         return UnitOutcome(task.item_id, task.serial, refusal)
-    facts, recording, files = task.facts, unit.recording, [ReadFile.from_recording(unit)]
+    facts, recording, files, at = task.facts, unit.recording, [ReadFile.from_recording(unit)], None
     if audit is not None:
         try:
             read = inspect_recording(
@@ -121,12 +130,13 @@ def _work_on_unit(shared: SharedWork, task: UnitTask) -> UnitOutcome:
                 with_reference=True,
                 config=config,
             )
+            at = measured_at(read, task.stated)
             facts = replace(facts, audit=read.labelled(lot.reference_unit))
             beside = compare_recordings(shared.facts.source.source, read.labelled(lot.reference_unit))
-            files.append(ReadFile.from_recording(read, (*read.reading_remarks, *map(str, beside))))
+            files.append(ReadFile.from_recording(read, (*read.reading_remarks, *map(str, beside)), read.start))
         except InputError as error:
             facts = replace(facts, unread_audit=str(error))
     result = calibrate_unit(shared.facts, recording, facts, task.known)
     # Only what came as a file is new to the registry.
     new_audit = None if audit is None or facts.unread_audit else facts.audit
-    return UnitOutcome(task.item_id, task.serial, result, recording, new_audit, tuple(files))
+    return UnitOutcome(task.item_id, task.serial, result, recording, new_audit, tuple(files), at)

@@ -56,8 +56,10 @@ AUDIT_EXAMPLES = """examples:
   softcal lot audit lot-1 measured/*.csv         files called by their serials, columns t_s, output, reference
   softcal lot audit lot-1 EG-07.xlsx --time-column time --output-column V --reference-column N
   softcal lot audit lot-1 EG-07.csv --sample-rate 50        a table without a column of time
+  softcal lot audit lot-1 EG-07.csv --measured-at 2026-01-31T14:30    when it was pressed, where the file has no dates
   softcal lot audit lot-1 --confirm EG-07 --reason "pressed again by hand, the same result"
 
+An audit counts as drawn if it was measured after the draw.
 LOT is a lot folder: the recordings go into its audit/, and `softcal batch LOT` judges by them. Or it is a lot of the
 registry: they are kept there, and scored at once.
 """
@@ -121,6 +123,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add("--reference-column", default="reference", help="column of the load cell; default reference")
     add("--time-column", metavar="NAME", help=TIME_COLUMN_HELP)
     add("--sample-rate", type=positive, metavar="HZ", help=SAMPLE_RATE_HELP)
+    add(
+        "--measured-at",
+        metavar="WHEN",
+        help="ISO date or date and time (local without a zone) of files without absolute stamps; default: when they "
+        "are first seen. A date is its beginning",
+    )
     add("--confirm", metavar="SERIAL", help="the audit of this unit is right in spite of the doubt")
     add("--reason", default="", help="why; needed with --confirm")
     add_yes(brought)
@@ -182,7 +190,7 @@ def _release(options: argparse.Namespace) -> int:
     if options.pdf is not None:
         write_bytes(options.pdf, lot_statement_pdf(facts, partial(text, options.language)))
         say(f"{options.pdf}: statement on lot {lot_id}")
-    if answer(options, "lot.release/1", {"lot": lot_id, **standing.to_json()}):
+    if answer(options, "lot.release/1", {"lot": lot_id, "sample": facts.sample.to_json(), **standing.to_json()}):
         limit = decided.limit.maximum_rmse
         rows = [
             [
@@ -193,6 +201,7 @@ def _release(options: argparse.Namespace) -> int:
         ]
         print_table(("audited", "lot", "forecast", "measured", "measured/forecast", "verdict"), rows)
         print(decided.statement)
+        print(f"sample: {facts.sample.render(partial(text, 'en'))}")
         print(f"released by sample: {', '.join(decided.released) or 'none'}")
         for name, units in (("waiting", standing.on(Way.WAITING)), ("withdrawn", standing.withdrawn)):
             for unit in units[:MOST_TOLD]:
@@ -363,6 +372,7 @@ def _bring(options: argparse.Namespace) -> int:
     from softcal.app.batch.judging import redecide
     from softcal.app.files.importing import Columns, tables_of
     from softcal.app.files.lot_folder import open_lot_folder
+    from softcal.app.files.measured_at import local_time_remarks, parse_instant
     from softcal.app.files.unused_parts import unread_files
     from softcal.app.registry.lot_recordings import source_of_lot, target_serials
 
@@ -371,20 +381,21 @@ def _bring(options: argparse.Namespace) -> int:
         table_options(options),
     )
     files = [file for path in options.files for file in tables_of(path)]
+    stated = None if options.measured_at is None else parse_instant("--measured-at", options.measured_at)
     folder, replaced, then = Path(options.lot), list[str](), "they are scored, and the lot is judged"
     changes = None
     if (folder / "lot.toml").is_file():
         opened = open_lot_folder(folder)
         lot = opened.lot
         _check_rate(options.sample_rate, lot.sample_rate_Hz)
-        looked = look_at_audits(lot, opened.unit_paths.keys(), files, columns, table)
+        looked = look_at_audits(lot, opened.unit_paths.keys(), files, columns, table, stated)
         refusals, remarks = unused_of_audits(lot, looked, others=opened.readable_audits(), source=opened.read_source())
         replaced, then = write_audits(folder, looked), f"next: softcal batch {options.lot}"
     else:
         with registry_of(options) as registry:
             lot = registry.lots.get(options.lot)
             _check_rate(options.sample_rate, lot.sample_rate_Hz)
-            looked = look_at_audits(lot, target_serials(registry, lot.id), files, columns, table)
+            looked = look_at_audits(lot, target_serials(registry, lot.id), files, columns, table, stated)
             refusals, remarks = unused_of_audits(lot, looked, registry, source=source_of_lot(registry, lot))
 
             def take() -> None:
@@ -395,6 +406,8 @@ def _bring(options: argparse.Namespace) -> int:
     for audit in looked:
         if audit.read is not None:
             say_layout(audit.file, audit.read.table.layout, audit.read.remarks)
+    for remark in local_time_remarks({one.read.table.path: one.read.start for one in looked if one.read is not None}):
+        say(remark)
     taken = [audit.serial for audit in looked if audit.recording is not None]
     refused = {audit.file: str(audit.refusal) for audit in looked if audit.recording is None}
     layouts = {audit.file: audit.read.table.layout for audit in looked if audit.read is not None}

@@ -154,7 +154,7 @@ def _samples(
         # As it stands: the diagnosis itself finds a wrong unit or rate.
         t_s = table.numbers("t_s")
     else:
-        t_s, _ = read_times(table, ColumnNames(output="", table=options), readout.sample_rate_Hz)
+        t_s, *_ = read_times(table, ColumnNames(output="", table=options), readout.sample_rate_Hz)
     is_whole = np.isfinite(t_s)
     for cells in recorded.values():
         is_whole &= np.isfinite(cells)

@@ -11,6 +11,7 @@ import numpy as np
 
 from softcal.app.files.atomic import whole_folder
 from softcal.app.files.lot_folder import write_lot_toml
+from softcal.app.files.measured_at import local_time_remarks, measured_at_row
 from softcal.app.files.not_used import NotUsed
 from softcal.app.files.recording_file import (
     ColumnNames,
@@ -25,7 +26,7 @@ from softcal.app.tables.options import DETECT, TableOptions
 from softcal.app.tables.read import READERS
 from softcal.app.tables.table import Table
 from softcal.app.tables.time_column import is_clock_heading, is_date_heading
-from softcal.app.tables.timestamps import median_rate_Hz
+from softcal.app.tables.timestamps import Start, median_rate_Hz
 from softcal.core.errors import InputError
 from softcal.core.inspection.comparison import compare_with_source
 from softcal.core.lot import Lot, check_serial, file_stem, serial_key
@@ -182,21 +183,29 @@ def import_lot(plan: ImportPlan, folder: Path) -> ImportedLot:
             raise InputError(f"source {serial!r} is none of the units {', '.join(list(units)[:8])}")
         if units[serial].reference is None:
             raise InputError(f"source {serial!r} has no reference; name its column")
+    labelled = {s: unit.file if s in plan.sources else unit.audit for s, unit in units.items()} if plan.audit else {}
+    audited = {serial: audit for serial, audit in labelled.items() if audit is not None}
+    first = plan.audit_rows[0] if plan.audit_rows else 0
+    instants = {serial: at for serial, audit in audited.items() if (at := measured_at_row(audit, first))}
     with whole_folder(folder) as part:
-        write_lot_toml(part, plan.lot, more_sources=plan.more_sources)
+        write_lot_toml(part, plan.lot, more_sources=plan.more_sources, measured_at=instants)
         for serial, unit in units.items():
             place = "source" if serial in plan.sources else "units"
             write_rows(part / place / f"{serial}.csv", unit.file, plan.fit_rows)
-            audit = unit.file if serial in plan.sources else unit.audit
-            if plan.audit and audit is not None:
-                write_rows(part / "audit" / f"{serial}.csv", audit, plan.audit_rows)
+        for serial, audit in audited.items():
+            write_rows(part / "audit" / f"{serial}.csv", audit, plan.audit_rows)
     audits, not_used = unused_of_import(plan, tables)
     compared = compare_audits(plan, units)
     layouts = {path.name: unit.file.table.layout for path, _, unit in tables}
     of_files = dict.fromkeys(f"{path.name}: {remark}" for path, _, unit in tables for remark in unit.file.remarks)
     targets = tuple(serial for serial in units if serial not in plan.sources)
     pressed = [Pressed(serial, plan.lot.id, unit.recording.output_sha256) for serial, unit in units.items()]
-    remarks: list[Reason | str] = [*of_files, *compared, *same_recordings(pressed)]
+    remarks: list[Reason | str] = [
+        *of_files,
+        *local_time_remarks({one.table.path: one.start for one in audited.values()}),
+        *compared,
+        *same_recordings(pressed),
+    ]
     remarks += [] if targets else [Reason("lot.no_units")]
     reference = units[plan.lot.source].reference
     full_range = 0.0 if reference is None else float(np.ptp(reference))
@@ -299,7 +308,7 @@ def _read(plan: ImportPlan) -> Iterator[tuple[Path, str, "ImportedUnit | InputEr
         try:
             names = replace(columns.names(columns.output, plan.table), rate_Hz=plan.lot.sample_rate_Hz)
             table, names = read_timed(path, names, columns.is_requested)
-            t_s, remarks = read_times(table, names, plan.lot.sample_rate_Hz)
+            t_s, remarks, start = read_times(table, names, plan.lot.sample_rate_Hz)
             outputs = [columns.output]
             if columns.is_wide:
                 taken = (*others, names.time)
@@ -318,19 +327,23 @@ def _read(plan: ImportPlan) -> Iterator[tuple[Path, str, "ImportedUnit | InputEr
             if serial in plan.without:
                 continue
             try:
-                yield path, serial, _build_unit(plan, table, t_s, output, serial)
+                yield path, serial, _build_unit(plan, table, t_s, output, serial, start)
             except InputError as error:
                 yield path, serial, error
     if unused := sorted(set(plan.renames) - renamed):
         raise InputError(f"--serial {unused[0]}={plan.renames[unused[0]]}: no file or column is named {unused[0]!r}")
 
 
-def _build_unit(plan: ImportPlan, table: Table, t_s: Array, output: str, serial: str) -> ImportedUnit:
+def _build_unit(
+    plan: ImportPlan, table: Table, t_s: Array, output: str, serial: str, start: Start | None
+) -> ImportedUnit:
     lot, columns = plan.lot, plan.columns
     names, units = columns.names(output, plan.table), (lot.output_unit, lot.reference_unit)
 
     def build(*, with_reference: bool) -> FileRecording:
-        return build_from_table(table, t_s, serial, lot.sample_rate_Hz, units, names, with_reference=with_reference)
+        rate_Hz = lot.sample_rate_Hz
+        built = build_from_table(table, t_s, serial, rate_Hz, units, names, with_reference=with_reference)
+        return replace(built, start=start)
 
     if serial in plan.sources and columns.reference is not None:
         return ImportedUnit(build(with_reference=True))
@@ -345,7 +358,7 @@ def shown_rate_Hz(path: Path, columns: Columns, table: TableOptions = DETECT) ->
         InputError: there is no such column, it never advances, or nothing states its unit.
     """
     read, names = read_timed(path, columns.names(columns.output, table), columns.is_requested)
-    t_s, _ = read_times(read, names, None)
+    t_s, *_ = read_times(read, names, None)
     rate_Hz = median_rate_Hz(t_s)
     if not np.isfinite(rate_Hz):
         raise InputError(

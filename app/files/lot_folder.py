@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from pathlib import Path
 from typing import get_type_hints
 
@@ -10,6 +11,7 @@ import tomlkit
 
 from softcal.app.files.anchors import read_anchors
 from softcal.app.files.atomic import write_text
+from softcal.app.files.measured_at import parse_instant
 from softcal.app.files.not_used import NotUsed
 from softcal.app.files.recording_file import (
     PLAIN,
@@ -47,9 +49,10 @@ KNOWN_KEYS = {
     "limit": {"rmse"},
     "line": {"load_spread", "day_spread"},
     "map": {"family"},
+    "audit": set(),
     "table": {"delimiter", "decimal", "encoding", "header_row", "sheet", "time_format", "missing", *COLUMN_KEYS},
 }
-"""Keys of lot.toml by table. Two bare keys may also stand where TOML puts what follows."""
+"""Keys of lot.toml by table; those of [audit] are serials. Two bare keys may stand where TOML puts what follows."""
 
 ANCHOR_FILES = ("anchors.csv", "anchors.parquet")
 """Where a lot folder holds known loads of its units."""
@@ -74,6 +77,7 @@ class LotFolder:
         anchors_path: known loads of units (`serial, output, reference`); None without.
         names: columns and layout of the recordings, where `lot.toml` states them.
         family: of every unit's map, or `auto`; None where `lot.toml` states none.
+        measured_at: when audits were measured, UTC, where `lot.toml` states it.
         problems: why recordings of `unit_paths` are not used, by their row: no serial, or one that is given twice.
     """
 
@@ -92,6 +96,7 @@ class LotFolder:
     problems: Mapping[str, Reason] = field(default_factory=dict)
     names: ColumnNames = PLAIN
     family: str | None = None
+    measured_at: Mapping[str, datetime] = field(default_factory=dict)
 
     def read_anchors(self) -> Mapping[str, Anchors]:
         """Read the known loads of the lot's units by serial; empty where there are none.
@@ -166,7 +171,7 @@ def open_lot_folder(folder: Path) -> LotFolder:
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such lot folder; make one with `softcal import`")
-    lot, line, reference, more, remarks, names, of_maps = _read_lot_toml(folder / "lot.toml")
+    lot, line, reference, more, remarks, names, of_maps, at = _read_lot_toml(folder / "lot.toml")
     listed = {name: _recordings(folder / name) for name in ("source", "units", "audit", GOLDEN)}
     sources = listed["source"].usable
     for serial in (lot.source, *more):
@@ -176,6 +181,10 @@ def open_lot_folder(folder: Path) -> LotFolder:
             seen = ", ".join(sources) or "nothing"
             raise InputError(f"{folder / 'source'}: no recording of the source unit {serial!r}; found {seen}")
     units, audits, problems = listed["units"].paths, listed["audit"].usable, listed["units"].problems
+    remarks = (
+        *remarks,
+        *(f"lot.toml: [audit] {s}: audit/ has no such recording" for s in sorted(set(at) - set(audits))),
+    )
     remarks = (*remarks, *(line for name in ("source", "audit", GOLDEN) for line in listed[name].remarks(name)))
     golden = listed[GOLDEN].usable
     if others := sorted(set(golden) - {lot.source}):
@@ -203,6 +212,7 @@ def open_lot_folder(folder: Path) -> LotFolder:
         problems,
         names,
         of_maps,
+        at,
     )
 
 
@@ -242,9 +252,18 @@ def _recordings(folder: Path) -> _Listing:
     return _Listing(paths, problems)
 
 
-LotToml = tuple[Lot, LineSpread | None, Reference | None, tuple[str, ...], tuple[str, ...], ColumnNames, str | None]
-"""What lot.toml says: the lot, its line, the source's reference, further sources, remarks, how its tables are read, and
-the family of its maps.
+LotToml = tuple[
+    Lot,
+    LineSpread | None,
+    Reference | None,
+    tuple[str, ...],
+    tuple[str, ...],
+    ColumnNames,
+    str | None,
+    Mapping[str, datetime],
+]
+"""What lot.toml says: the lot, its line, the source's reference, further sources, remarks, how its tables are read,
+the family of its maps, and when audits were measured.
 """
 
 
@@ -291,6 +310,7 @@ def _read_lot_toml(path: Path) -> LotToml:
             tuple(_unknown_keys(path, content)),
             _column_names(tables["table"], lot.sample_rate_Hz),
             check_family(typed("[map] family", str, tables["map"]["family"])) if "family" in tables["map"] else None,
+            {check_serial(s): parse_instant(f"[audit] {s}", str(at)) for s, at in tables["audit"].items()},
         )
 
 
@@ -322,6 +342,8 @@ def _only(places: tuple[Mapping[str, object], ...], key: str) -> object:
 
 def _unknown_keys(path: Path, content: Mapping[str, object]) -> Iterator[str]:
     for key, value in content.items():
+        if key == "audit":
+            continue
         if key in KNOWN_KEYS and isinstance(value, dict):
             unknown = sorted(set(value) - KNOWN_KEYS[key])
             if unknown:
@@ -331,9 +353,13 @@ def _unknown_keys(path: Path, content: Mapping[str, object]) -> Iterator[str]:
 
 
 def write_lot_toml(
-    folder: Path, lot: Lot, reference: Reference | None = None, more_sources: Sequence[str] = ()
+    folder: Path,
+    lot: Lot,
+    reference: Reference | None = None,
+    more_sources: Sequence[str] = (),
+    measured_at: Mapping[str, datetime] | None = None,
 ) -> None:
-    """Write `lot.toml`, with what its source was compared with and further sources."""
+    """Write `lot.toml`, with what its source was compared with, further sources, and when audits were measured."""
     document = tomlkit.document()
     document["sample_rate_Hz"] = lot.sample_rate_Hz
     document["source"] = lot.source
@@ -344,6 +370,8 @@ def write_lot_toml(
     document["output"] = {"unit": lot.output_unit}
     if lot.limit_rmse is not None:
         document["limit"] = {"rmse": lot.limit_rmse}
+    if measured_at:
+        document["audit"] = dict(measured_at)
     write_text(folder / "lot.toml", tomlkit.dumps(document))
 
 
@@ -360,6 +388,18 @@ def restate_limit(folder: Path, rmse: float) -> None:
     """Write a limit into `lot.toml`, in the reference's unit; all else stays."""
     document = tomlkit.parse((folder / "lot.toml").read_text(encoding="utf-8"))
     document["limit"] = {"rmse": rmse}
+    write_text(folder / "lot.toml", tomlkit.dumps(document))
+
+
+def restate_measured_at(folder: Path, measured_at: Mapping[str, datetime | None]) -> None:
+    """Write into `lot.toml` when audits were measured, UTC; None takes out what was stated of an older one."""
+    document = tomlkit.parse((folder / "lot.toml").read_text(encoding="utf-8"))
+    kept = {serial: at for serial, at in document.get("audit", {}).items() if serial not in measured_at}
+    stated = kept | {serial: at for serial, at in measured_at.items() if at is not None}
+    if stated:
+        document["audit"] = stated
+    elif "audit" in document:
+        del document["audit"]
     write_text(folder / "lot.toml", tomlkit.dumps(document))
 
 

@@ -21,7 +21,7 @@ from softcal.app.tables.time_column import (
     is_date_heading,
     is_time_heading,
 )
-from softcal.app.tables.timestamps import Clock, median_rate_Hz
+from softcal.app.tables.timestamps import Clock, Start, median_rate_Hz
 from softcal.core.errors import InputError
 from softcal.core.inspection.build import InspectedRecording, build_recording
 from softcal.core.inspection.config import InspectionConfig
@@ -75,6 +75,7 @@ class FileRecording:
             missing.
         rows: (m,) row of the table of each sample of the recording.
         reading_remarks: what a person should know of how its table and its time were read.
+        start: when its first sample was taken, by its own stamps; None where they are not absolute.
     """
 
     table: Table
@@ -82,6 +83,7 @@ class FileRecording:
     columns: Mapping[str, Array]
     rows: Indices
     reading_remarks: tuple[str, ...]
+    start: Start | None = None
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -115,8 +117,8 @@ class FileRecording:
             return LabelledRecording(self.recording, self.inspected.reference, reference_unit)
 
 
-def read_times(table: Table, names: ColumnNames, rate_Hz: float | None) -> tuple[Array, list[str]]:
-    """Return (n,) time in s, NaN where a stamp is missing, and remarks.
+def read_times(table: Table, names: ColumnNames, rate_Hz: float | None) -> tuple[Array, list[str], Start | None]:
+    """Return (n,) time in s, NaN where a stamp is missing, remarks, and when it began where its stamps are absolute.
 
     Args:
         rate_Hz: declared rate; makes the time where the table has no column of it.
@@ -128,8 +130,9 @@ def read_times(table: Table, names: ColumnNames, rate_Hz: float | None) -> tuple
     if clock is None:
         if not rate_Hz:
             raise InputError(f"{table.path}: {NO_TIME}; the file has: {', '.join(table.names[:12])}")
-        return np.arange(len(table)) / rate_Hz, []
-    return clock.seconds(table, ", or give the sample rate"), clock.remarks
+        return np.arange(len(table)) / rate_Hz, [], None
+    t_s = clock.seconds(table, ", or give the sample rate")
+    return t_s, clock.remarks, clock.start
 
 
 def read_timed(
@@ -223,12 +226,12 @@ def inspect_recording(
     """
     table, names = read_timed(path, names, partial(names.is_requested, with_reference=with_reference), content)
     table.column(names.output)
-    t_s, remarks = read_times(table, names, names.rate_Hz)
+    t_s, remarks, start = read_times(table, names, names.rate_Hz)
     if names.rate_Hz and sample_rate_Hz:
         check_rate(path, t_s, names.rate_Hz)
     rate_Hz = sample_rate_Hz or names.rate_Hz
     built = build_from_table(table, t_s, serial, rate_Hz, units, names, with_reference=with_reference, config=config)
-    return replace(built, reading_remarks=(*built.reading_remarks, *remarks))
+    return replace(built, reading_remarks=(*built.reading_remarks, *remarks), start=start)
 
 
 def build_from_table(

@@ -114,7 +114,7 @@ def _columns(path: Path, simulator: Simulator, options: TableOptions) -> dict[st
         # As it stands: the diagnosis itself finds a wrong unit or rate.
         columns["t_s"] = table.numbers("t_s")
     elif (time := find_time_column([name for name in table.names if name not in columns])) is not None:
-        columns["t_s"], _ = read_times(table, ColumnNames("", time, table=options), None)
+        columns["t_s"], *_ = read_times(table, ColumnNames("", time, table=options), None)
     is_whole = np.all([np.isfinite(values) for values in columns.values()], axis=0) if columns else slice(None)
     return {name: values[is_whole] for name, values in columns.items()}
 

@@ -23,12 +23,14 @@ def write_lot_folder(registry: Registry, lot_id: str, folder: Path) -> dict[str,
         InputError: no such lot, its source has no recording, or the folder exists and is not empty.
     """
     lot = registry.lots.get(lot_id)
-    newest = {(entry.kind, entry.serial): entry.sha256 for entry in registry.recordings.of_lot(lot_id)}
+    entries = {(entry.kind, entry.serial): entry for entry in registry.recordings.of_lot(lot_id)}
+    newest = {key: entry.sha256 for key, entry in entries.items()}
+    audits = {s: one.observed_at for (kind, s), one in entries.items() if kind == "audit" and s != lot.source}
     if ("source", lot.source) not in newest:
         raise InputError(f"lot {lot_id!r}: its source {lot.source} has no recording yet; press it first")
     written: dict[str, list[str]] = {part: [] for part in FOLDER_OF.values()}
     with whole_folder(folder) as part:
-        write_lot_toml(part, lot, lot_reference(registry, lot_id))
+        write_lot_toml(part, lot, lot_reference(registry, lot_id), measured_at=audits)
         for (kind, serial), sha256 in newest.items():
             if (kind, serial) == ("audit", lot.source):
                 continue

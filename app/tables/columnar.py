@@ -136,6 +136,8 @@ def _table(table: "pa.Table", names: list[str], schema: "pa.Schema", path: Path)
     for name in names:
         facts = schema.field(name).metadata or {}
         unit = next((facts[key].decode("utf-8", "replace") for key in UNIT_KEYS if key in facts), "")
+        # What has a zone is stored in UTC.
+        unit = "UTC" if getattr(schema.field(name).type, "tz", None) else unit
         columns.append(Column(shown[name].strip(), unit.strip(), column_cells(path, name, _array(table[name]))))
     return Table(path, tuple(columns), tuple(shown.values()), np.arange(1, table.num_rows + 1))
 

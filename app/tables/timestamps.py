@@ -3,7 +3,7 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from datetime import date, datetime, time, timedelta
+from datetime import UTC, date, datetime, time, timedelta
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from softcal.app.tables.numbers import Kind, cell_kind, shown
 from softcal.app.tables.table import Column, Table
-from softcal.app.tables.time_column import MIN_NEW_STAMPS, PER_SECOND, is_time_heading, stated_unit
+from softcal.app.tables.time_column import MIN_NEW_STAMPS, PER_SECOND, is_time_heading, stated_unit, words_of
 from softcal.core.errors import InputError
 from softcal.core.recording import RATE_TOLERANCE, Array
 
@@ -20,6 +20,12 @@ MIN_RATE_HZ, MAX_RATE_HZ = 0.5, 2e5
 
 EPOCHS = {"ticks": (1.26e17, 1.6e17), "s": (1e9, 4e9), "ms": (1e12, 4e12), "us": (1e15, 4e15), "ns": (1e18, 4e18)}
 """Numbers of these sizes count from 1970 in that unit: the years 2001 to 2096."""
+
+EXCEL_ZERO_S, TICKS_ZERO_S = -25_569 * 86400, -11_644_473_600
+"""Where the days of a spreadsheet and the ticks of Windows begin: 1899-12-30 and 1601, in s since 1970."""
+
+UTC_WORDS = frozenset({"utc", "gmt"})
+"""Words of a heading, or a unit, that state the zone of a column's stamps."""
 
 COUNTERS = (2**16, 2**32)
 """Where counters of ms and us begin again."""
@@ -37,6 +43,18 @@ MAX_MIDNIGHT_GAP_S = 600.0
 CURE = "state its unit or pattern with --time-format (s, ms, us, ns, min, iso, excel or a strptime pattern)"
 
 
+@dataclass(frozen=True)
+class Start:
+    """When the first sample of a recording was taken, UTC.
+
+    Args:
+        is_local: its stamps state no zone and were taken as local time of this computer.
+    """
+
+    at: datetime
+    is_local: bool
+
+
 @dataclass
 class Clock:
     """Converts a column of time piece by piece; what it found in the first piece holds for the others.
@@ -47,6 +65,7 @@ class Clock:
         rate_Hz: declared rate: of units that nobody states it tells the right one.
         is_absolute: keeps dates as seconds since 1970 instead of since the first sample.
         date: heading of the column of dates beside times of day.
+        start: when the first sample was taken, once that was read; None where stamps are not absolute.
     """
 
     name: str
@@ -55,6 +74,7 @@ class Clock:
     is_absolute: bool = False
     date: str | None = None
     remarks: list[str] = field(default_factory=list)
+    start: Start | None = None
     _unit: str | None = None
     _origin_ns: int | None = None
     _last: float = float("nan")
@@ -75,7 +95,7 @@ class Clock:
             if dated is not None:
                 return self._forward(table, dated, (DAY_S,))
         if cells.dtype.kind in "mM":
-            values = self._from_dates(cells)
+            values = self._from_dates(cells, column.unit)
         elif cells.dtype.kind == "O" and not is_pattern and _are_numbers(cells, table.decimal):
             # One text among numbers is named by its line.
             values, wraps = self._from_numbers(table, column)
@@ -117,17 +137,35 @@ class Clock:
         counts = np.where(is_missing, 0, days).astype(np.int64) * 10**9
         return self._elapsed(counts + np.round(np.where(is_missing, 0, seconds) * 1e9).astype(np.int64), is_missing)
 
-    def _from_dates(self, cells: NDArray[Any]) -> Array:
+    def _from_dates(self, cells: NDArray[Any], unit: str = "") -> Array:
         is_stamp = cells.dtype.kind == "M"
         counts = cells.astype("datetime64[ns]" if is_stamp else "timedelta64[ns]").astype(np.int64)
-        return self._elapsed(counts, np.isnat(cells), is_stamp)
+        return self._elapsed(counts, np.isnat(cells), is_stamp, has_zone=unit.lower() in UTC_WORDS)
 
-    def _elapsed(self, counts_ns: NDArray[np.int64], is_missing: NDArray[np.bool_], is_stamp: bool = True) -> Array:
+    def _elapsed(
+        self,
+        counts_ns: NDArray[np.int64],
+        is_missing: NDArray[np.bool_],
+        is_stamp: bool = True,
+        *,
+        has_zone: bool = False,
+        zero_s: int = 0,
+    ) -> Array:
         present = counts_ns[~is_missing]
         if self._origin_ns is None and len(present):
+            if is_stamp:
+                self._start_at(int(present[0]) / 1e9 + zero_s, has_zone=has_zone)
             self._origin_ns = 0 if self.is_absolute or not is_stamp else int(present[0])
         values = (counts_ns - (self._origin_ns or 0)) / 1e9
         return np.where(is_missing, np.nan, values)
+
+    def _start_at(self, seconds: float, *, has_zone: bool) -> None:
+        """Keep when the first sample was taken; a clock that was never set shows a year before 2001."""
+        low, high = EPOCHS["s"]
+        if self.start is None and low <= seconds < high:
+            is_local = not has_zone and not UTC_WORDS & set(words_of(self.name))
+            at = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=seconds)
+            self.start = Start(at.replace(tzinfo=None).astimezone(UTC) if is_local else at, is_local)
 
     def _from_numbers(self, table: Table, column: Column) -> tuple[Array, tuple[float, ...]]:
         values = table.numbers(self.name)
@@ -135,9 +173,15 @@ class Clock:
             self._unit = self._number_unit(table, column, values)
         if self._unit == "excel":
             return self._elapsed(
-                np.round(np.nan_to_num(values) * DAY_S * 1e6).astype(np.int64) * 1000, np.isnan(values)
+                np.round(np.nan_to_num(values) * DAY_S * 1e6).astype(np.int64) * 1000,
+                np.isnan(values),
+                zero_s=EXCEL_ZERO_S,
             ), ()
         per_second = float(self.rate_Hz or 1.0) if self._unit == SAMPLES else PER_SECOND[self._unit]
+        present = values[np.isfinite(values)]
+        if self._unit != SAMPLES and len(present):
+            zero_s = TICKS_ZERO_S if self._unit == "ticks" else 0
+            self._start_at(float(present[0]) / per_second + zero_s, has_zone=True)
         wraps = tuple(counter / per_second for counter in COUNTERS) if self._unit in ("ms", "us") else ()
         return values / per_second, wraps
 
@@ -324,8 +368,9 @@ class Clock:
         counts[rows] = stamps.tz_localize(None).to_numpy().astype("datetime64[ns]").astype(np.int64)
         is_missing[rows] = False
         has_date = not pattern.startswith("%") or any(f"%{mark}" in pattern for mark in "dDjFxcsyYmbB")
+        has_zone = bool(ZONE.search(str(plain[0]))) if pattern in ("ISO8601", "mixed") else "%z" in pattern.lower()
         return (
-            self._elapsed(counts, is_missing, is_stamp=has_date)
+            self._elapsed(counts, is_missing, has_zone=has_zone)
             if has_date
             else np.where(is_missing, np.nan, (counts - counts[rows[0]] // (86400 * 10**9) * (86400 * 10**9)) / 1e9)
         )

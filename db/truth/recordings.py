@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, cast
 
 from sqlalchemy import RowMapping, and_, bindparam, or_, select
 
-from softcal.core.errors import NoSuchRecording
-from softcal.db.entries import RecordingEntry
+from softcal.core.errors import InputError, NoSuchRecording
+from softcal.db.entries import INSTANTS_AGREE, RecordingEntry
 from softcal.db.schema.arrays import get_arrays, put_arrays
 from softcal.db.schema.database import given, parts
 from softcal.db.schema.tables import recordings
@@ -20,12 +20,24 @@ if TYPE_CHECKING:
 
     Recording = OutputRecording | LabelledRecording
 
-KNOWN_RECORDING = select(recordings.c.serial).where(
+KNOWN_RECORDING = select(recordings).where(
     recordings.c.sha256 == bindparam("sha"),
     recordings.c.lot_id == bindparam("lot"),
     recordings.c.kind == bindparam("of_kind"),
 )
 KINDS = ("source", "unit", "audit")
+
+
+def _check_instant(known: RecordingEntry, measured_at: datetime | None) -> None:
+    """Refuse another instant for a recording that is stored: what draws were held against stays."""
+    within = timedelta(0) if known.measured_at is None else INSTANTS_AGREE
+    if measured_at is not None and abs(measured_at - known.observed_at) > within:
+        how = "first seen" if known.measured_at is None else "measured"
+        raise InputError(
+            f"{known.serial}: lot {known.lot_id!r} has this very recording, {how} "
+            f"{known.observed_at:%Y-%m-%d %H:%M:%S} UTC; that it was measured {measured_at:%Y-%m-%d %H:%M:%S} UTC "
+            "comes too late: leave that out, or press the unit again"
+        )
 
 
 class RecordingTables(RegistryBase):
@@ -43,7 +55,8 @@ class RecordingTables(RegistryBase):
         """Store a recording of kind source, unit or audit once, with its unit; return its content hash.
 
         `measured_at` is when it was measured, UTC, by its own stamps or as stated; None where nobody says.
-        Only a `unit` recording has no reference. `InputError`: the lot is not registered.
+        Only a `unit` recording has no reference. `InputError`: the lot is not registered, or it has the recording with
+        another instant.
         """
         if kind not in KINDS or (kind == "unit") == ("reference" in recording.arrays()):
             raise ValueError(f"{type(recording).__name__} of kind {kind!r}; only `unit` recordings have no reference")
@@ -53,7 +66,10 @@ class RecordingTables(RegistryBase):
             sha256 = recording.sha256
             is_first = (recordings.name, lot_id, recording.serial) in self.database.found.without
             named = {"sha": sha256, "lot": lot_id, "of_kind": kind}
-            if is_first or self.database.row(KNOWN_RECORDING, named) is None:
+            known = None if is_first else self.database.row(KNOWN_RECORDING, named)
+            if known is not None:
+                _check_instant(of_row(RecordingEntry, known), measured_at)
+            else:
                 blob = put_arrays(self.database, recording.arrays())
                 facts = {"sha256": sha256, "lot_id": lot_id, "kind": kind, "samples": len(recording)}
                 facts["output_sha256"] = recording.output_sha256

@@ -54,10 +54,14 @@ def test_recordings_are_looked_at_and_what_cannot_audit_a_unit_says_why(
     assert why["A1.csv"] == "" and "reference" in why["A2.csv"] and "X9" in why["X9.csv"]
     with open_registry(calibrated) as registry:
         kept = {entry.serial for entry in registry.recordings.of_lot("small", kind="audit")}
+    stated = datetime.now(UTC).date() - timedelta(days=3)
+    screen.date_input[0].set_value(stated).run()
     next(one for one in screen.button if one.key == "audit-take").click().run(timeout=300)
     assert not screen.exception and not screen.error
     with open_registry(calibrated) as registry:
         assert {entry.serial for entry in registry.recordings.of_lot("small", kind="audit")} == kept | {"A1"}
+        entry = registry.recordings.of_lot("small", "A1", "audit")[-1]
+        assert entry.measured_at is not None and entry.measured_at.astimezone().date() == stated
         assert registry.calibrations.get("A1", lot_id="small").state.errors["after_rmse"] is not None
         assert any(row.actor == "Erin" for row in registry.trail.rows())
 

@@ -118,15 +118,9 @@ def _evidence_rows(facts: LotStatementFacts, words: Words) -> list[tuple[str, st
     audited = words("paper.audits.here", **counts)
     if lots not in ([], [facts.lot.id]):
         audited = words("paper.audits.lots", lots=", ".join(lots), **counts)
-    sample = facts.sample
-    drawn = words("paper.drawn.not", others=sample.without_draw)
-    if sample.drawn_at is not None:
-        numbers = {"since": sample.since, "before": sample.before, "others": sample.without_draw}
-        day = sample.drawn_at.date().isoformat()
-        drawn = words("paper.drawn.is", drawn=sample.drawn, population=sample.population, day=day, **numbers)
     rows = [
         (words("paper.audits"), audited),
-        (words("paper.drawn"), drawn),
+        (words("paper.drawn"), facts.sample.render(words)),
         (words("paper.promise"), words("paper.promise.is", risk=promise.risk, confidence=promise.confidence)),
     ]
     if release is not None and np.isfinite(release.factor):

@@ -1,11 +1,14 @@
 """The audit of a lot: draw units for the load cell, bring their recordings, see the result."""
 
+from datetime import UTC, date, datetime, time
+
 import streamlit as st
 
 from softcal.app.batch.audit import LotAudit, draw_plan, lot_audit
 from softcal.app.batch.audit_files import look_at_audits, store_audits, unused_of_audits
 from softcal.app.batch.judging import confirm
 from softcal.app.batch.release import lot_standing
+from softcal.app.files.measured_at import local_time_remarks
 from softcal.app.registry.lot_recordings import source_of_lot, target_serials
 from softcal.app.ui.account import actor, allows, permit
 from softcal.app.ui.actions import ask_reason, csv_of, download, role_allows, say_finished
@@ -17,7 +20,7 @@ from softcal.app.ui.components.lot_upload import (
     first_readable,
     forget_files,
 )
-from softcal.app.ui.desk import in_words, instant, say
+from softcal.app.ui.desk import in_words, instant, say, zone
 from softcal.app.ui.panels import for_lot, go_to, has_units, numbers, table
 from softcal.app.ui.server_memory import registry
 from softcal.app.views.common import number
@@ -84,7 +87,10 @@ def render(lot_id: str) -> None:
         if readable is None:
             return
         columns = choose_columns(readable[1], wide=False)
-        looked = look_at_audits(lot, target_serials(registry(), lot_id), files, columns, layout)
+        today = datetime.now(UTC).astimezone(zone()).date()
+        day = st.date_input(say("audit.measured_at"), None, max_value=today, help=say("audit.measured_at.help"))
+        stated = datetime.combine(day, time(), zone()).astimezone(UTC) if isinstance(day, date) else None
+        looked = look_at_audits(lot, target_serials(registry(), lot_id), files, columns, layout, stated)
         rows = []
         for one in looked:
             recording = one.recording
@@ -93,11 +99,14 @@ def render(lot_id: str) -> None:
                 {
                     say("new_lot.column.file"): one.file,
                     say("column.serial"): one.serial or None,
+                    say("audit.measured_at"): None if one.measured_at is None else instant(one.measured_at),
                     say("column.duration"): None if seconds is None else f"{seconds:.0f} s",
                     say("column.reasons"): "" if one.refusal is None else in_words(one.refusal),
                 }
             )
         table(rows)
+        for line in local_time_remarks({one.read.table.path: one.read.start for one in looked if one.read is not None}):
+            st.caption(line)
         for remark in unused_of_audits(lot, looked, registry(), source=source_of_lot(registry(), lot))[1]:
             st.warning(in_words(remark), icon=":material/warning:")
         taken = sum(one.recording is not None for one in looked)

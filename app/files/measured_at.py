@@ -1,0 +1,70 @@
+"""When a recording was measured: by its own absolute stamps, else as a person states it."""
+
+from collections.abc import Mapping
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from softcal.app.files.recording_file import FileRecording
+from softcal.app.tables.timestamps import Start
+from softcal.core.errors import InputError
+from softcal.db.entries import INSTANTS_AGREE
+
+EARLIEST_YEAR = 1970
+
+
+def parse_instant(name: str, text: str) -> datetime:
+    """Return a date, or a date and time, as UTC; without a zone it is local time, and a date is its beginning.
+
+    Args:
+        name: what states it, for the message.
+        text: ISO 8601.
+
+    Raises:
+        InputError: it is none, or lies in the future.
+    """
+    expected = "an ISO date or date and time was expected, such as 2026-01-31 or 2026-01-31T14:30+01:00"
+    try:
+        at = datetime.fromisoformat(text).astimezone(UTC)
+    except (ValueError, OverflowError) as error:
+        raise InputError(f"{name} is {text!r}; {expected}") from error
+    if at.year < EARLIEST_YEAR:
+        raise InputError(f"{name} is {text!r}, before any recording; {expected}")
+    if at > datetime.now(UTC):
+        raise InputError(f"{name} is {text!r}, in the future; state when the recording was measured")
+    return at
+
+
+def measured_at(file: FileRecording, stated: datetime | None = None) -> datetime | None:
+    """Return when a recording was measured, UTC: by its own stamps, else as stated, else None.
+
+    Raises:
+        InputError: its stamps lie in the future, or contradict what is stated, by more than a day.
+    """
+    if file.start is None:
+        return stated
+    at, cure = file.start.at, "correct the one that is wrong, or give --sample-rate in place of the column of time"
+    shown = f"{file.table.path}: the stamps begin at {at:%Y-%m-%d %H:%M:%S} UTC"
+    if at > datetime.now(UTC) + INSTANTS_AGREE:
+        raise InputError(f"{shown}, in the future; {cure}")
+    if stated is not None and abs(at - stated) > INSTANTS_AGREE:
+        raise InputError(f"{shown}, stated was {stated:%Y-%m-%d %H:%M:%S} UTC; {cure}")
+    return at
+
+
+def measured_at_row(file: FileRecording, row: int) -> datetime | None:
+    """Return when a row of a table was measured by its own stamps, UTC; None where they are not absolute."""
+    if (at := measured_at(file)) is None:
+        return None
+    t_s = file.t_s[file.rows]
+    later = t_s[file.rows >= row]
+    return at + timedelta(seconds=float(later[0] - t_s[0])) if len(later) else at
+
+
+def local_time_remarks(starts: Mapping[Path, Start | None]) -> tuple[str, ...]:
+    """Return one remark on the files whose stamps state no zone; nothing where there is none."""
+    names = [path.name for path, start in starts.items() if start is not None and start.is_local]
+    if not names:
+        return ()
+    listed = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    zone = f"{datetime.now().astimezone():%z}"
+    return (f"{listed}: stamps without a zone are taken as local time of this computer (UTC{zone[:3]}:{zone[3:]})",)
