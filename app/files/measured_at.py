@@ -42,7 +42,7 @@ def measured_at(file: FileRecording, stated: datetime | None = None) -> datetime
     """
     if file.start is None:
         return stated
-    at, cure = file.start.at, "correct the one that is wrong, or give --sample-rate in place of the column of time"
+    at, cure = file.start.at, "correct the one that is wrong, or leave out the column of time and state the sample rate"
     shown = f"{file.table.path}: the stamps begin at {at:%Y-%m-%d %H:%M:%S} UTC"
     if at > datetime.now(UTC) + INSTANTS_AGREE:
         raise InputError(f"{shown}, in the future; {cure}")

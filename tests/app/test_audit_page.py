@@ -4,6 +4,7 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from softcal.app.batch.audit import lot_audit
@@ -44,7 +45,9 @@ def test_a_plan_is_drawn_once_and_again_only_with_a_reason(calibrated: str, show
 def test_recordings_are_looked_at_and_what_cannot_audit_a_unit_says_why(
     calibrated: str, lot_folder: Path, show, jobs_at_once: None
 ) -> None:
-    audit = (lot_folder / "audit/A1.csv").read_bytes()
+    pressed = pd.read_csv(lot_folder / "audit/A1.csv")
+    # The registry has the other; when that was measured stays.
+    audit = pressed.assign(reference=pressed["reference"] + 0.001).to_csv(index=False).encode()
     plain = (lot_folder / "units/A2.csv").read_bytes()
     screen = show(calibrated, "audit", lot="small")
     files = [("A1.csv", audit, "text/csv"), ("A2.csv", plain, "text/csv"), ("X9.csv", audit, "text/csv")]
