@@ -88,6 +88,28 @@ def _percent(character: str) -> str:
     return "".join(f"%{byte:02X}" for byte in character.encode("utf-8", "surrogatepass"))
 
 
+LOT_ID = re.compile(r"[\w][\w .+-]{0,63}")
+
+
+@dataclass(frozen=True, order=True)
+class UnitKey:
+    """What names a unit: a serial is unique within its lot alone. Its text is `LOT/SERIAL`; neither holds a slash."""
+
+    lot_id: str
+    serial: str
+
+    def __str__(self) -> str:
+        return f"{self.lot_id}/{self.serial}"
+
+    @classmethod
+    def parse(cls, text: str) -> "UnitKey":
+        """Return the key of its text (`InputError`: it is none)."""
+        lot_id, slash, serial = text.partition("/")
+        if not slash or not LOT_ID.fullmatch(lot_id):
+            raise InputError(f"{text[:160]!r} names no unit; LOT/SERIAL was expected")
+        return cls(lot_id, check_serial(serial))
+
+
 @dataclass(frozen=True)
 class Lot:
     """The units made together, calibrated against a source unit or several.
@@ -109,7 +131,7 @@ class Lot:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "source", check_serial(self.source))
-        if not re.fullmatch(r"[\w][\w .+-]{0,63}", self.id):
+        if not LOT_ID.fullmatch(self.id):
             raise InputError(reason("name.lot", lot=repr(self.id[:80])))
         for name, value in (("sample_rate_Hz", self.sample_rate_Hz), ("limit rmse", self.limit_rmse)):
             if value is not None and not 0 < value < float("inf"):

@@ -6,6 +6,7 @@ from datetime import date, datetime, timedelta
 from typing import TYPE_CHECKING
 
 from softcal.core.errors import InputError
+from softcal.core.lot import UnitKey
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.words.reason import Reason
 
@@ -48,6 +49,10 @@ class UnitEntry:
     is_conflict: bool = False
     is_stale: bool = False
 
+    @property
+    def key(self) -> UnitKey:
+        return UnitKey(self.lot_id, self.serial)
+
 
 @dataclass(frozen=True)
 class RunEntry:
@@ -89,6 +94,10 @@ class StoredCalibration:
     @property
     def serial(self) -> str:
         return self.state.serial
+
+    @property
+    def key(self) -> UnitKey:
+        return UnitKey(self.lot_id, self.serial)
 
 
 @dataclass(frozen=True, eq=False)

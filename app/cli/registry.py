@@ -84,22 +84,21 @@ def _list(options: argparse.Namespace) -> None:
 
 
 def _history(options: argparse.Namespace) -> None:
-    from softcal.app.registry.listing import HISTORY_HEADER, history_json, history_row, only_lot
+    from softcal.app.registry.listing import HISTORY_HEADER, history_json, history_row
 
     with registry_of(options) as registry:
-        units = [unit for unit in registry.lots.units(serial=options.serial) if options.lot in (None, unit.lot_id)]
-        lot_id = only_lot(options.serial, [unit.lot_id for unit in units], options.lot)
+        lot_id = registry.calibrations.unit_key(options.serial, options.lot).lot_id
+        (unit,) = registry.lots.units(lot_id, options.serial)
         revisions = registry.calibrations.history(options.serial, lot_id)
     facts = {"serial": options.serial, "lot": lot_id, "revisions": [history_json(stored) for stored in revisions]}
     answer(options, "registry.history/1", facts)
-    print(f"unit {options.serial} of lot {', '.join(unit.lot_id for unit in units)}")
+    print(f"unit {options.serial} of lot {lot_id}")
     if revisions:
         print_table(HISTORY_HEADER, [history_row(stored) for stored in revisions])
     else:
-        print(shown("no calibration yet" + "".join(f"; {reason}" for unit in units for reason in unit.reasons)))
-    for unit in units:
-        if unit.is_conflict:
-            say(f"conflict: {unit.reasons[0]}")
+        print(shown("; ".join(("no calibration yet", *map(str, unit.reasons)))))
+    if unit.is_conflict:
+        say(f"conflict: {unit.reasons[0]}")
 
 
 def _verify(options: argparse.Namespace) -> None:

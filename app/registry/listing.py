@@ -1,9 +1,6 @@
 """Units and revisions of the registry as rows of a table and as JSON values."""
 
-from collections.abc import Sequence
-
 from softcal.app.texts.catalogue import here
-from softcal.core.errors import AmbiguousUnit, NoSuchUnit
 from softcal.db.entries import StoredCalibration, UnitEntry
 
 UNIT_HEADER = tuple("lot serial role verdict rev map predicted before after own made reason".split())
@@ -26,22 +23,6 @@ def unit_json(unit: UnitEntry) -> dict[str, object]:
         "reasons": [str(why) for why in unit.reasons],
         "made_at": unit.made_at and unit.made_at.isoformat(),
     }
-
-
-def only_lot(serial: str, lots: Sequence[str], wanted: str | None) -> str:
-    """Return the lot of a serial.
-
-    Args:
-        lots: those the serial stands in, of `wanted` only where it is given.
-
-    Raises:
-        InputError: none, or several.
-    """
-    if not lots:
-        raise NoSuchUnit(f"serial {serial!r} is not in lot {wanted!r}")
-    if len(lots) > 1:
-        raise AmbiguousUnit(f"serial {serial!r} stands in the lots {', '.join(map(repr, lots))}; say which lot")
-    return lots[0]
 
 
 def history_row(stored: StoredCalibration) -> list[object]:

@@ -9,6 +9,7 @@ from sqlalchemy import RowMapping, bindparam, func, select
 
 from softcal.core.errors import AmbiguousUnit, InputError, NoSuchNetwork, NoSuchRevision, NoSuchUnit
 from softcal.core.identity import content_sha256
+from softcal.core.lot import UnitKey
 from softcal.core.words.reason import Reason, to_kept
 from softcal.db.entries import StoredCalibration
 from softcal.db.schema.arrays import put_arrays
@@ -189,7 +190,7 @@ class CalibrationTables(InUseTable):
         if not reason.strip():
             raise InputError("a rollback needs a reason; nothing was changed")
         with self.database.writing():
-            lot = self._only_lot(serial, lot_id)
+            lot = self.unit_key(serial, lot_id).lot_id
             old = self._revision_row(lot, serial, to, origin)
             heads = heads_of(self.database, lot, serial)
             before = None
@@ -232,7 +233,7 @@ class CalibrationTables(InUseTable):
                 registries put different maps into use.
         """
         with self.database.reading():
-            lot = self._only_lot(serial, lot_id)
+            lot = self.unit_key(serial, lot_id).lot_id
             if revision is None:
                 statement = self._in_use(lot, serial)
                 if statement is None:
@@ -310,16 +311,20 @@ class CalibrationTables(InUseTable):
         self._state(lot_id, serial, named, told, actor, reason, made_at)
         return int(revision)
 
-    def _only_lot(self, serial: str, lot_id: str | None) -> str:
-        """Return the lot of a serial; one that stands in several is asked for with its lot."""
+    def unit_key(self, serial: str, lot_id: str | None = None) -> UnitKey:
+        """Return the key of a unit that was named by its serial, with its lot where it stands in several.
+
+        `NoSuchUnit`, `NoSuchLot`: there is none; `AmbiguousUnit`: several lots have the serial and none is named.
+        """
         self._known_serial(serial)
         lots = self.lots_of(serial)
         if lot_id is None and len(lots) > 1:
-            raise AmbiguousUnit(f"serial {serial!r} stands in the lots {', '.join(map(repr, lots))}; say which lot")
+            names = ", ".join(map(repr, lots))
+            raise AmbiguousUnit(f"serial {serial!r} stands in the lots {names}; say which one, as --lot {lots[0]!r}")
         if lot_id is not None and lot_id not in lots:
             self._lot_row(lot_id)
             raise NoSuchUnit(f"serial {serial!r} is not in lot {lot_id!r}; it is in {', '.join(map(repr, lots))}")
-        return lots[0] if lot_id is None else lot_id
+        return UnitKey(lot_id or lots[0], serial)
 
     def _revision_row(self, lot_id: str, serial: str, revision: int, origin: str | None) -> RowMapping:
         c = calibrations.c
