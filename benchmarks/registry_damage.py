@@ -25,6 +25,7 @@ from common.registries import begin_lot, state
 from common.tables import print_table
 
 from softcal.core.errors import InputError, SoftcalError
+from softcal.core.lot import UnitKey
 from softcal.core.orders import Order, OrderKind
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.recording import OutputRecording
@@ -67,7 +68,9 @@ def make(path: Path, units: int = UNITS) -> None:
         registry.calibrations.refuse("bench", "U004", "retest", (plain("cable"),))
         registry.lots.set_limit("bench", 0.2, reason="agreed")
         registry.lots.set_line_rules("bench", LineRules(), reason="first lot")
-        registry.adaptations.add("U001", 1, [{"stream": "s", "sample": k, "gain": 1.0 + k} for k in range(3)])
+        registry.adaptations.add(
+            UnitKey("bench", "U001"), 1, [{"stream": "s", "sample": k, "gain": 1.0 + k} for k in range(3)]
+        )
         registry.stations.add_golden_run(GoldenRun("s1", "G1", datetime(2026, 5, 4, tzinfo=UTC), 0.01, "N", True))
         registry.stations.add_certificate(
             CellCertificate("C1", "7", "lab", date(2026, 1, 1), date(2027, 1, 1), 50.0, 0.01, b"document")
@@ -111,7 +114,7 @@ def answers(registry: Registry) -> object:
         registry.lots.line_rules_versions("bench"),
         registry.stations.golden_runs(),
     ]
-    return [*told, registry.stations.certificates("C1"), registry.adaptations.all("U001")]
+    return [*told, registry.stations.certificates("C1"), registry.adaptations.all(UnitKey("bench", "U001"))]
 
 
 def whole(registry: Registry) -> bool:

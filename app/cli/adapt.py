@@ -138,7 +138,7 @@ def _report(registry: "Registry", options: argparse.Namespace, report: "AdaptRep
         say(f"ALARM: {report.current.alarm}")
     if options.html is None and not options.json:
         return
-    course = registry.adaptations.all(report.serial, report.stream)
+    course = registry.adaptations.all(report.unit, report.stream)
     if options.html is not None:
         write_figure(registry, options.html, report, maps_of(course))
     write_json(options.json, report_json(report, course))

@@ -16,7 +16,7 @@ from softcal.app.registry.lot_recordings import source_recording
 from softcal.app.registry.unit import UnitInUse, unit_in_use
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
-from softcal.core.lot import Lot
+from softcal.core.lot import Lot, UnitKey
 from softcal.core.recording import Array
 from softcal.core.unit.estimate import Estimate
 from softcal.core.use.adapter import QUEUES, AdaptConfig, Adapter
@@ -79,6 +79,10 @@ class AdaptReport:
     layout: str = ""
     remarks: list[str] = field(default_factory=list)
 
+    @property
+    def unit(self) -> UnitKey:
+        return UnitKey(self.lot.id, self.serial)
+
 
 class Follower:
     """Follows one stream of one unit and keeps maps and state in the registry.
@@ -101,7 +105,7 @@ class Follower:
         is_repeatable: bool = False,
     ) -> None:
         registry.database.check_writable()
-        serial = unit.calibration.serial
+        key = UnitKey(unit.lot.id, unit.calibration.serial)
         self._registry, self._keeper = registry, keeper
         self._writing: Future[int] | None = None
         known = (unit.network, unit.calibration, unit.recording)
@@ -110,14 +114,14 @@ class Follower:
             if options.config.mode in QUEUES
             else Adapter(*known, options.config)
         )
-        newest = registry.adaptations.last(serial, unit.revision, stream)
+        newest = registry.adaptations.last(key, unit.revision, stream)
         # The same rows again give the same steps; those that are kept already stay as they are.
         self._kept_until = -1 if newest is None else int(newest["sample"])
         self._began: int | None = 0
         self._state_until = -1
         self._method_id = options.config.method.id
         changed: list[str] = []
-        last = registry.adaptations.last_checkpoint(serial, unit.revision, stream)
+        last = registry.adaptations.last_checkpoint(key, unit.revision, stream)
         # A file that was broken off is begun again, and so is one whose content names its stream.
         has_begun = last is not None and options.stream is not None if is_repeatable else newest is not None
         if options.resume and last is not None:
@@ -136,7 +140,7 @@ class Follower:
         self._maps_rows, self._state_rows = (max(1, round(s * rate_Hz)) for s in (MAPS_S, STATE_S))
         self._since_maps = self._since_state = 0
         config = options.config
-        place = (serial, unit.revision, stream, config.mode, self._adapter.current, unit.lot, config.method)
+        place = (key.serial, unit.revision, stream, config.mode, self._adapter.current, unit.lot, config.method)
         self.report = AdaptReport(*place, changed)
         # Written once: from then on the newest step of the stream names the new method.
         self._note_change = bool(changed) and newest is not None and newest.get("method") != self._method_id
@@ -203,9 +207,9 @@ class Follower:
             new.append(state)
         self.settle()
         if new and self._keeper is None:
-            self._registry.adaptations.add(report.serial, report.revision, new)
+            self._registry.adaptations.add(report.unit, report.revision, new)
         elif new and self._keeper is not None:
-            self._writing = self._keeper.submit(self._registry.adaptations.add, report.serial, report.revision, new)
+            self._writing = self._keeper.submit(self._registry.adaptations.add, report.unit, report.revision, new)
         self._pending, self._since_maps = [], 0
 
     def _entry(self, update: MapUpdate) -> dict[str, Any]:

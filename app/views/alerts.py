@@ -51,7 +51,7 @@ def plant_alerts(registry: Registry, now: datetime) -> list[Alert]:
             found.append(Alert("certificate_over", dict(values), True))
         elif left <= DUE_WITHIN:
             found.append(Alert("certificate_due", {**values, "days": left.days}))
-    due = [unit.serial for unit in registry.adaptations.units() if unit.entry.get("alarm")]
+    due = [str(unit.key) for unit in registry.adaptations.units() if unit.entry.get("alarm")]
     if due:
         found.append(Alert("units_due", {"count": len(due), "first": due[0]}))
     return found

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from softcal.core.lot import UnitKey
 from softcal.db.registry import Registry
 from softcal.db.truth.adaptations import AdaptedUnit
 
@@ -31,19 +32,13 @@ class Course:
 def units_in_use(registry: Registry) -> list[tuple[AdaptedUnit, str]]:
     """Return units in use with their reference units: with an alarm first, then by predicted error."""
     units = {lot.id: lot.reference_unit for lot in registry.lots.all()}
-    # Mostly all lots have one unit; then no lot of a unit is looked up.
-    only = next(iter(units.values())) if len(set(units.values())) == 1 else ""
-    followed = [(unit, only or units[_lot_of(registry, unit.serial)]) for unit in registry.adaptations.units()]
+    followed = [(unit, units[unit.lot_id]) for unit in registry.adaptations.units()]
     return sorted(followed, key=lambda one: (not one[0].entry["alarm"], -float(one[0].entry["predicted_rmse"])))
 
 
-def _lot_of(registry: Registry, serial: str) -> str:
-    return registry.lots.units(serial=serial)[-1].lot_id
-
-
-def course(registry: Registry, serial: str, stream: str) -> Course:
+def course(registry: Registry, unit: UnitKey, stream: str) -> Course:
     """Return the course of a unit on one stream."""
-    steps: Sequence[Mapping[str, Any]] = registry.adaptations.all(serial, stream)
-    seen = tuple(step for step in steps if step.get("t_s") is not None)
-    lot = registry.lots.get(_lot_of(registry, serial))
-    return Course(serial, stream, seen, lot.output_unit, lot.reference_unit)
+    steps: Sequence[Mapping[str, Any]] = registry.adaptations.all(unit, stream)
+    observed = tuple(step for step in steps if step.get("t_s") is not None)
+    lot = registry.lots.get(unit.lot_id)
+    return Course(unit.serial, stream, observed, lot.output_unit, lot.reference_unit)

@@ -276,8 +276,9 @@ work_items = table(
 
 adaptations = table(
     "adaptations",
-    *keys(serial=NAME, number=Integer, origin=ORIGIN),
+    *keys(lot_id=NAME, serial=NAME, number=Integer, origin=ORIGIN),
     *needed(revision=Integer, stream=Text, sample=Integer, made_at=UtcTime, entry=CanonicalJson),
+    sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     CheckConstraint("number >= 1", name="number"),
 )
 

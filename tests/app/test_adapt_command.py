@@ -11,11 +11,13 @@ import pytest
 
 from softcal.app.cli.main import main
 from softcal.app.use.adapt import AdaptOptions, adapt_file
+from softcal.core.lot import UnitKey
 from softcal.core.use.adapter import AdaptConfig
 from softcal.core.use.method import UseMethod
 from softcal.db.connection import open_registry
 from tests.layers import layered
 
+A1 = UnitKey("small", "A1")
 NETWORK = ("--hidden", "16,8")
 QUEUES, QUEUE = ("ot", "ot-improved"), 200
 
@@ -118,12 +120,12 @@ def test_registry_keeps_every_map_once_however_often_a_file_is_run(bench: Path, 
     adapt(bench, stream, tmp_path / "first.csv", "--json", str(report))
     name = json.loads(report.read_text())["stream"]
     with open_registry(url(bench)) as registry:
-        first = registry.adaptations.all("A1", name)
+        first = registry.adaptations.all(A1, name)
 
     adapt(bench, stream, tmp_path / "second.csv")
 
     with open_registry(url(bench)) as registry:
-        assert registry.adaptations.all("A1", name) == first
+        assert registry.adaptations.all(A1, name) == first
         assert registry.verify() == []
     assert first[0]["event"] == "start"
     assert first[-1]["event"] == "checkpoint"
@@ -135,7 +137,7 @@ def test_next_file_goes_on_where_the_last_one_ended(bench: Path, stream: Path, t
         assert adapt(bench, stream, tmp_path / f"{name}.csv", *more) == 0
 
     with open_registry(url(bench)) as registry:
-        kept = registry.adaptations.last("A1", 1, "hall-3")
+        kept = registry.adaptations.last(A1, 1, "hall-3")
     assert kept is not None
     assert kept["sample"] >= 2 * len(pd.read_csv(stream))
     assert (tmp_path / "monday.csv").read_text().count("\n") == (tmp_path / "tuesday.csv").read_text().count("\n")
@@ -153,7 +155,7 @@ def test_a_state_that_names_no_format_is_refused_in_one_line_that_says_what_to_d
 ) -> None:
     with open_registry(url(bench)) as registry:
         entry = {"stream": "hall-5", "sample": 400, "event": "checkpoint", "state": {"row": 400}, "began": 0}
-        registry.adaptations.add("A1", 1, [entry])
+        registry.adaptations.add(A1, 1, [entry])
 
     assert adapt(bench, stream, tmp_path / "out.csv", "--stream", "hall-5", "--resume") == 2
 
@@ -210,9 +212,9 @@ def test_a_stream_resumed_under_other_numbers_says_which_and_goes_on(bench: Path
 
         report = adapt_file(registry, "A1", stream, tmp_path / "second.csv", resumed)
 
-        course = registry.adaptations.all("A1", "numbers")
+        course = registry.adaptations.all(A1, "numbers")
         again = adapt_file(registry, "A1", stream, tmp_path / "third.csv", resumed)
-        changes = [step for step in registry.adaptations.all("A1", "numbers") if step["event"] == "method"]
+        changes = [step for step in registry.adaptations.all(A1, "numbers") if step["event"] == "method"]
     (changed,) = report.changed
     assert all(fact in changed for fact in ("drift.pace", "12.0", "13.0")) and again.changed == []
     assert len(changes) == 1 and changed in changes[0]["reason"]

@@ -17,6 +17,7 @@ import pytest
 from softcal.app.cli.main import main
 from softcal.app.registry.unit import unit_in_use
 from softcal.app.use.adapt import AdaptOptions, Follower
+from softcal.core.lot import UnitKey
 from softcal.db.connection import open_registry
 
 pytestmark = pytest.mark.long
@@ -65,7 +66,11 @@ def rows_of(target: Path) -> int:
 
 def maps(bench: Path, stream: str) -> list[dict[str, object]]:
     with open_registry(url(bench)) as registry:
-        return [dict(step) for step in registry.adaptations.all("A0", stream) if step["event"] != "checkpoint"]
+        return [
+            dict(step)
+            for step in registry.adaptations.all(UnitKey("small", "A0"), stream)
+            if step["event"] != "checkpoint"
+        ]
 
 
 def run_whole(bench: Path, target: Path, stream: str, log: list[str], *more: str) -> int:

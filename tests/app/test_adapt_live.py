@@ -21,6 +21,7 @@ from softcal.app.use.live import WIDTH, bar
 from softcal.app.use.sink import open_sink
 from softcal.app.use.source import AWAY_S, SILENCE_S, lines_of, on_one_clock, readings, replugged
 from softcal.core.errors import BadReply, NoReply
+from softcal.core.lot import UnitKey
 from softcal.db.connection import open_registry
 from softcal.station.interfaces import Sample
 from softcal.station.wire.frames.text_stream import StreamLine, format_line
@@ -87,7 +88,7 @@ def test_simulated_sensor_is_read_over_its_serial_protocol(bench: Path, tmp_path
     assert len(rows) > 300
     assert np.median(np.diff(rows["t_s"])) == pytest.approx(0.02, rel=0.05)
     with open_registry(f"sqlite:///{bench / 'registry.db'}") as registry:
-        kept = registry.adaptations.last("A0", 1, "sim")
+        kept = registry.adaptations.last(UnitKey("small", "A0"), 1, "sim")
     assert kept is not None and kept["event"] == "checkpoint"
 
 

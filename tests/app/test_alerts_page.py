@@ -12,6 +12,7 @@ from softcal.app.charts.style import whole_numbers
 from softcal.app.texts.catalogue import LANGUAGES, text
 from softcal.app.views.alerts import Alert, alerts
 from softcal.app.views.lot import ProcessView, RuleBroken, yield_drop
+from softcal.core.lot import UnitKey
 from softcal.core.orders import Heartbeat, StationState
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate, GoldenRun, RunEntry
@@ -76,13 +77,13 @@ def test_a_certificate_that_ends_is_told_and_its_successor_counts(due: int, kind
 def test_drift_and_units_that_need_a_reference_are_told_and_the_urgent_come_first() -> None:
     broken = replace(STILL, broken=(RuleBroken(1, 3, "A9", True), RuleBroken(3, 1, "A2", False)))
     adapted = [
-        SimpleNamespace(serial="A7", entry={"alarm": "moved"}),
-        SimpleNamespace(serial="A8", entry={"alarm": ""}),
+        SimpleNamespace(key=UnitKey("small", "A7"), entry={"alarm": "moved"}),
+        SimpleNamespace(key=UnitKey("small", "A8"), entry={"alarm": ""}),
     ]
     drop = yield_drop(runs(*["pass"] * 60, *["fail"] * 20))
     told = found(process=broken, drop=drop, adapted=adapted)
     assert [alert.kind for alert in told] == ["yield", "process", "units_due"]
-    assert told[2].values == {"count": 1, "first": "A7"}
+    assert told[2].values == {"count": 1, "first": "small/A7"}
 
 
 @pytest.mark.parametrize("language", LANGUAGES)

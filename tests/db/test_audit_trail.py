@@ -10,6 +10,7 @@ from sqlalchemy import create_engine, delete, insert, select, text, update
 from sqlalchemy.pool import NullPool
 
 from softcal.core.errors import RegistryError
+from softcal.core.lot import UnitKey
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.words.reason import plain
 from softcal.db.care.sync import synchronise
@@ -43,7 +44,7 @@ def filled(factory, recording_of):
     factory.calibrate("A1", 2)
     factory.registry.calibrations.refuse("L1", "A2", "fail", (plain("constant"),))
     factory.registry.lots.set_line_rules("L1", LineRules(), reason="first lot")
-    factory.registry.adaptations.add("A1", 1, [{"stream": "s", "sample": 3, "gain": 1.5}])
+    factory.registry.adaptations.add(UnitKey("L1", "A1"), 1, [{"stream": "s", "sample": 3, "gain": 1.5}])
     factory.registry.stations.add_golden_run(
         GoldenRun("s1", "G1", datetime(2026, 5, 4, 6, tzinfo=UTC), 0.01, "N", True)
     )

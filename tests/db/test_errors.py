@@ -7,6 +7,7 @@ import pytest
 from sqlalchemy import text
 
 from softcal.core import errors
+from softcal.core.lot import UnitKey
 from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.schema import engines
@@ -19,7 +20,7 @@ MISSING = [
     (errors.NoSuchUnit, lambda registry: registry.calibrations.get("nobody")),
     (errors.NoSuchUnit, lambda registry: registry.calibrations.get("A1", lot_id="L2")),
     (errors.NoSuchRevision, lambda registry: registry.calibrations.get("A1", 9)),
-    (errors.NoSuchRevision, lambda registry: registry.adaptations.add("A1", 9, "s", [])),
+    (errors.NoSuchRevision, lambda registry: registry.adaptations.add(UnitKey("L1", "A1"), 9, [])),
     (errors.NoSuchNetwork, lambda registry: registry.networks.get("f" * 64)),
     (errors.NoSuchRecording, lambda registry: registry.recordings.get("f" * 64)),
     (errors.NoSuchOrder, lambda registry: registry.order_queue.progress("nothing")),

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import InputError
-from softcal.core.lot import Lot, row_name
+from softcal.core.lot import Lot, UnitKey, row_name
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
 from softcal.core.words.reason import plain, reason
 from softcal.db.connection import open_registry
 from softcal.db.truth.registry_base import RegistrySettings
+
+A1 = UnitKey("L1", "A1")
 
 
 def test_a_lot_comes_back_as_it_was_given(registry):
@@ -222,13 +224,13 @@ def test_every_change_names_who_and_when(factory):
 def test_an_adaptation_resumes_from_its_last_step(factory):
     factory.calibrate("A1", 1)
     steps = [{"stream": "s", "sample": k, "map": {"gain": 1.0 + k}} for k in (10, 20)]
-    assert factory.registry.adaptations.add("A1", 1, steps) == 2
-    assert factory.registry.adaptations.add("A1", 1, [{"stream": "t", "sample": 5}]) == 3
-    assert factory.registry.adaptations.last("A1", 1, "s") == steps[-1]
-    assert factory.registry.adaptations.last("A1", 1, "u") is None
-    assert factory.registry.adaptations.all("A1", "s") == steps
+    assert factory.registry.adaptations.add(A1, 1, steps) == 2
+    assert factory.registry.adaptations.add(A1, 1, [{"stream": "t", "sample": 5}]) == 3
+    assert factory.registry.adaptations.last(A1, 1, "s") == steps[-1]
+    assert factory.registry.adaptations.last(A1, 1, "u") is None
+    assert factory.registry.adaptations.all(A1, "s") == steps
     with pytest.raises(InputError, match=r"\b2\b"):
-        factory.registry.adaptations.add("A1", 2, steps[:1])
+        factory.registry.adaptations.add(A1, 2, steps[:1])
 
 
 def test_a_lot_read_from_the_registry_states_no_new_limit(factory):

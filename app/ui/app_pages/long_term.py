@@ -9,6 +9,7 @@ from softcal.app.ui.panels import heading, rest_may_follow, show_figure, table
 from softcal.app.ui.server_memory import registry
 from softcal.app.views.common import number
 from softcal.app.views.long_term import course, units_in_use
+from softcal.core.lot import UnitKey
 
 
 def render() -> None:
@@ -18,9 +19,10 @@ def render() -> None:
         empty("long_term.none")
         return
     with beside:
-        serial = choose(say("column.serial"), [unit.serial for unit, _ in units], "unit") or units[0][0].serial
+        key = UnitKey.parse(choose(say("choose.unit"), [str(unit.key) for unit, _ in units], "unit") or "")
     table(
         {
+            say("choose.lot"): unit.lot_id,
             say("column.serial"): unit.serial,
             say("column.state"): say("event.alarm" if unit.entry["alarm"] else f"event.{unit.entry['verdict']}"),
             say("lot.predicted"): number(unit.entry["predicted_rmse"], reference_unit),
@@ -31,10 +33,10 @@ def render() -> None:
         }
         for unit, reference_unit in units
     )
-    streams = registry().adaptations.streams(serial)
+    streams = registry().adaptations.streams(key)
     stream = streams[0] if len(streams) == 1 else str(st.selectbox(say("long_term.stream"), streams))
-    stream_course = course(registry(), serial, stream)
-    st.header(say("long_term.course", serial=serial))
+    stream_course = course(registry(), key, stream)
+    st.header(say("long_term.course", serial=key.serial))
     if stream_course.alarm:
         why = phrase("adapt", stream_course.alarm, say)
         st.warning(why, icon=":material/notification_important:", title=say("long_term.due"))
@@ -42,4 +44,4 @@ def render() -> None:
         st.caption(say("long_term.no_steps"))
         return
     if rest_may_follow():
-        show_figure(course_figure(stream_course, colours(), say), f"course-{serial}")
+        show_figure(course_figure(stream_course, colours(), say), f"course-{key}")
