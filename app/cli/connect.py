@@ -8,13 +8,14 @@ import threading
 from softcal.app.cli.options import FILE, actions_of, add_shared, answer, positive, registry_of
 from softcal.app.output import print_table, say
 from softcal.core.errors import InputError
+from softcal.core.lot import UnitKey
 
 EXAMPLES = """examples:
   softcal connect secret --out mes.secret               a secret for the signature of a webhook
   softcal connect check plant.toml                      read the file, reach every destination
   softcal connect run plant.toml                        until Ctrl-C
   softcal connect status                                how far every destination is, and what is wrong
-  softcal adapt --serial A1 - --out - | softcal connect estimates plant.toml --serial A1
+  softcal adapt --serial A1 - --out - | softcal connect estimates plant.toml --lot lot-1 --serial A1
 """
 
 
@@ -33,7 +34,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     estimates = action("estimates", "publish live estimates from standard input over MQTT", _estimates)
     add = estimates.add_argument
     add("file", **FILE, help="TOML with one [[mqtt]] destination")
-    add("--serial", required=True)
+    add("--lot", required=True, metavar="ID", help="lot of the unit")
+    add("--serial", required=True, metavar="S")
     add("--rate", type=positive, default=10.0, metavar="HZ", help="rows a second at most; default 10")
 
 
@@ -81,5 +83,5 @@ def _estimates(options: argparse.Namespace) -> None:
     mqtts = read_settings(options.file).mqtts
     if len(mqtts) != 1:
         raise InputError(f"{options.file}: one [[mqtt]] was expected, there are {len(mqtts)}")
-    published, left_out = publish_estimates(sys.stdin, options.serial, mqtts[0], options.rate)
+    published, left_out = publish_estimates(sys.stdin, UnitKey(options.lot, options.serial), mqtts[0], options.rate)
     say(f"{published} estimates were published, {left_out} were left out")

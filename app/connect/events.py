@@ -11,6 +11,7 @@ from datetime import datetime
 from typing import Any
 from urllib.parse import quote
 
+from softcal.core.lot import UnitKey
 from softcal.core.words.reason import Reason
 from softcal.db.entries import UNIT_ERRORS, AuditRow
 from softcal.db.queues.outbox import Cursor
@@ -141,7 +142,7 @@ def _event(registry: Registry, row: AuditRow, after: Cursor) -> RegistryEvent:
     about = {"actor": row.actor, "reason": row.reason}
     if kind == VERDICT:
         data = _verdict(registry, row.entity, content) | about
-        subject = f"lots/{path_part(data['lot'])}/units/{path_part(data['serial'])}"
+        subject = unit_path(UnitKey(data["lot"], data["serial"]))
     elif kind == CHANGE:
         before = json.loads(row.before or "null")
         data = {"action": row.action, "entity": row.entity, "key": key, "before": before, "after": content} | about
@@ -178,6 +179,11 @@ def _verdict(registry: Registry, entity: str, content: Mapping[str, Any]) -> dic
         words = {"reasons": [str(why) for why in unit.reasons], "reason_codes": [why.code for why in unit.reasons]}
         return data | {"verdict": unit.verdict, "is_conflict": True, **words}
     return data
+
+
+def unit_path(unit: UnitKey) -> str:
+    """Return where a unit stands, as a path or topic."""
+    return f"lots/{path_part(unit.lot_id)}/units/{path_part(unit.serial)}"
 
 
 def path_part(name: str) -> str:

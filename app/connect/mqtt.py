@@ -6,7 +6,7 @@ Topics below the one of the settings:
 - `lots/LOT/units/SERIAL/verdict`: the newest verdict of a unit (retained);
 - `alerts/KIND/LOT/ABOUT`: an open alert (retained; empty once over), `-` where it has none;
 - `stations/STATION/state`: what a station says of itself (retained);
-- `units/SERIAL/estimate`: live estimates, the newest one retained.
+- `lots/LOT/units/SERIAL/estimate`: live estimates, the newest one retained.
 """
 
 import json
@@ -19,13 +19,23 @@ from typing import Any
 import paho.mqtt.client as paho
 from paho.mqtt.enums import CallbackAPIVersion
 
-from softcal.app.connect.events import ABOUT, CLEARED, RAISED, VERDICT, RegistryEvent, path_part, standing_events
+from softcal.app.connect.events import (
+    ABOUT,
+    CLEARED,
+    RAISED,
+    VERDICT,
+    RegistryEvent,
+    path_part,
+    standing_events,
+    unit_path,
+)
 from softcal.app.connect.forwarder import NotDelivered
 from softcal.app.connect.settings import MqttSettings, read_secret, split_address
 from softcal.app.connect.stations import stations_json
 from softcal.app.connect.webhook import tls_context
 from softcal.app.files.stream_file import COLUMNS, HEADER
 from softcal.core.errors import InputError
+from softcal.core.lot import UnitKey
 from softcal.db.registry import Registry
 
 PORTS = {"mqtts": 8883, "mqtt": 1883}
@@ -177,7 +187,9 @@ def json_text(value: object) -> str:
     return json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
 
 
-def publish_estimates(lines: Iterable[str], serial: str, settings: MqttSettings, most_per_s: float) -> tuple[int, int]:
+def publish_estimates(
+    lines: Iterable[str], unit: UnitKey, settings: MqttSettings, most_per_s: float
+) -> tuple[int, int]:
     """Publish rows of estimates; return how many were published and left out.
 
     A live value is worth nothing later: what comes faster than `most_per_s`, or while the broker is away, is left out.
@@ -186,10 +198,10 @@ def publish_estimates(lines: Iterable[str], serial: str, settings: MqttSettings,
     rows = iter(lines)
     if next(rows, "").strip() != HEADER.strip():
         raise InputError(f"rows of `softcal adapt --out -` were expected: {HEADER.strip()}")
-    topic, published, left_out, next_s = f"units/{path_part(serial)}/estimate", 0, 0, 0.0
+    topic, published, left_out, next_s = f"{unit_path(unit)}/estimate", 0, 0, 0.0
     with _Live(settings) as live:
         for line in rows:
-            payload, now_s = estimate_json(line, serial), time.monotonic()
+            payload, now_s = estimate_json(line, unit), time.monotonic()
             is_due = now_s >= next_s
             if is_due:
                 next_s = now_s + 1 / most_per_s
@@ -233,7 +245,7 @@ class _Live:
             return False
 
 
-def estimate_json(line: str, serial: str) -> str:
+def estimate_json(line: str, unit: UnitKey) -> str:
     """Return one row as JSON; what is no number is null (`InputError`: it is no such row)."""
     cells = line.rstrip("\r\n").split(",", len(COLUMNS) - 1)
     try:
@@ -242,4 +254,4 @@ def estimate_json(line: str, serial: str) -> str:
     except ValueError as error:
         raise InputError(f"{line[:80]!r}: a row of {', '.join(COLUMNS)} was expected") from error
     finite = {name: None if isinstance(v, float) and not math.isfinite(v) else v for name, v in row.items()}
-    return json.dumps({"serial": serial, **finite})
+    return json.dumps({"lot": unit.lot_id, "serial": unit.serial, **finite})

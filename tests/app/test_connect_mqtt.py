@@ -20,7 +20,7 @@ from softcal.app.connect.forwarder import Destination, Forwarder, NotDelivered
 from softcal.app.connect.mqtt import estimate_json, open_mqtt, publish_estimates, standing_messages, state_messages
 from softcal.app.connect.settings import MqttSettings
 from softcal.core.errors import InputError
-from softcal.core.lot import Lot
+from softcal.core.lot import Lot, UnitKey
 from softcal.core.orders import Heartbeat, StationState
 from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
@@ -302,13 +302,13 @@ ROWS = "t_s,estimate,lower,upper,flag\n0.0,,,,warm-up\n0.02,1.5,1.2,1.8,\n"
 
 def test_live_estimates_are_published_and_the_newest_is_kept(broker):
     rows = ROWS + "0.04,1.6,1.3,1.9,\n"
-    assert publish_estimates(rows.splitlines(True), "A 1", settings_of(broker), 1e9) == (3, 0)
+    assert publish_estimates(rows.splitlines(True), UnitKey("lot 1", "A 1"), settings_of(broker), 1e9) == (3, 0)
     late = Subscriber(broker)
-    topic = "softcal/units/A%201/estimate"
+    topic = "softcal/lots/lot%201/units/A%201/estimate"
     wait_until(lambda: late.of(topic), "the newest estimate")
     late.end()
     values = {"t_s": 0.04, "estimate": 1.6, "lower": 1.3, "upper": 1.9, "flag": ""}
-    assert [json.loads(text) for text in late.of(topic)] == [{"serial": "A 1", **values}]
+    assert [json.loads(text) for text in late.of(topic)] == [{"lot": "lot 1", "serial": "A 1", **values}]
 
 
 def test_estimates_go_on_when_the_broker_is_away_for_a_while(broker):
@@ -318,21 +318,23 @@ def test_estimates_go_on_when_the_broker_is_away_for_a_while(broker):
         yield "0.04,1.6,1.3,1.9,\n"
         yield "0.06,1.7,1.4,2.0,\n"
 
-    published, left_out = publish_estimates(rows(), "A1", settings_of(broker), 1e9)
+    published, left_out = publish_estimates(rows(), UnitKey("small", "A1"), settings_of(broker), 1e9)
     assert (published, left_out) == (2, 2)
     broker.start()
 
 
 def test_a_rate_thins_live_estimates(broker):
-    assert publish_estimates((ROWS + "0.04,1,1,1,\n" * 50).splitlines(True), "A1", settings_of(broker), 0.01) == (1, 51)
+    assert publish_estimates(
+        (ROWS + "0.04,1,1,1,\n" * 50).splitlines(True), UnitKey("small", "A1"), settings_of(broker), 0.01
+    ) == (1, 51)
 
 
 @pytest.mark.parametrize("line", ["1,2,3\n", "a,b,c,d,\n", "\n"])
 def test_what_is_no_row_of_estimates_is_refused(line):
     with pytest.raises(InputError):
-        estimate_json(line, "A1")
+        estimate_json(line, UnitKey("small", "A1"))
 
 
 def test_what_is_no_output_of_adapt_is_refused(broker):
     with pytest.raises(InputError):
-        publish_estimates(["t_s,output\n"], "A1", settings_of(broker), 10)
+        publish_estimates(["t_s,output\n"], UnitKey("small", "A1"), settings_of(broker), 10)
