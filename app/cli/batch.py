@@ -124,7 +124,7 @@ def run(options: argparse.Namespace) -> int:
             from softcal.app.charts.why import explain_units
 
             mapped = [u.serial for u in report.units if u.summary is not None]
-            explain_units(registry, mapped, options.plots, report.lot_id)
+            explain_units(registry, report.lot_id, mapped, options.plots)
             say(f"{options.plots}: figures of {len(mapped)} units")
     say_layouts(report.layouts)
     print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
@@ -147,7 +147,8 @@ def _write_files(registry: "Registry", report: "BatchReport", out: Path) -> None
     from softcal.core.unit.verdict import Release
 
     released = [unit.serial for unit in report.units if report.releases(unit)]
-    for serial in withdraw_units(out, released, {unit.serial: unit.verdict for unit in report.units}):
+    verdicts = {unit.serial: unit.verdict for unit in report.units}
+    for serial in withdraw_units(out, report.lot_id, released, verdicts):
         say(f"{out}: files of {serial} were taken back; its verdict no longer releases them")
     export_units(registry, released, ("json",), out, ExportOptions(release=report.release, lot_id=report.lot_id))
     held = report.counts["conditional"] if report.release is Release.PASS else 0

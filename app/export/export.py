@@ -56,8 +56,8 @@ def export_units(
         on_unit: told after each unit.
 
     Raises:
-        InputError: an unknown format or serial, serials a device could not tell apart, or a folder that cannot be
-            written.
+        InputError: an unknown format or serial, serials a device could not tell apart, also one of another lot that
+            is in the folder already, or a folder that cannot be written.
     """
     if not formats:
         raise InputError(f"no format is given; known: {', '.join(known_formats())}")
@@ -74,6 +74,8 @@ def export_units(
             raise InputError(f"the registry has no calibration of {', '.join(unknown[:5])}; nothing was written")
     key = options.signing_key
     manifest, loader = read_manifest(out), UnitLoader(registry, options)
+    for serial in serials:
+        manifest.check_lot(registry.calibrations.unit_key(serial, options.lot_id))
     exported = []
     for serial in serials:
         exported.append(_export(loader.load(serial), writers, out, manifest, key))

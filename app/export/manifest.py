@@ -17,6 +17,7 @@ from softcal.app.files.atomic import write_bytes
 from softcal.core.errors import InputError
 from softcal.core.export.json_text import json_text
 from softcal.core.json_input import parse_json
+from softcal.core.lot import UnitKey
 
 SCHEMA = "softcal.export/1"
 NAME, SIGNATURE = "manifest.json", "manifest.sig"
@@ -53,6 +54,15 @@ class Manifest:
     files: dict[str, FileEntry]
     units: dict[str, Mapping[str, object]]
     signed_on: date | None = None
+
+    def check_lot(self, unit: UnitKey) -> None:
+        """Raise `InputError` where the folder has files of this serial of another lot, which no device tells apart."""
+        lot_id = self.units.get(unit.serial, {}).get("lot", unit.lot_id)
+        if lot_id != unit.lot_id:
+            raise InputError(
+                f"this folder has files of {lot_id}/{unit.serial}, which look like those of {unit}; nothing was "
+                "written; export each lot to a folder of its own"
+            )
 
     def remove(self, folder: Path, names: Collection[str]) -> None:
         """Take files out of the folder and out of its manifest."""
@@ -109,8 +119,8 @@ def write_manifest(folder: Path, manifest: Manifest, key: SigningKey | None) -> 
         write_bytes(folder / SIGNATURE, signature)
 
 
-def withdraw_units(folder: Path, released: Collection[str], verdicts: Mapping[str, str]) -> list[str]:
-    """Remove the files of units that are not released; return their serials.
+def withdraw_units(folder: Path, lot_id: str, released: Collection[str], verdicts: Mapping[str, str]) -> list[str]:
+    """Remove the files of units of a lot that are not released; return their serials.
 
     Args:
         folder: an export folder; nothing happens where there is none yet.
@@ -118,7 +128,8 @@ def withdraw_units(folder: Path, released: Collection[str], verdicts: Mapping[st
         verdicts: today's word of every unit that may have files here.
     """
     manifest = read_manifest(folder)
-    gone = [serial for serial in manifest.units if serial in verdicts and serial not in released]
+    mine = {serial for serial, facts in manifest.units.items() if facts["lot"] == lot_id}
+    gone = sorted(mine & verdicts.keys() - set(released))
     for serial in gone:
         names = [name for name, entry in manifest.files.items() if entry.serial == serial]
         manifest.remove(folder, names)
