@@ -93,7 +93,7 @@ def add_service_actions(action: Action) -> None:
     order.add_argument("kind", choices=[kind.value for kind in OrderKind], help="what to do")
     order.add_argument("--name", required=True, metavar="NAME", help="name of the station")
     order.add_argument("--serial", default="", metavar="S", help="the unit, for source, unit and golden")
-    order.add_argument("--lot", default="", metavar="LOT", help="its lot, for source and unit")
+    order.add_argument("--lot", default="", metavar="LOT", help="its lot; golden: where several have the serial")
     order.add_argument("--reason", default="", metavar="TEXT", help="why; for override and repeats; fault: which one")
     add_shared(order, "registry", "json")
     status = action("status", "every station: state, gate, run in progress, units in quarantine", run_status)

@@ -109,6 +109,7 @@ def check_golden(
     *,
     recording_sha256: str | None = None,
     source: SourceModel | None = None,
+    lot_id: str | None = None,
 ) -> GoldenRun:
     """Judge a run of a golden unit against its own history, and store it.
 
@@ -117,14 +118,15 @@ def check_golden(
 
     Args:
         source: where the golden unit is the source of a lot itself, which f reads without a map.
+        lot_id: of the unit; needed where its serial stands in several lots.
 
     Raises:
         InputError: the unit is no source and has no calibration in the registry.
     """
     unit, serial = recording.reference_unit, recording.serial
     if source is None:
-        stored = registry.calibrations.get(serial)
-        lot, network, calibration = calibrated_unit(registry, serial)
+        stored = registry.calibrations.get(serial, lot_id=lot_id)
+        lot, network, calibration = calibrated_unit(registry, serial, lot_id=stored.lot_id)
         estimates = estimate(network, calibration, recording.unlabelled).estimate
         value = float(np.sqrt(np.nanmean((estimates - recording.reference) ** 2)))
         # Without a limit of its lot, the one that its own verdict was given by.

@@ -79,7 +79,7 @@ class RunKeeper:
         check_serial(order.serial)
         if order.kind is OrderKind.GOLDEN:
             if golden_lot(self._registry, order.serial) is None:
-                self._registry.calibrations.get(order.serial)
+                self._registry.calibrations.get(order.serial, lot_id=order.lot_id or None)
             return
         if not order.lot_id:
             raise InputError(reason("run.no_lot", serial=order.serial))
@@ -150,9 +150,11 @@ class RunKeeper:
         own_lot = golden_lot(self._registry, order.serial)
         entry = None if own_lot is None else released_network(self._registry, own_lot)
         source = None if own_lot is None or entry is None else self._source(own_lot, entry.id)
-        lot_id = own_lot or self._registry.calibrations.get(order.serial).lot_id
+        lot_id = own_lot or self._registry.calibrations.unit_key(order.serial, order.lot_id or None).lot_id
         sha256 = self._registry.recordings.add(lot_id, labelled, "audit", actor=order.actor or None)
-        run = check_golden(self._registry, self._station, labelled, order.actor, recording_sha256=sha256, source=source)
+        run = check_golden(
+            self._registry, self._station, labelled, order.actor, recording_sha256=sha256, source=source, lot_id=lot_id
+        )
         redecide(self._registry, [lot_id], order.actor or None)
         done = replace(done, recording_sha256=sha256, verdict="pass" if run.passed else "fail")
         if run.passed:
