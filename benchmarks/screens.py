@@ -55,8 +55,8 @@ PAGES = (
     ("lot", f"lot?lot={LOT}", HEADLINE, "first-pass yield"),
     ("lot", f"lot?lot={LOT}", ".js-plotly-plot >> nth=2", "control chart"),
     ("lot", f"lot?lot={LOT}", "[data-testid=stDataFrame] >> nth=-1", "table of units"),
-    ("unit", f"unit?unit={UNIT}", "span[role=status]", "verdict"),
-    ("unit", f"unit?unit={UNIT}", ".js-plotly-plot >> nth=0", "why this verdict"),
+    ("unit", f"unit?unit={LOT}/{UNIT}", "span[role=status]", "verdict"),
+    ("unit", f"unit?unit={LOT}/{UNIT}", ".js-plotly-plot >> nth=0", "why this verdict"),
     (
         "long-term",
         "long_term",

@@ -20,7 +20,7 @@ def maps_together(views: Sequence[UnitView], colours: Palette, words: Words) -> 
     figure = go.Figure()
     for view, colour in zip(views, (colours.mapped, colours.raw), strict=False):
         level, mapped = view.map_curve()
-        figure.add_scatter(x=level, y=mapped, name=view.stored.serial, line={"color": colour, "width": 2.5})
+        figure.add_scatter(x=level, y=mapped, name=str(view.stored.key), line={"color": colour, "width": 2.5})
     unit = views[0].lot.output_unit
     return styled(figure, colours, f"{words('chart.raw')} [{unit}]", f"{words('chart.source')} [{unit}]")
 
@@ -39,7 +39,7 @@ def predicted_over_load(views: Sequence[UnitView], colours: Palette, words: Word
         bins = [k for k in range(BINS) if np.any(at == k)]
         x = [(edges[k] + edges[k + 1]) / 2 for k in bins]
         y = [float(np.median(half[at == k])) for k in bins]
-        figure.add_scatter(x=x, y=y, name=view.stored.serial, line={"color": colour, "width": 2.5})
+        figure.add_scatter(x=x, y=y, name=str(view.stored.key), line={"color": colour, "width": 2.5})
     unit = views[0].lot.reference_unit
     return styled(figure, colours, f"{words('chart.estimate')} [{unit}]", f"{words('chart.half_width')} [{unit}]")
 

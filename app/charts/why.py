@@ -18,6 +18,7 @@ from softcal.app.texts.reasons import Words, phrase, said
 from softcal.app.views.common import thinned
 from softcal.app.views.unit import UnitView, unit_view
 from softcal.core.errors import InputError
+from softcal.core.lot import UnitKey
 from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
 from softcal.core.unit.verdict import Judgement
 from softcal.db.registry import Registry
@@ -121,20 +122,20 @@ def _titled(figure: go.Figure, place: Mapping[str, int], x_title: str, y_title: 
     figure.update_yaxes(title_text=y_title, title_standoff=6, automargin=True, **place)
 
 
-def explain_unit(registry: Registry, serial: str, out: Path, revision: int | None, lot_id: str | None) -> UnitView:
+def explain_unit(registry: Registry, unit: UnitKey, out: Path, revision: int | None) -> UnitView:
     """Write the page of one unit, whole in itself; InputError unless `out` ends in .html."""
     if out.suffix.lower() != ".html":
         raise InputError(f"{out}: the figure is written as a page; name a file that ends in .html")
-    view = unit_view(registry, serial, revision, lot_id)
+    view = unit_view(registry, unit, revision)
     write_text(out, why_page(view, script=True))
     return view
 
 
-def explain_units(registry: Registry, serials: list[str], folder: Path, lot_id: str | None) -> None:
+def explain_units(registry: Registry, lot_id: str, serials: list[str], folder: Path) -> None:
     """Write one page a unit into a folder, and the drawing script they share."""
     write_text(folder / SCRIPT, get_plotlyjs())
     for serial in serials:
-        write_text(folder / f"{serial}.html", why_page(unit_view(registry, serial, None, lot_id), script=SCRIPT))
+        write_text(folder / f"{serial}.html", why_page(unit_view(registry, UnitKey(lot_id, serial)), script=SCRIPT))
 
 
 def why_page(view: UnitView, script: bool | str) -> str:

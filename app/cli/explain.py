@@ -44,10 +44,11 @@ def run(options: argparse.Namespace) -> None:
         return
 
     with registry_of(options) as registry:
+        unit = registry.calibrations.unit_key(options.serial, options.lot)
         if options.out is None:
-            view = unit_view(registry, options.serial, options.revision, options.lot)
+            view = unit_view(registry, unit, options.revision)
         else:
-            view = explain_unit(registry, options.serial, options.out, options.revision, options.lot)
+            view = explain_unit(registry, unit, options.out, options.revision)
             say(f"{options.out}: the figure of {options.serial}")
         standing = standing_of(registry, view.stored)
     facts = why_json(view)

@@ -217,8 +217,8 @@ def files(
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in contents.items():
             archive.writestr(zipfile.ZipInfo(name), content)
-    registry.trail.add("export", "units", (serial,), {"lot_id": lot, "formats": [format]}, actor=user.name)
-    name = f"{escape_serial(serial)}-{format}.zip"
+    registry.trail.add("export", "units", (lot, serial), {"formats": [format]}, actor=user.name)
+    name = f"{escape_serial(lot)}-{escape_serial(serial)}-{format}.zip"
     return Response(
         packed.getvalue(), 200, {"content-disposition": f'attachment; filename="{name}"'}, "application/zip"
     )

@@ -90,7 +90,7 @@ def download(
     data: bytes | Callable[[], bytes | str],
     key: str,
     *,
-    exported: tuple[str, str, Mapping[str, object]] | None = None,
+    exported: tuple[str, tuple[str, ...], Mapping[str, object]] | None = None,
     icon: str = "download",
     kind: Literal["primary", "secondary"] = "secondary",
 ) -> None:
@@ -118,5 +118,5 @@ def excel_of(rows: Sequence[Mapping[str, object]]) -> bytes:
 
 
 @in_one_piece
-def _tell_export(entity: str, key: str, facts: Mapping[str, object]) -> None:
-    registry().trail.add("export", entity, (key,), facts, actor=actor())
+def _tell_export(entity: str, key: tuple[str, ...], facts: Mapping[str, object]) -> None:
+    registry().trail.add("export", entity, key, facts, actor=actor())

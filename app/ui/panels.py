@@ -12,6 +12,7 @@ from softcal.app.ui.browser_memory import HAS_DRAWN, IS_AWAITED, PLACE
 from softcal.app.ui.desk import choose, choose_language, empty, say
 from softcal.app.ui.pages import PAGES
 from softcal.app.ui.server_memory import registry
+from softcal.core.lot import UnitKey
 
 NARROWEST_NUMBER_PX = 150
 NOTHING = "–"
@@ -120,25 +121,47 @@ def figures_beside(*shown: tuple[str, Any, str]) -> None:
 
 
 def find_unit(
-    parameter: str, key: str, columns: Sequence[Any], known: Callable[[str], list[str]], usual: int = 0
-) -> str | None:
-    """Draw a field to search serials in and the choice of one, which stays in the address.
+    parameter: str, key: str, columns: Sequence[Any], known: Callable[[str], list[UnitKey]], usual: int = 0
+) -> UnitKey | None:
+    """Draw a field to search serials in and the choice of a unit, which stays in the address as LOT/SERIAL.
 
-    `known` gives the serials that hold a text; the one numbered `usual` is chosen at first.
+    `known` gives the units whose serials hold a text; the one numbered `usual` is chosen at first. None, with the
+    reason drawn: there is no unit, or the address has a serial of several lots and none was chosen yet.
     """
     asked = str(st.query_params.get(parameter, ""))
     find, choice = columns
     text = str(find.text_input(say("unit.find"), key=f"{key}-find", icon=":material/search:") or "").strip()
-    found = known(text)
-    if asked and not text and asked not in found:
-        found = [asked, *found]
+    named, found = _units_named(asked), known(text)
+    if len(named) > 1 and not text:
+        found = named
+        st.info(say("unit.lots", serial=asked, count=len(named)), icon=":material/help:")
+    elif not text:
+        found = list(dict.fromkeys([*(unit for unit in named if unit not in found), *found]))
     if not found:
+        empty("empty.units")
         return None
-    index = found.index(asked) if asked in found else usual % len(found)
-    serial = str(choice.selectbox(say("column.serial"), found, index=index, key=f"{key}-choice-{text}-{asked}"))
-    if serial != asked:
-        st.query_params[parameter] = serial
-    return serial
+    index = found.index(named[0]) if len(named) == 1 and named[0] in found else usual % len(found)
+    chosen: UnitKey | None = choice.selectbox(
+        say("choose.unit"),
+        found,
+        index=None if found is named else index,
+        format_func=lambda unit: f"{unit.serial} · {unit.lot_id}",
+        key=f"{key}-choice-{text}-{asked}",
+        placeholder=say("choose.some"),
+    )
+    if chosen is not None and str(chosen) != asked:
+        st.query_params[parameter] = str(chosen)
+    return chosen
+
+
+def _units_named(asked: str) -> list[UnitKey]:
+    """Return the unit that an address names by LOT/SERIAL, or those of a serial alone."""
+    if not asked:
+        return []
+    if "/" not in asked:
+        return [unit.key for unit in registry().lots.units(serial=asked)]
+    unit = UnitKey.parse(asked)
+    return [registry().calibrations.unit_key(unit.serial, unit.lot_id)]
 
 
 def go_to(page: str, **query: str) -> None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.app.registry.lot_recordings import source_model, unlabelled
-from softcal.core.lot import Lot
+from softcal.core.lot import Lot, UnitKey
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import Estimate, estimate
@@ -51,9 +51,9 @@ class UnitView(UnitSignals):
     explanation: Explanation
 
 
-def unit_view(registry: Registry, serial: str, revision: int | None = None, lot_id: str | None = None) -> UnitView:
+def unit_view(registry: Registry, unit: UnitKey, revision: int | None = None) -> UnitView:
     """Read one revision of a unit in full, the one in use without a number."""
-    stored = registry.calibrations.get(serial, revision, lot_id=lot_id)
+    stored = registry.calibrations.get(unit.serial, revision, lot_id=unit.lot_id)
     state, calibration = stored.state, stored.state.calibration
     network = registry.networks.get(state.fit.network_id)
     recording = unlabelled(registry.recordings.get(state.fit.recording_sha256))

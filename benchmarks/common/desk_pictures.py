@@ -21,6 +21,7 @@ from softcal.app.cli.main import main as softcal
 from softcal.app.files.recording_file import write_columns
 from softcal.app.gap.desk import practise
 from softcal.app.jobs.jobs import run_job
+from softcal.core.lot import UnitKey
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.simulated_lot import LotDesign, simulate_lot
 from softcal.core.words.reason import reason
@@ -37,12 +38,12 @@ SETTLE_MS = 1500
 
 PAGES = {
     "lot": f"lot?lot={LOT}",
-    "unit": "unit?unit=U025",
+    "unit": f"unit?unit={LOT}/U025",
     "compare": "compare?kind=lots",
     "audit": f"audit?lot={LOT}",
     "release": f"release?lot={LOT}",
     "wall": f"wall?lot={LOT}",
-    "long-term": "long_term?unit=U005",
+    "long-term": f"long_term?unit={LOT}/U005",
     "source": f"source?lot={LOT}",
     "networks": f"networks?lot={LOT}",
     "limits": f"limits?lot={LOT}",
@@ -137,7 +138,7 @@ def add_course(registry: Registry) -> None:
     for serial, drift in (("U005", 1.0), ("U009", 0.3)):
         shift = np.cumsum(0.004 * drift + 0.004 * rng.normal(size=160))
         steps = [step(k, float(shift[k]), drift) for k in range(160)]
-        registry.adaptations.add(serial, registry.calibrations.get(serial).revision, steps)
+        registry.adaptations.add(UnitKey(LOT, serial), registry.calibrations.get(serial).revision, steps)
 
 
 def step(k: int, shift: float, drift: float) -> dict[str, object]:

@@ -14,6 +14,7 @@ import sqlalchemy as sa
 from sqlalchemy import ColumnElement, and_, case, func, select
 
 from softcal.core.errors import InputError
+from softcal.core.lot import UnitKey
 from softcal.core.words.reason import Reason, plain
 from softcal.db.entries import UNDECIDED, UNIT_ERRORS, CalibrationSummary, UnitEntry, UnitStanding
 from softcal.db.schema.database import Database, given, parts
@@ -160,19 +161,18 @@ class LotPages(RegistryBase):
                     standings[unit.serial] = UnitStanding(unit.serial, *stated, summary)
         return standings
 
-    def find_serials(self, text: str) -> list[str]:
-        """Return up to `MOST_FOUND` serials of target units with a result that hold a text, best match first."""
+    def find_units(self, text: str) -> list[UnitKey]:
+        """Return up to `MOST_FOUND` target units with a result whose serials hold a text, best match first."""
         results = (select(table.c.serial).where(_is_of_unit(table)) for table in (calibrations, refusals))
         has_result = sa.or_(*(result.exists() for result in results))
-        query = select(units.c.serial).distinct().where(units.c.role == "target", has_result)
-        order: list[ColumnElement[Any]] = [units.c.serial]
+        query = select(units.c.lot_id, units.c.serial).where(units.c.role == "target", has_result)
+        order: list[ColumnElement[Any]] = [units.c.serial, units.c.lot_id]
         if text:
             # Without a text the index gives the first serials, and nothing else is read.
             name = func.lower(units.c.serial)
             query = query.where(name.contains(text.lower(), autoescape=True))
-            begins = case((name.startswith(text.lower(), autoescape=True), 0), else_=1)
-            query, order = query.add_columns(begins), [begins, *order]
-        return self.database.values(query.order_by(*order).limit(MOST_FOUND))
+            order = [case((name.startswith(text.lower(), autoescape=True), 0), else_=1), *order]
+        return [UnitKey(*row) for row in self.database.tuples(query.order_by(*order).limit(MOST_FOUND))]
 
     def verdict_counts(self, lot_id: str) -> dict[str, int]:
         """Return the count of a lot's target units by verdict; `none` counts those without."""

@@ -112,7 +112,7 @@ def test_every_audited_unit_is_listed_and_one_in_doubt_is_confirmed_with_a_reaso
         registry.calibrations.add("small", suspect, decided_by="release")
     screen = show(calibrated, "audit", lot="small")
     assert sorted(screen.table[-1].value.iloc[:, 0]) == audited
-    key = f"reason-text-confirm-{audited[0]}"
+    key = f"reason-text-confirm-small/{audited[0]}"
     submit = next(one for one in screen.button if one.label == say("audit.confirm", serial=audited[0]))
     submit.click().run()
     with open_registry(calibrated) as registry:

@@ -22,6 +22,7 @@ from softcal.app.views.line import line_view
 from softcal.app.views.lot import lot_view
 from softcal.app.views.station import bounds
 from softcal.app.views.wall import wall_view
+from softcal.core.lot import UnitKey
 from softcal.core.orders import Heartbeat, OrderKind, RunState, StationState
 from softcal.core.profiles import BUILT_IN
 from softcal.core.quality.line_rules import LineRules
@@ -137,7 +138,7 @@ def test_a_rollback_needs_a_reason_and_stays_in_the_history(calibrated: str, sho
         fit = replace(state.fit, load_rms=1.01 * state.fit.load_rms)
         registry.calibrations.add("small", replace(state, fit=fit))
     screen = show(calibrated, "unit", unit="A1")
-    screen.text_input(key="reason-text-rollback-A1-1").set_value("wrong fixture in week 47")
+    screen.text_input(key="reason-text-rollback-small/A1-1").set_value("wrong fixture in week 47")
     press(screen, "unit.rollback.do")
     assert screen.success
     with open_registry(calibrated) as registry:
@@ -268,7 +269,7 @@ def _adapted(url: str) -> None:
         for k in range(12)
     ]
     with open_registry(url) as registry:
-        registry.adaptations.add("A2", 1, steps)
+        registry.adaptations.add(UnitKey("small", "A2"), 1, steps)
 
 
 def test_a_unit_in_use_shows_its_course_and_that_a_calibration_is_due(calibrated: str, show) -> None:
@@ -360,7 +361,7 @@ def test_where_every_unit_passed_the_worst_is_one_click_away(calibrated: str, sh
         errors = {row.serial: row.predicted_rmse or 0 for row in registry.pages.lot_errors("small")}
     worst = max(errors, key=errors.__getitem__)
     press(screen, "lot.look.worst", serial=worst)
-    assert not screen.error and gone == [{"unit": worst}]
+    assert not screen.error and gone == [{"unit": f"small/{worst}"}]
 
 
 def test_a_column_that_says_nothing_takes_no_room() -> None:

@@ -11,6 +11,7 @@ from softcal.app.charts.why import why_figure
 from softcal.app.cli.main import main
 from softcal.app.texts.catalogue import text
 from softcal.app.views.unit import unit_view
+from softcal.core.lot import UnitKey
 from softcal.db.connection import open_registry
 
 SMALL = ("--hidden", "16,8", "--no-own")
@@ -46,7 +47,7 @@ def test_explanation_of_one_unit_is_told_in_words_numbers_and_a_figure(
 
 def test_figure_shows_forecast_against_limit_and_all_panels(url: str) -> None:
     with open_registry(url) as registry:
-        view = unit_view(registry, "A1")
+        view = unit_view(registry, UnitKey("small", "A1"))
     figure = why_figure(view, palette("light"), partial(text, "en"))
     diamond = next(trace for trace in figure.data if trace.name == text("en", "column.predicted"))
     assert diamond.x[0] == pytest.approx(view.stored.state.predicted_rmse)

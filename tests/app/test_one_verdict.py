@@ -29,6 +29,7 @@ from softcal.app.views.line import LineView, line_view
 from softcal.app.views.unit import unit_view
 from softcal.core.errors import InputError
 from softcal.core.export.blob import CONDITIONAL, FAILED
+from softcal.core.lot import UnitKey
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.measured_error import MeasuredError, Scores
@@ -172,7 +173,9 @@ def test_documents_and_files_say_the_same_word(lot, word, tmp_path):
     read = read_text(certificate_pdf(certificate_of(unit))).split()
     shown = {other for other in Verdict if other.upper() in read}
     assert shown == {word} - {Verdict.RETEST}, "nothing can be stated of a unit that has to be tested again"
-    title = why_figure(unit_view(registry, "A1"), palette("light"), partial(text, "en")).layout.title.text
+    title = why_figure(
+        unit_view(registry, UnitKey("small", "A1")), palette("light"), partial(text, "en")
+    ).layout.title.text
     assert text("en", f"verdict.{word}") in title
     (done,) = export_units(registry, ["A1"], ("blob",), tmp_path / "out")
     assert bool(done.files) == (word is Verdict.PASS)

@@ -141,7 +141,7 @@ def test_files_are_those_of_the_export_and_who_took_them_is_kept(client, registr
     options = ["--serial", "A1", "--format", "blob", "--out", str(tmp_path / "out")]
     assert main(["export", "--registry", calibrated, *options]) == 0
     assert given and given == {name: (tmp_path / "out" / name).read_bytes() for name in given}
-    assert [row.actor for row in registry.trail.of("units", ("A1",)) if row.action == "export"][0] == "Erin"
+    assert [row.actor for row in registry.trail.of("units", ("small", "A1")) if row.action == "export"][0] == "Erin"
 
 
 def test_files_of_a_unit_that_is_no_longer_released_are_refused_with_the_reason(client, registry):

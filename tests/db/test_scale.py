@@ -102,7 +102,7 @@ def test_no_question_touches_more_rows_than_it_is_about(registry, make_factory, 
     hundred = [f"U{LOTS * k + 3:06d}" for k in range(100)]
     works = dict.fromkeys(hundred, "c" * 64)
     about_a_unit = {
-        "serials": lambda: registry.pages.find_serials(""),
+        "serials": lambda: registry.pages.find_units(""),
         "calibration": lambda: registry.calibrations.get("A1", lot_id="lot-3"),
         "history": lambda: registry.calibrations.history("A1"),
         "unit": lambda: registry.lots.units(serial="A1"),

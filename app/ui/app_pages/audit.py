@@ -66,7 +66,7 @@ def render(lot_id: str) -> None:
     for serial, doubt in ((row.serial, row.doubt) for row in audited if row.doubt is not None):
         with st.container(border=True):
             st.warning(in_words(doubt), title=serial, icon=":material/rule:")
-            reason = ask_reason(f"confirm-{serial}", say("audit.confirm", serial=serial), "release")
+            reason = ask_reason(f"confirm-{lot_id}/{serial}", say("audit.confirm", serial=serial), "release")
         if reason is not None:
             confirm(registry(), lot_id, serial, reason=reason, actor=actor())
             st.rerun()

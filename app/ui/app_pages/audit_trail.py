@@ -41,7 +41,7 @@ def render() -> None:
         st.caption(say("trail.none"))
         return
     chosen = table_to_choose([_row(entry) for entry in found[:PAGE]], "trail")
-    exported = ("audit_trail", "audit_trail", {"rows": len(found)})
+    exported = ("audit_trail", ("audit_trail",), {"rows": len(found)})
     download(say("trail.export"), "audit-trail.csv", partial(_csv, found), "trail-export", exported=exported)
     if chosen is None:
         return

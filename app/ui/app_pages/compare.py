@@ -10,6 +10,7 @@ from softcal.app.ui.server_memory import registry, remembered_lot_view
 from softcal.app.views.common import number
 from softcal.app.views.lot_report import MOST_LOTS, lot_rows
 from softcal.app.views.unit import UnitView, unit_view
+from softcal.core.lot import UnitKey
 
 PLACES = ("a", "b")
 KINDS = ("units", "lots")
@@ -49,19 +50,18 @@ def render() -> None:
             figure_under("lot.distribution", errors_of_lots(views, colours(), say), "compare-errors")
         return
 
-    chosen = [
-        find_unit(place, f"compare-{place}", (column, column), _calibrated, usual)
-        for usual, (place, column) in enumerate(zip(PLACES, st.columns(2), strict=True))
-    ]
-    if not all(chosen):
-        empty("empty.units")
-        return
-    left, right = (unit_view(registry(), str(serial)) for serial in chosen)
+    chosen = []
+    for usual, (place, column) in enumerate(zip(PLACES, st.columns(2), strict=True)):
+        unit = find_unit(place, f"compare-{place}", (column, column), _calibrated, usual)
+        if unit is None:
+            return
+        chosen.append(unit)
+    left, right = (unit_view(registry(), unit) for unit in chosen)
     for column, view in zip(st.columns(2), (left, right), strict=True):
         with column:
             verdict_badge(view.stored.state.verdict)
     one, other = _facts(left), _facts(right)
-    first, second = left.stored.serial, right.stored.serial
+    first, second = str(left.stored.key), str(right.stored.key)
     second = second if second != first else f"{second} "
     table([{say("compare.fact"): name, first: one[name], second: other[name]} for name in one])
     if rest_may_follow():
@@ -71,14 +71,14 @@ def render() -> None:
         )
 
 
-def _calibrated(text: str) -> list[str]:
-    return [one for one in registry().pages.find_serials(text) if registry().calibrations.history(one)]
+def _calibrated(text: str) -> list[UnitKey]:
+    units = registry().pages.find_units(text)
+    return [unit for unit in units if registry().calibrations.history(unit.serial, unit.lot_id)]
 
 
 def _facts(view: UnitView) -> dict[str, str]:
     errors, unit = view.stored.state.errors, view.lot.reference_unit
     return {
-        say("choose.lot"): view.lot.id,
         say("column.revision"): str(view.stored.revision),
         say("column.made"): instant(view.stored.made_at),
         say("column.family"): view.stored.state.fit.family,

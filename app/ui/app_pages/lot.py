@@ -33,6 +33,7 @@ from softcal.app.views.common import number, percent
 from softcal.app.views.lot import LotView
 from softcal.app.views.lot_runs import DESK, LotFilter
 from softcal.app.views.unit import unit_view
+from softcal.core.lot import UnitKey
 
 SEEN = "calibrate-seen"
 ARROW = ":material/arrow_forward:"
@@ -103,7 +104,7 @@ def render(lot_id: str) -> None:
     else:
         st.caption(say("lot.look.none"))
         if view.worst and st.button(say("lot.look.worst", serial=view.worst), key="open-worst", icon=ARROW):
-            go_to("unit", unit=view.worst)
+            go_to("unit", unit=str(UnitKey(lot_id, view.worst)))
     st.header(say("lot.table"))
     unit_table(view.lot, view.chosen)
 
@@ -112,7 +113,7 @@ def render(lot_id: str) -> None:
 
         return lot_report_pdf(registry(), view, language(), datetime.now(UTC).astimezone(zone()))
 
-    exported = ("lots", lot_id, {"file": "report.pdf"})
+    exported = ("lots", (lot_id,), {"file": "report.pdf"})
     name, icon = f"{lot_id}-report.pdf", "picture_as_pdf"
     download(say("lot.report"), name, report, "lot-report", exported=exported, icon=icon)
 
@@ -221,12 +222,12 @@ def _looks(view: LotView) -> None:
             st.markdown(f"**{unit.serial}** · {say(f'verdict.{unit.verdict}')}", width="content")
             is_chosen = st.button(say("lot.look.open"), key="open-look", icon=ARROW)
         if is_chosen:
-            go_to("unit", unit=unit.serial)
+            go_to("unit", unit=str(unit.key))
         if unit.reasons:
             # The table has room for its beginning alone.
             st.caption(said(unit.reasons[0], say))
         if unit.revision is None:
             st.caption(say("empty.calibration"))
             return
-        figure = charts_unit.output_distributions(unit_view(registry(), unit.serial), colours(), say)
-        show_figure(figure, f"look-{unit.serial}")
+        figure = charts_unit.output_distributions(unit_view(registry(), unit.key), colours(), say)
+        show_figure(figure, f"look-{unit.key}")

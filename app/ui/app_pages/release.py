@@ -82,7 +82,7 @@ def _statement(standing: LotStanding) -> None:
         released = len(made.released) if made is not None else 0
         finish("release", say("release.done", count=released, lot=lot_id))
     make = partial(lot_statement_pdf, lot_statement_facts(registry(), standing, decided), words())
-    exported = ("lots", lot_id, {"file": "statement.pdf"})
+    exported = ("lots", (lot_id,), {"file": "statement.pdf"})
     download(say("release.pdf"), f"{lot_id}-statement.pdf", make, "release-pdf", exported=exported)
 
 

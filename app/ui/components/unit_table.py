@@ -61,7 +61,7 @@ def unit_table(lot: Lot, serials: Serials) -> None:
         download(say("lot.export.csv"), f"{lot.id}.csv", lambda: csv_of(_table(lot, serials)), "export.csv")
         download(say("lot.export.xlsx"), f"{lot.id}.xlsx", lambda: excel_of(_table(lot, serials)), "export.xlsx")
     if chosen is not None:
-        go_to("unit", unit=units[chosen].serial)
+        go_to("unit", unit=str(units[chosen].key))
 
 
 def row(unit: UnitEntry) -> dict[str, object]:
