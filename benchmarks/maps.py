@@ -22,6 +22,7 @@ from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import SHIFTS, LotDesign, simulate_lot
+from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import make_source_model
 from softcal.core.windows import TAPS
 
@@ -130,7 +131,10 @@ def line(shift: str, has_stage: bool, lots: int) -> list[str]:
     for seed in range(lots):
         lot = simulate_lot(seed, LotDesign(good=UNITS_PER_LOT, shift=shift, has_stage=has_stage))
         trained = fit_network(lot.source, NETWORK)
-        network, model = trained.network, make_source_model(lot.source, trained.network, trained.validation_rows)
+        network, model = (
+            trained.network,
+            make_source_model(lot.source, trained.network, trained.validation_rows, method=Method()),
+        )
         for unit in lot.units:
             cut = 3 * len(unit.audit) // 4
             train, test = unit.audit.part(0, cut), unit.audit.part(cut, len(unit.audit))

@@ -20,6 +20,7 @@ from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
+from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.verdict import VERDICTS
 
@@ -56,7 +57,10 @@ def run(source: str, programme: str, step: int, methods: Sequence[str], seeds: i
     judged: dict[str, list[tuple[float, float]]] = {}
     for seed in range(seeds):
         trained = fit_network(recording, NetworkConfig(seed=seed))
-        network, model = trained.network, make_source_model(recording, trained.network, trained.validation_rows)
+        network, model = (
+            trained.network,
+            make_source_model(recording, trained.network, trained.validation_rows, method=Method()),
+        )
         for name in units:
             test = taxel(day, name, test_rows)
             problem = FitProblem(recording, network, taxel(unit_day, name, unit_rows).unlabelled, seed=seed)

@@ -54,7 +54,7 @@ def weighted_families(case: Case, problem: FitProblem, networks: Networks) -> Ar
     for name in FAMILIES:
         method = replace(Method(), map=MapConfig(name))
         try:
-            found = calibrate(UnitProblem(make_source_model(case.source, problem.network, None, method), case.unit))
+            found = calibrate(UnitProblem(make_source_model(case.source, problem.network, method=method), case.unit))
         except UnitRefused:
             continue
         estimates.append(problem.network.evaluate(found.unit_map.apply(case.test.windows)))

@@ -27,6 +27,7 @@ from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import LotDesign, simulate_lot
 from softcal.core.unit.calibrate import calibrate
+from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.unit.unit_problem import UnitProblem
 
@@ -63,7 +64,7 @@ def table(name: str) -> pd.DataFrame:
 
 def trained(source: LabelledRecording) -> SourceModel:
     found = fit_network(source, NETWORK)
-    return make_source_model(source, found.network, found.validation_rows)
+    return make_source_model(source, found.network, found.validation_rows, method=Method())
 
 
 def egain(rng: Rng) -> Iterator[Unit]:

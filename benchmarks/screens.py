@@ -33,6 +33,7 @@ from softcal.core.network.training import fit_network
 from softcal.core.orders import Heartbeat, StationState
 from softcal.core.simulated_lot import LotDesign, simulate_lot
 from softcal.core.unit.calibrate import calibrate
+from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.state import UnitState
 from softcal.core.unit.uncertainty import ErrorForecast
@@ -105,7 +106,7 @@ def add_simulated_unit(registry: Registry) -> UnitState:
     source_sha256 = registry.recordings.add(LOT, sim.source, "source")
     registry.networks.add(LOT, trained.network, {}, {"source_recording_sha256": source_sha256}, "f" * 64)
     recording = sim.units[0].recording
-    model = make_source_model(sim.source, trained.network)
+    model = make_source_model(sim.source, trained.network, method=Method())
     registry.recordings.add(LOT, recording, "unit")
     return calibrate(UnitProblem(model, recording))
 

@@ -189,12 +189,15 @@ def print_way() -> None:
     from softcal.core.network.training import fit_network
     from softcal.core.simulated_lot import LotDesign, simulate_lot
     from softcal.core.unit.calibrate import calibrate
+    from softcal.core.unit.method import Method
     from softcal.core.unit.source_model import make_source_model
     from softcal.core.unit.unit_problem import UnitProblem
 
     lot = simulate_lot(3, LotDesign(good=1))
     network = fit_network(lot.source, NetworkConfig(hidden=(20,), max_epochs=5)).network
-    problem = UnitProblem(make_source_model(lot.source, network), lot.units[0].recording, audit=lot.units[0].audit)
+    problem = UnitProblem(
+        make_source_model(lot.source, network, method=Method()), lot.units[0].recording, audit=lot.units[0].audit
+    )
     called: list[str] = []
 
     def note(frame: FrameType, event: str, _: object) -> None:

@@ -35,6 +35,7 @@ from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate as estimated
 from softcal.core.unit.health import OutputLimits, run_lengths
+from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.use.adapter import AdaptConfig, Adapter
@@ -142,7 +143,7 @@ def made_up_calibration(network: Network, recording: OutputRecording) -> Calibra
     source = LabelledRecording(
         recording, np.concatenate([np.zeros(TAPS - 1), network.evaluate(windows(recording.output))])
     )
-    model = make_source_model(source, network, np.arange(0, len(source.windows), 5))
+    model = make_source_model(source, network, np.arange(0, len(source.windows), 5), method=Method())
     return Calibration(
         serial="U1",
         network_id=network.id,
@@ -304,7 +305,7 @@ def calibrate_unit(options: argparse.Namespace) -> None:
     """Least CPU of one more unit of a batch, beside the network's matrix products for its samples in the same run."""
     source = unit(8_500, 1, 1.0, 0.0)
     network = fit_network(source, NetworkConfig(max_epochs=2 if options.quick else 15)).network
-    model, rows = make_source_model(source, network), []
+    model, rows = make_source_model(source, network, method=Method()), []
     for count in (1_250, 3_200):
         taken_s = []
         for seed in range(2, 6 if options.quick else 16):

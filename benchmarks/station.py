@@ -28,6 +28,7 @@ from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import Twin, simulate
 from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.measured_error import MeasuredError
+from softcal.core.unit.method import DecisionConfig, Method
 from softcal.core.unit.scoring import score_map
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.unit.unit_problem import UnitProblem
@@ -51,6 +52,8 @@ LATE = ((0.1, 0.1), (0.1, UNKNOWN_S), (0.3, UNKNOWN_S))
 """How late the cell is, and what the station file says of it."""
 
 FOUND = "mean, um | standard deviation, um | rms, um | largest, um | search, s"
+
+DECISION = DecisionConfig()
 
 
 def contact(options: argparse.Namespace) -> None:
@@ -228,11 +231,13 @@ def seconds(options: argparse.Namespace) -> None:
     twins = draw_twins(np.random.default_rng(options.seed), units + 1)
     lot = press_simulated_lot(twins, serials, options.seed, PressTimes(300.0, max(SECONDS), 90.0))
     network = fit_network(lot.source, config).network
-    source = make_source_model(lot.source, network)
+    source = make_source_model(lot.source, network, method=Method())
     # Errors of calibrations of the units' own, on the rows that score their maps.
     own = {}
     for serial, unit in lot.units.items():
-        scores = score_map(network, calibrate(UnitProblem(source, unit)).unit_map, lot.audits[serial], config).own
+        scores = score_map(
+            network, calibrate(UnitProblem(source, unit)).unit_map, lot.audits[serial], source.method.decision, config
+        ).own
         own[serial] = None if scores is None else scores.own
     head = "pressed, s | compressions | after/own of each unit | median | worst | passed | s per unit | units per h"
     print_table(head, (_pressed(lot, source, own, pressed_s) for pressed_s in SECONDS))
@@ -248,7 +253,9 @@ def _pressed(lot: RecordedLot, source: SourceModel, own: dict[str, MeasuredError
         except UnitRefused:
             ratios.append(float("nan"))
             continue
-        beside = score_map(source.network, calibration.unit_map, lot.audits[serial], own[serial]).own
+        beside = score_map(
+            source.network, calibration.unit_map, lot.audits[serial], source.method.decision, own[serial]
+        ).own
         ratios.append(float("nan") if beside is None else beside.after_ratio)
         passed += calibration.decision.verdict == "pass"
     each, all_s = " ".join(f"{ratio:.2f}" for ratio in ratios), pressed_s + BESIDE_S

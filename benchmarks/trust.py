@@ -22,13 +22,13 @@ from common.trust_lots import GOOD, FittedUnit, covered, day_lots, drawn_lots, f
 from plotly.subplots import make_subplots
 from scipy.stats import beta
 
-from softcal.core.quality.acceptance import Promise, least_risk
-from softcal.core.quality.release import AuditedUnit, least_passing, release
+from softcal.core.quality.acceptance import min_risk
+from softcal.core.quality.release import AuditedUnit, min_passing, release
 from softcal.core.quality.widening import fit_widening
 from softcal.core.unit.knowledge import ANCHORED
 from softcal.core.unit.line_spread import LineSpread
 from softcal.core.unit.lot_correction import LotCorrection
-from softcal.core.unit.method import LineConfig, Method
+from softcal.core.unit.method import LineConfig, Method, ReleaseConfig
 from softcal.core.unit.uncertainty import Widening
 from softcal.core.unit.verdict import Limit
 
@@ -115,22 +115,22 @@ def released_on(lots: Lots, audits: int, draws: int = DRAWS, risk: float = RISK)
             # Units with a finding against them are not released; they count as unmeasured all the same.
             others = len(units) - len(candidates)
             if rest or others:
-                found.setdefault(kind, []).append(_draw(audited, rest, others, Promise(risk)))
+                found.setdefault(kind, []).append(_draw(audited, rest, others, ReleaseConfig(risk=risk)))
     return found
 
 
-def _draw(audited: Sequence[FittedUnit], rest: Sequence[FittedUnit], others: int, promise: Promise) -> Draw:
+def _draw(audited: Sequence[FittedUnit], rest: Sequence[FittedUnit], others: int, config: ReleaseConfig) -> Draw:
     audited, rest = _corrected(audited, rest)
     held = sum(u.truth <= u.limit for u in audited)
     decision = release(
         {u.serial: u.forecast for u in rest},
         [AuditedUnit(u.serial, u.forecast, u.truth) for u in audited],
         Limit("N", next((u.limit for u in rest), 1.0)),
-        promise,
-        least_passing(len(audited) + len(rest) + others, held),
+        config,
+        min_passing(len(audited) + len(rest) + others, held, config),
     )
     released = [u for u in rest if u.serial in decision.released]
-    widening = fit_widening([u.samples for u in audited], 0.9) if audited else Widening()
+    widening = fit_widening([u.samples for u in audited], 0.9, config) if audited else Widening()
     share = {u.serial: covered(u, widening) for u in rest}
     return Draw(
         len(rest) + others,
@@ -230,7 +230,7 @@ def print_audits(lots: Lots) -> None:
     """Print what each number of audits buys: the promise it can keep, what is released, what is wrong among it."""
     rows = []
     for audits in AUDITS:
-        risk = max(RISK, least_risk(audits)) if audits else RISK
+        risk = max(RISK, min_risk(audits)) if audits else RISK
         by_kind = released_on(lots, audits, risk=risk)
         draws = [d for group in by_kind.values() for d in group]
         good = [d for kind, group in by_kind.items() if kind in GOOD for d in group]
@@ -326,12 +326,12 @@ def draw_figure(lots: Lots, file: Path) -> None:
     counts, traces = [n for n in AUDITS if n], []
     for is_good, label, colour in ((True, "good lots", "#1b7837"), (False, "all other kinds", "#b35806")):
         chosen = {key: units for key, units in lots.items() if (key[0] in GOOD) == is_good}
-        runs = [[d for g in released_on(chosen, n, risk=max(RISK, least_risk(n))).values() for d in g] for n in counts]
+        runs = [[d for g in released_on(chosen, n, risk=max(RISK, min_risk(n))).values() for d in g] for n in counts]
         released = [sum(d.released for d in run) for run in runs]
         good = [100 * sum(d.released - d.beyond for d in run) / max(sum(d.good for d in run), 1) for run in runs]
         beyond = [100 * sum(d.beyond for d in run) / max(r, 1) for r, run in zip(released, runs, strict=True)]
         traces += [(1, counts, good, label, colour, "solid"), (2, counts, beyond, label, colour, "solid")]
-    promised = [100 * max(RISK, least_risk(n)) for n in counts]
+    promised = [100 * max(RISK, min_risk(n)) for n in counts]
     traces.append((2, counts, promised, "risk promised", "#333333", "dash"))
     titles = ("released, % of the good unmeasured units", "beyond the limit, % of the released")
     figure = make_subplots(1, 2, subplot_titles=titles)

@@ -146,7 +146,7 @@ class MapTransformer(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         method = self.source.model.method
         check_alive(target, known.unlabelled, method.health)
         is_rising = self.source.model.interval.slope_limit > 0
-        limits = output_limits(target, known.unlabelled, is_rising, method.health)
+        limits = output_limits(target, known.unlabelled, is_rising, method)
         for contradiction in contradictions(known.unlabelled, target, limits, method, problem.synchrony):
             raise UnitRefused(contradiction.reason)
         chosen = choose_map(problem).unit_map if self.family == DEFAULT else family(self.family).fit(problem)

@@ -208,7 +208,7 @@ class _MapFit:
         model = network.model
         if text("family", family) != DEFAULT:
             method = Method.with_family(check_family(family))
-            model = make_source_model(model.source, model.network, network.held_out, method)
+            model = make_source_model(model.source, model.network, network.held_out, method=method)
         limit = None if limit_rmse is None else number("limit_rmse", limit_rmse, "a number in the reference unit")
         return cls(LotFacts((model,), stated_limit(network.reference_unit, limit)))
 

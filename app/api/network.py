@@ -14,6 +14,7 @@ from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network as train_network
 from softcal.core.recording import Array
+from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.windows import TAPS
 
@@ -130,7 +131,7 @@ def fit_network(
     facts = {"reference": reference, "sample_rate_Hz": sample_rate_Hz, **recording}
     labelled = labelled_of(recording_with(source, "source", facts), "source", "fit_network")
     trained = train_network(labelled, config)
-    model = make_source_model(labelled, trained.network, trained.validation_rows)
+    model = make_source_model(labelled, trained.network, trained.validation_rows, method=Method())
     return SourceNetwork(model, trained.validation_rows, trained.validation_rmse)
 
 

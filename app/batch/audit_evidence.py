@@ -1,6 +1,6 @@
 """What audits of a lot and of earlier lots say about its other units: each audit read once."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import date, datetime, timedelta
 
@@ -10,7 +10,7 @@ from softcal.app.batch.audit import confirmed_audits, drawn_first
 from softcal.app.registry.limit import lot_limit
 from softcal.app.registry.lot_recordings import newest_audits
 from softcal.core.lot import Lot
-from softcal.core.quality.acceptance import Promise, least_units, tolerance_factor
+from softcal.core.quality.acceptance import min_units, tolerance_factor
 from softcal.core.quality.audit_check import doubtful_audits
 from softcal.core.quality.qualification import PastAudit, Qualification, qualify
 from softcal.core.quality.release import AuditedUnit
@@ -20,7 +20,7 @@ from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.line_spread import SeenGains, seen_gains
 from softcal.core.unit.lot_correction import AuditedLine
-from softcal.core.unit.method import CONFIDENCE, Method
+from softcal.core.unit.method import CONFIDENCE, Method, ReleaseConfig
 from softcal.core.unit.output_level import load_line
 from softcal.core.unit.state import UnitState
 from softcal.core.unit.uncertainty import Widening
@@ -29,8 +29,6 @@ from softcal.core.words.reason import Reason
 from softcal.db.registry import Registry
 
 RELEASABLE = (Verdict.PASS, Verdict.CONDITIONAL)
-RULES = Method().release
-PROMISE = Promise(RULES.risk, RULES.confidence)
 
 
 @dataclass(frozen=True)
@@ -38,6 +36,7 @@ class AuditEvidence:
     """All that a decision on a lot's unmeasured units rests on, but their forecasts.
 
     Args:
+        config: numbers of a release, of the method of the lot's calibrations.
         qualification: whether units may be released, and on which audits.
         seen: gains that the lot's audited units read their loads with; None where too few.
         days: gains of the model's golden units on different days; None where too few.
@@ -45,6 +44,7 @@ class AuditEvidence:
         lines: how the audited units of the lot read their loads by their maps as they were fitted.
     """
 
+    config: ReleaseConfig
     qualification: Qualification
     limit: Limit
     widening: Widening
@@ -59,20 +59,25 @@ class AuditEvidence:
         """
         if self.days is None or load_rms is None:
             return 0.0
-        return tolerance_factor(self.days.count, self.days.count - 1, PROMISE) * self.days.spread * load_rms
+        factor = tolerance_factor(self.days.count, self.days.count - 1, self.config.risk, self.config.confidence)
+        return factor * self.days.spread * load_rms
 
 
 Audited = Mapping[str, tuple[AuditedUnit, datetime, UnitState]]
 
 
 class AuditReader:
-    """Reads what audits say, as the states of their units hold it."""
+    """Reads what audits say, as the states of their units hold it.
 
-    def __init__(self, registry: Registry) -> None:
-        self._registry = registry
+    Args:
+        method: of the lot's calibrations.
+    """
+
+    def __init__(self, registry: Registry, method: Method) -> None:
+        self._registry, self._method, self._config = registry, method, method.release
         self._golden: dict[tuple[str, str], float] = {}
 
-    def evidence(self, lot_id: str, method_id: str, now: datetime) -> AuditEvidence:
+    def evidence(self, lot_id: str, now: datetime) -> AuditEvidence:
         registry, lot = self._registry, self._registry.lots.get(lot_id)
         audited = self._audited(lot)
         # A random draw speaks for the other units; the rest speak of their own, and of what all misread alike.
@@ -83,13 +88,14 @@ class AuditReader:
                 serial: state.audit
                 for serial, (_, _, state) in audited.items()
                 if state.audit is not None and confirmed.get(serial) != state.audit.output_sha256
-            }
+            },
+            self._method,
         )
         audited = {serial: known for serial, known in audited.items() if serial not in suspects}
-        own = {serial: known for serial, known in audited.items() if known[2].fit.method.id == method_id}
+        own = {serial: known for serial, known in audited.items() if known[2].fit.method.id == self._method.id}
         here = [audit for serial, (audit, _, _) in own.items() if serial in drawn]
         past: list[PastAudit] = []
-        if len(here) < least_units(PROMISE.risk) and lot.sensor_model:
+        if len(here) < min_units(self._config.risk) and lot.sensor_model:
             # The drawn audits of all other lots of the sensor model
             past = [
                 PastAudit(
@@ -114,7 +120,7 @@ class AuditReader:
         planned = registry.lots.line_rules(lot).target or 0
         units = max(planned, sum(registry.pages.verdict_counts(lot.id).values()))
         golden_failed_at = self._golden_failed_at(lot)
-        qualification = qualify(here, past, now, lot.sensor_model, method_id, golden_failed_at, units)
+        qualification = qualify(here, past, now, lot.sensor_model, self._method, golden_failed_at, units)
         gains = [state.audit.line.gain for _, _, state in own.values() if state.audit is not None]
         lines = {
             serial: AuditedLine(state.audit.fitted_line, state.fit.output_level)
@@ -122,18 +128,19 @@ class AuditReader:
             if state.audit is not None and not state.fit.knowledge.is_anchored
         }
         widening, limit = self._widening(qualification, lot_id), lot_limit(registry, lot_id)
-        return AuditEvidence(qualification, limit, widening, seen_gains(gains), self._days(lot, now), suspects, lines)
+        seen, days = seen_gains(gains, self._config.min_others), self._days(lot, now)
+        return AuditEvidence(self._config, qualification, limit, widening, seen, days, suspects, lines)
 
     def _days(self, lot: Lot, now: datetime) -> SeenGains | None:
         """Return gains of golden units of this sensor model, one a day, each about its mean."""
         gains: list[float] = []
-        since = now - timedelta(days=RULES.lasts_days)
+        since = now - timedelta(days=self._config.lasts_days)
         for serial in sorted({run.serial for run in self._registry.stations.golden_runs(since=since)}):
             for known in self._registry.calibrations.lots_of(serial):
                 if lot.sensor_model and self._registry.lots.get(known).sensor_model == lot.sensor_model:
                     by_day = self._gains_by_day(known, serial, now)
                     gains += [gain / float(np.mean(by_day)) for gain in by_day]
-        return seen_gains(gains)
+        return seen_gains(gains, self._config.min_others)
 
     def _gains_by_day(self, lot_id: str, serial: str, now: datetime) -> list[float]:
         registry, days = self._registry, dict[date, list[float]]()
@@ -149,7 +156,7 @@ class AuditReader:
             reads_with, calibration = state.map_id, state.calibration
             network = registry.networks.get(state.fit.network_id)
         for entry in registry.recordings.of_lot(lot_id, serial, "audit"):
-            if now - entry.added_at > timedelta(days=RULES.lasts_days):
+            if now - entry.added_at > timedelta(days=self._config.lasts_days):
                 continue
             key = entry.sha256, reads_with
             if key not in self._golden:
@@ -193,13 +200,17 @@ class AuditReader:
         return audited
 
     def _widening(self, qualification: Qualification, lot_id: str) -> Widening:
+        samples = self._samples(qualification, lot_id)
+        return fit_widening(samples, CONFIDENCE, self._config) if qualification.audits else Widening()
+
+    def _samples(self, qualification: Qualification, lot_id: str) -> Iterator[AuditedSamples]:
+        """Yield the audits of a qualification, lot after lot: no more lots are read than are asked for."""
         serials: dict[str, list[str]] = {}
-        for audit in qualification.audits[: RULES.most_audits]:
+        for audit in qualification.audits:
             serials.setdefault(audit.lot_id or lot_id, []).append(audit.serial)
-        units = []
         for lot, audited in serials.items():
-            standings = self._registry.pages.standings(lot, audited, has_stale=True)
-            states = [standings[serial].summary for serial in audited if serial in standings]
-            results = [one.state.audit for one in states if one is not None]
-            units += [AuditedSamples(np.array(one.residual), np.array(one.half)) for one in results if one is not None]
-        return fit_widening(units, CONFIDENCE) if units else Widening()
+            standings = self._registry.pages.standings(lot, audited[: self._config.max_audits], has_stale=True)
+            for serial in audited:
+                summary = standings[serial].summary if serial in standings else None
+                if summary is not None and (result := summary.state.audit) is not None:
+                    yield AuditedSamples(np.array(result.residual), np.array(result.half))

@@ -83,7 +83,7 @@ def _expected(look: LookedAt, source: LookedAt | None, plan: ImportPlan) -> Expe
     except UnitRefused as error:
         return Expected(*facts, findings=(error.reason,))
     is_rising = source.unit.labelled(plan.lot.reference_unit).direction > 0
-    limits = output_limits(recording, known, is_rising, method.health)
+    limits = output_limits(recording, known, is_rising, method)
     against = contradictions(known, recording, limits, method) or health_findings(
         recording, known, limits, method.health
     )

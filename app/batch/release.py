@@ -12,12 +12,12 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from softcal.app.batch.audit_evidence import PROMISE, RELEASABLE, AuditEvidence, AuditReader
+from softcal.app.batch.audit_evidence import RELEASABLE, AuditEvidence, AuditReader
 from softcal.app.registry.limit import limit_or_none, lot_limit
 from softcal.app.registry.lot_recordings import audit_of, newest_audits, source_recording, target_serials, unlabelled
 from softcal.core.quality.lot_release import LotRelease, release_lot
 from softcal.core.quality.lot_standing import LotStanding, UnitInLot
-from softcal.core.quality.release import least_passing
+from softcal.core.quality.release import min_passing
 from softcal.core.unit.audit import measure, measure_again
 from softcal.core.unit.lot_correction import LotCorrection
 from softcal.core.unit.state import SampleRelease, UnitState
@@ -138,8 +138,8 @@ def decide_unit(registry: Registry, lot_id: str, serial: str, actor: str | None 
         if state is None or in_force.next_unit is None:
             return
         says, limit = in_force.next_unit, state.limit
-        method = state.fit.method.id
-        day = AuditReader(registry).evidence(lot_id, method, datetime.now(UTC)).day_rmse(state.fit.load_rms)
+        evidence = AuditReader(registry, state.fit.method).evidence(lot_id, datetime.now(UTC))
+        day = evidence.day_rmse(state.fit.load_rms)
         error = float("inf") if says.factor is None else float(np.hypot(state.fit.forecast.rmse * says.factor, day))
         says = replace(says, day_rmse=day, is_released=error <= limit.acceptance_rmse)
         lot.put(serial, replace(state, release=says), "release", WHY)
@@ -224,8 +224,8 @@ class _Lot:
         return lot
 
     def evidence(self) -> AuditEvidence:
-        method_id = next(iter(self.states.values())).fit.method.id
-        return AuditReader(self.registry).evidence(self.lot_id, method_id, self.now)
+        method = next(iter(self.states.values())).fit.method
+        return AuditReader(self.registry, method).evidence(self.lot_id, self.now)
 
     def open(self) -> dict[str, UnitState]:
         """Return the units that audits of others may release: not measured, and nothing stands against them."""
@@ -243,9 +243,9 @@ class _Lot:
             {serial: state.fit.forecast.rmse for serial, state in units.items()},
             evidence.qualification,
             evidence.limit,
-            PROMISE,
+            evidence.config,
             widening=evidence.widening,
-            least=least_passing(self.units, len(held)),
+            least=min_passing(self.units, len(held), evidence.config),
             seen=evidence.seen,
             days=days,
             doubts=evidence.suspects,

@@ -223,6 +223,7 @@ def _folder(options: argparse.Namespace) -> None:
 def _audit_plan(options: argparse.Namespace) -> int:
     """The first call draws the plan and writes it down; later calls show where it stands."""
     from softcal.app.batch.audit import AUDIT_HEADER, audit_json, audit_line, audit_rows, draw_plan, lot_audit
+    from softcal.app.batch.known import lot_method
     from softcal.core.quality.acceptance import PROMISE_HEADER, promise_rows
     from softcal.core.quality.audit_plan import AuditConfig
     from softcal.core.quality.qualification import small_lot
@@ -236,14 +237,15 @@ def _audit_plan(options: argparse.Namespace) -> int:
             asked = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
             audit = draw_plan(registry, lot_id, AuditConfig(**asked), reason=options.reason)
         units = sum(registry.pages.verdict_counts(lot_id).values())
+        config = lot_method(registry, lot_id).release
     write_json(options.json, audit_json(audit))
     if options.json != "-":
         print_table(AUDIT_HEADER, audit_rows(audit))
         print(audit_line(audit))
-        if small := small_lot(units):
+        if small := small_lot(units, config):
             print(f"no promise by sample: {small}")
         else:
-            print_table(PROMISE_HEADER, promise_rows(units))
+            print_table(PROMISE_HEADER, promise_rows(config, units))
     return SOME_UNIT_NOT_PASSED if audit.statement is not None and audit.statement.word == "fail" else DONE
 
 

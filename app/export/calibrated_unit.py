@@ -13,6 +13,7 @@ from softcal.core.export.blob import NetworkFile
 from softcal.core.export.compile_map import InputScale
 from softcal.core.export.device import DeviceOptions, DeviceUnit, UnitFacts, build_network_file, build_unit_file
 from softcal.core.lot import Lot, escape_serial
+from softcal.core.maps.config import AnchorConfig
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
@@ -83,10 +84,11 @@ class SharedNetwork:
     source: LabelledRecording
     source_sha256: str
     source_since: date | None
+    anchors: AnchorConfig
 
     @cached_property
     def file(self) -> NetworkFile:
-        return build_network_file(self.network, self.source)
+        return build_network_file(self.network, self.source, self.anchors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +197,7 @@ class UnitLoader:
 
     registry: Registry
     options: ExportOptions
-    _networks: dict[str, SharedNetwork] = field(default_factory=dict)
+    _networks: dict[tuple[str, AnchorConfig], SharedNetwork] = field(default_factory=dict)
 
     def load(self, serial: str) -> CalibratedUnit:
         """Read one unit; `InputError` where the registry does not know it."""
@@ -207,13 +209,13 @@ class UnitLoader:
             recording = as_given_now(recording, stored.state.fitted.unit_map, stored.state.unit_map)
         lot = self.registry.lots.get(stored.lot_id)
         since = self._since(stored.lot_id, fit.recording_sha256) or stored.made_at.date()
-        network_id = fit.network_id
-        if network_id not in self._networks:
+        network_id, anchors = fit.network_id, fit.method.map.anchors
+        if (network_id, anchors) not in self._networks:
             sha256, source = source_sha256(self.registry, network_id), source_recording(self.registry, network_id)
             source_since = self._since(self.registry.networks.entry(network_id).lot_id, sha256)
             network = self.registry.networks.get(network_id)
-            self._networks[network_id] = SharedNetwork(network, source, sha256, source_since)
-        shared, standing = self._networks[network_id], standing_of(self.registry, stored)
+            self._networks[network_id, anchors] = SharedNetwork(network, source, sha256, source_since, anchors)
+        shared, standing = self._networks[network_id, anchors], standing_of(self.registry, stored)
         return CalibratedUnit(stored, lot, shared, recording, since, self.options, standing)
 
     def _since(self, lot_id: str, sha256: str) -> date | None:

@@ -67,7 +67,7 @@ def compare_files(source: FileRecording, file: FileRecording) -> list[str]:
     """
     known = source.labelled("N")
     method, output = Method(), file.recording
-    limits = output_limits(output, known.unlabelled, known.direction > 0, method.health)
+    limits = output_limits(output, known.unlabelled, known.direction > 0, method)
     against: list[Reason] = [one.reason for one in contradictions(known.unlabelled, output, limits, method)]
     if file.inspected.reference is not None:
         against += compare_recordings(known, file.labelled("N"))

@@ -27,7 +27,6 @@ from softcal.core.inspection.build import InspectedRecording, build_recording
 from softcal.core.inspection.config import InspectionConfig
 from softcal.core.inspection.words import check_reference, summarise
 from softcal.core.recording import RATE_TOLERANCE, Array, Indices, LabelledRecording, OutputRecording
-from softcal.core.unit.method import Method
 
 STAGE = "stage_mm"
 NO_TIME = "there is no column of time such as 't_s'; name it with --time-column, or give the sample rate"
@@ -58,9 +57,6 @@ class ColumnNames:
             return True
         return is_clock_heading(name) if self.time is None else is_date_heading(name)
 
-
-IN_FORCE = Method().inspection
-"""What is masked where no stored method says otherwise."""
 
 PLAIN = ColumnNames()
 """The columns of a lot folder's files."""
@@ -213,7 +209,7 @@ def inspect_recording(
     names: ColumnNames = PLAIN,
     *,
     with_reference: bool = False,
-    config: InspectionConfig = IN_FORCE,
+    config: InspectionConfig = InspectionConfig(),  # noqa: B008 - frozen
 ) -> FileRecording:
     """Read and inspect a recording; its reference is looked at only where it is asked for.
 
@@ -243,7 +239,7 @@ def build_from_table(
     names: ColumnNames,
     *,
     with_reference: bool = False,
-    config: InspectionConfig = IN_FORCE,
+    config: InspectionConfig = InspectionConfig(),  # noqa: B008 - frozen
 ) -> FileRecording:
     """Build an inspected recording out of columns of a table; rows without a time are none of it.
 

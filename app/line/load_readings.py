@@ -13,6 +13,7 @@ from softcal.core.quality.known_loads import FROM_START, READ, WANTED, KnownLoad
 from softcal.core.quality.reading_at_rest import ReadingConfig, level_at_rest
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.budget import COVERAGE
+from softcal.core.unit.source_model import SourceModel
 from softcal.core.words.reason import Reason, Value, reason
 
 NOTHING = "nothing was pressed"
@@ -51,9 +52,7 @@ class LoadReadings:
         if self._loads[step - 1].value != value:
             raise InputError(reason("load.lost", serial=order.serial))
 
-    def take(
-        self, order: Order, output: Array, source: LabelledRecording | None, config: AnchorConfig
-    ) -> Reason | tuple[OutputRecording, Anchors]:
+    def take(self, order: Order, output: Array, model: SourceModel | None) -> Reason | tuple[OutputRecording, Anchors]:
         """Take one reading, (n,) of output; return what the run says or, with the last load, the
         unit's recording and all its loads.
         """
@@ -69,9 +68,9 @@ class LoadReadings:
         if len(self._levels) < len(self._loads):
             return reason(READ, step=step, level=level, **self._asked)
         loads = Anchors(np.array(list(self._levels.values())), np.array([load.value for load in self._loads]))
-        if source is not None:
+        if model is not None:
             try:
-                check_loads(source, loads, "the unit was not calibrated", config)
+                check_loads(model.source, loads, "the unit was not calibrated", model.method.map.anchors)
             except InputError as error:
                 self._levels = {}
                 return reason(FROM_START, step=step, why=str(error), **self._asked)

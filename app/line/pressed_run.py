@@ -23,7 +23,6 @@ from softcal.app.registry.lot_recordings import source_model
 from softcal.app.registry.reference import state_reference
 from softcal.core.errors import BadReply, InputError
 from softcal.core.lot import Lot, check_serial
-from softcal.core.maps.config import AnchorConfig
 from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.orders import Order, OrderKind, Progress, RunState
 from softcal.core.recording import OutputRecording
@@ -94,7 +93,8 @@ class RunKeeper:
             # Loads of a lot that could not be used are refused while nothing has moved yet.
             entry, loads = released_network(self._registry, lot.id), self._registry.lots.line_rules(lot).loads
             if entry is not None and loads:
-                check_stated(loads, self._source(lot.id, entry.id).source, AnchorConfig())
+                source = self._source(lot.id, entry.id)
+                check_stated(loads, source.source, source.method.map.anchors)
 
     def keep(self, order: Order, recording: StationRecording | RestReading, tell: Tell) -> Progress:
         """Store a finished run and do what follows from it; return how the order ended.
@@ -134,8 +134,8 @@ class RunKeeper:
 
     def _keep_reading(self, order: Order, reading: RestReading, tell: Tell, done: Progress) -> Progress:
         entry = released_network(self._registry, order.lot_id)
-        source = self._source(order.lot_id, entry.id).source if entry else None
-        said = self._loads.take(order, reading.output[:, 0], source, AnchorConfig())
+        model = self._source(order.lot_id, entry.id) if entry else None
+        said = self._loads.take(order, reading.output[:, 0], model)
         if isinstance(said, Reason):
             return replace(done, message=(said,))
         unit, loads = said

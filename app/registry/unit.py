@@ -12,6 +12,7 @@ from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.health import output_limits
 from softcal.core.unit.knowledge import known_by
+from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.state import Fit, FittedMap, UnitState
 from softcal.core.unit.uncertainty import ErrorForecast
@@ -81,10 +82,10 @@ def _register_source(registry: Registry, serial: str, lot_id: str | None) -> Non
 
 def source_state(source: LabelledRecording, network: Network) -> UnitState:
     """Return the state of the source unit itself, which f reads without a map."""
-    model = make_source_model(source, network)
+    model = make_source_model(source, network, method=Method())
     error, known = model.held_out_rmse, source.unlabelled
     identity = AffineMap(1.0, 0.0, "identity")
-    limits = output_limits(known, known, model.interval.slope_limit > 0, model.method.health)
+    limits = output_limits(known, known, model.interval.slope_limit > 0, model.method)
     fit = Fit(
         id=content_sha256({}, {"source": source.sha256, "network": network.id, "method": model.method.id}),
         serial=source.serial,

@@ -16,6 +16,7 @@ from softcal.core.recording import Array, LabelledRecording
 from softcal.core.simulated_lot import SHIFTS, LotDesign, SimulatedUnit, simulate_lot
 from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.estimate import Estimate, estimate
+from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.unit.state import UnitState
 from softcal.core.unit.unit_problem import UnitProblem
@@ -89,7 +90,7 @@ def cases(seeds: range, faults: tuple[str, ...] = tuple(FAULTS), has_own: bool =
         design = lot_design(seed, faults)
         lot = simulate_lot(seed, design)
         trained = fit_network(lot.source, NETWORK)
-        model = make_source_model(lot.source, trained.network, trained.validation_rows)
+        model = make_source_model(lot.source, trained.network, trained.validation_rows, method=Method())
         for unit in lot.units:
             split = int(TRAIN_SHARE * len(unit.audit))
             test = unit.audit.part(split, len(unit.audit))

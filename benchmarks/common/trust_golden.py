@@ -20,6 +20,7 @@ from softcal.core.metrics import rmse
 from softcal.core.network.training import fit_network
 from softcal.core.unit.bridge import Bridge, make_bridge
 from softcal.core.unit.calibrate import calibrate
+from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.unit.unit_problem import UnitProblem
 
@@ -51,7 +52,7 @@ def fit_source(source: str) -> list[dict[str, float]]:
     day, golden = insole("calibration"), taxel(insole("validation_1"), source)
     recording = taxel(day, source, split(len(day))[0])
     trained = fit_network(recording, NETWORK)
-    model = make_source_model(recording, trained.network, trained.validation_rows)
+    model = make_source_model(recording, trained.network, trained.validation_rows, method=Method())
     bridges = {WAYS[0]: None, WAYS[1]: make_bridge(model, golden.unlabelled), WAYS[2]: make_bridge(model, golden)}
     return [fit_unit(model, bridges, name) for name in taxels(day)[2::EVERY] if name != source]
 

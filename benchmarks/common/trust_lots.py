@@ -29,6 +29,7 @@ from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.estimate import Estimate, estimate
 from softcal.core.unit.evidence import rms_load
 from softcal.core.unit.lot_correction import AuditedLine
+from softcal.core.unit.method import Method
 from softcal.core.unit.output_level import OutputLevel, load_line
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.unit.state import UnitState
@@ -318,11 +319,13 @@ def _read(file: Path) -> list[FittedUnit]:
 def _fit_lot(lot: RawLot, models: dict[str, SourceModel]) -> Iterator[FittedUnit]:
     if lot.source.sha256 not in models:
         trained = fit_network(lot.source, NETWORK)
-        models[lot.source.sha256] = make_source_model(lot.source, trained.network, trained.validation_rows)
+        models[lot.source.sha256] = make_source_model(
+            lot.source, trained.network, trained.validation_rows, method=Method()
+        )
     model = models[lot.source.sha256]
     bridge = None if lot.golden is None else make_bridge(model, lot.golden)
     for unit in lot.units:
-        limit = default_limit(lot.source.reference_unit, model.held_out_rmse, model.full_range)
+        limit = default_limit(lot.source.reference_unit, model.held_out_rmse, model.full_range, model.method.decision)
         agreed = Limit(limit.unit, limit.maximum_rmse)
         problem = UnitProblem(model, unit.recording, agreed, anchors=unit.anchors, bridge=bridge)
         yield _fit_unit(lot, problem, unit.audit)
@@ -330,7 +333,9 @@ def _fit_lot(lot: RawLot, models: dict[str, SourceModel]) -> Iterator[FittedUnit
 
 def _fit_unit(lot: RawLot, problem: UnitProblem, audit: LabelledRecording) -> FittedUnit:
     model, recording = problem.source, problem.recording
-    limit = default_limit(lot.source.reference_unit, model.held_out_rmse, model.full_range).maximum_rmse
+    limit = default_limit(
+        lot.source.reference_unit, model.held_out_rmse, model.full_range, model.method.decision
+    ).maximum_rmse
     serial = recording.serial
     try:
         calibration = calibrate(problem)

@@ -13,7 +13,7 @@ from softcal.core.export.compile_map import SIZED_FORMS, CompiledMap, Forms, Inp
 from softcal.core.export.integer_network import ACTIVATION_MAX, CODE_MAX, DeviceMap, IntegerNetwork, Integers
 from softcal.core.export.loader import join, run_self_test
 from softcal.core.maps.anchors import SourceLevels
-from softcal.core.maps.config import MapConfig
+from softcal.core.maps.config import AnchorConfig
 from softcal.core.maps.interface import UnitMap
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
@@ -88,7 +88,7 @@ class DeviceUnit:
     goal: float
 
 
-def build_network_file(network: Network, source: LabelledRecording) -> NetworkFile:
+def build_network_file(network: Network, source: LabelledRecording, anchors: AnchorConfig) -> NetworkFile:
     """Make the shared file of a lot from f and its source: the same input, the same bytes.
 
     Raises:
@@ -101,7 +101,7 @@ def build_network_file(network: Network, source: LabelledRecording) -> NetworkFi
         )
     integers = quantise.quantise_network(network, source.windows)
     held = replace(integers, input_zero=_float32(integers.input_zero), input_lsb=_float32(integers.input_lsb))
-    levels = SourceLevels.of(source, MapConfig().anchors)
+    levels = SourceLevels.of(source, anchors)
     count = 10.0**held.output_exponent
     first, last = (round(float(load) / count) for load in levels.load[[0, -1]])
     step = max(1, (last - first) // (len(levels.load) - 1))

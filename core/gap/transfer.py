@@ -19,6 +19,7 @@ from softcal.core.simulated_lot import LotDesign, draw_lot
 from softcal.core.twin.simulate import Twin, simulate
 from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.estimate import estimate
+from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.unit_problem import UnitProblem
 
@@ -129,7 +130,7 @@ def pressed(
 def lot_errors(lot: PressedLot) -> LotErrors:
     """Train the shared network on the source, map every unit, return the medians of errors."""
     trained = fit_network(lot.source, NETWORK)
-    model = make_source_model(lot.source, trained.network, trained.validation_rows)
+    model = make_source_model(lot.source, trained.network, trained.validation_rows, method=Method())
     rows: list[Sequence[float]] = []
     for unit in lot.units:
         split = int(METHOD.worth.train_share * len(unit.audit))

@@ -34,7 +34,7 @@ class TransportMap:
     stored: Array
     displacement: Array
     family: str
-    neighbours: int = PlanConfig.neighbours
+    neighbours: int
 
     @cached_property
     def _tree(self) -> "cKDTree":
@@ -63,7 +63,7 @@ class TransportMap:
 
     @classmethod
     def from_arrays(cls, arrays: Arrays, settings: Settings, family: str) -> "TransportMap":
-        neighbours = int(str(settings.get("neighbours", PlanConfig.neighbours)))
+        neighbours = int(str(settings["neighbours"]))
         stored, displacement = (np.asarray(arrays[name], np.float64) for name in ("stored", "displacement"))
         return cls(stored, displacement, family, neighbours)
 

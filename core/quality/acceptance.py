@@ -5,7 +5,6 @@ failing units; and split-conformal bounds, which only assume that the audited on
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -16,43 +15,24 @@ from softcal.core.recording import Array
 from softcal.core.unit.method import ReleaseConfig
 
 
-@dataclass(frozen=True)
-class Promise:
-    """What is promised about the released units of a lot.
-
-    Args:
-        risk: largest share of released units beyond the limit.
-        confidence: probability that lots released by the rule keep to it.
-
-    Raises:
-        InputError: one of them is no share.
-    """
-
-    risk: float = ReleaseConfig.risk
-    confidence: float = ReleaseConfig.confidence
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not 0 < value < 1:
-                raise InputError(f"{name} {value:g}; a number between 0 and 1 was expected, such as 0.1 for 1 in 10")
-
-
 def failing_share(checked: int, failed: int, confidence: float) -> float:
     """Return the one-sided upper bound of the failing share of a process (Clopper and Pearson 1934)."""
     # All that were checked have failed: the quantile is not defined there, and 1 is its limit.
     return 1.0 if failed >= checked else float(betaincinv(failed + 1, checked - failed, confidence))
 
 
-def audits_by_count(promise: Promise, failed: int = 0) -> int:
-    """Return how many audits with so many failures show the promise by counting alone: 22 for 0.1, 0.9 and none."""
+def audits_by_count(risk: float, confidence: float, failed: int = 0) -> int:
+    """Return how many audits with so many failures show a risk by counting alone: 22 for 0.1, 0.9 and none."""
+    _check_share("risk", risk)
+    _check_share("confidence", confidence)
     checked = failed + 1
-    while failing_share(checked, failed, promise.confidence) > promise.risk:
+    while failing_share(checked, failed, confidence) > risk:
         checked += 1
     return checked
 
 
 @cache
-def tolerance_factor(count: float, degrees: float, promise: Promise) -> float:
+def tolerance_factor(count: float, degrees: float, risk: float, confidence: float) -> float:
     """Return k: mean + k * SD lies above all but the share `risk` of a normal quantity, with this confidence.
 
     k = t'(confidence; degrees, z sqrt(n)) / sqrt(n), t' the noncentral t and z the normal quantile of 1 - risk
@@ -62,18 +42,20 @@ def tolerance_factor(count: float, degrees: float, promise: Promise) -> float:
         count: number of observations behind the mean.
         degrees: degrees of freedom behind the SD; count - 1 where both come from one sample.
     """
+    _check_share("risk", risk)
+    _check_share("confidence", confidence)
     if count < 1 or degrees < 1:
         return float("inf")
-    shift = ndtri(1 - promise.risk) * np.sqrt(count)
-    return float(nctdtrit(degrees, shift, promise.confidence) / np.sqrt(count))
+    shift = ndtri(1 - risk) * np.sqrt(count)
+    return float(nctdtrit(degrees, shift, confidence) / np.sqrt(count))
 
 
-def least_risk(count: int) -> float:
+def min_risk(count: int) -> float:
     """Return the smallest risk for which `count` audited units give a finite bound: 1 / (k + 1)."""
     return 1 / (count + 1)
 
 
-def least_units(risk: float) -> int:
+def min_units(risk: float) -> int:
     """Return how many audited units the smallest finite bound at a risk needs: 9 for 0.1, 19 for 0.05."""
     _check_share("risk", risk)
     return int(np.ceil(1 / risk - 1 - 1e-9))
@@ -126,18 +108,18 @@ def _check_share(name: str, value: float) -> None:
 PROMISE_HEADER = ("if all hold", "beyond, on average", "beyond, at 90 %", "margin needed", "promise of 1 in 10")
 
 
-def promise_rows(units: int | None = None) -> list[list[object]]:
+def promise_rows(config: ReleaseConfig, units: int | None = None) -> list[list[object]]:
     """Return one row per number of audits that leaves a unit over, none beyond the limit, under `PROMISE_HEADER`.
 
     The average and the share at a confidence hold for errors of any form. The margin is by how many standard deviations
     of the log ratio the mean must stay below the limit for the promise by variables (ISO 3951).
     """
-    promise = Promise()
-    counts = sorted({3, ReleaseConfig.least_audits, least_units(promise.risk), 10, 20, audits_by_count(promise)})
+    risk, confidence = config.risk, config.confidence
+    counts = sorted({3, config.min_audits, min_units(risk), 10, 20, audits_by_count(risk, confidence)})
     rows: list[list[object]] = []
     for count in (count for count in counts if units is None or count < units):
-        margin, share = tolerance_factor(count, count - 1, promise), failing_share(count, 0, promise.confidence)
-        by_margin = "by margin" if count >= least_units(promise.risk) else "none"
-        word = "by counting alone" if share <= promise.risk else by_margin
-        rows.append([f"{count} audits", f"{least_risk(count):.1%}", f"{share:.1%}", f"{margin:.2f} SD", word])
+        margin, share = tolerance_factor(count, count - 1, risk, confidence), failing_share(count, 0, confidence)
+        by_margin = "by margin" if count >= min_units(risk) else "none"
+        word = "by counting alone" if share <= risk else by_margin
+        rows.append([f"{count} audits", f"{min_risk(count):.1%}", f"{share:.1%}", f"{margin:.2f} SD", word])
     return rows

@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from softcal.core.unit.method import FindingConfig, ReleaseConfig
+from softcal.core.unit.method import Method, ReleaseConfig
 from softcal.core.unit.state import AuditResult
 from softcal.core.words.reason import Reason, reason
 
@@ -16,14 +16,14 @@ Readings = Mapping[str, AuditResult]
 Doubts = dict[str, Reason]
 
 
-def doubtful_audits(readings: Readings) -> Doubts:
+def doubtful_audits(readings: Readings, method: Method) -> Doubts:
     """Return the audits of one lot that may not be what they are said to be, by serial, and why.
 
     Those that a person confirmed are not among the readings.
     """
-    doubts: Doubts = {}
-    for look in (_one_recording, _exchanged, _out_of_line, _strangers):
-        doubts |= look({serial: one for serial, one in readings.items() if serial not in doubts})
+    doubts = _one_recording(readings)
+    for look in (_exchanged, _out_of_line, _strangers):
+        doubts |= look({serial: one for serial, one in readings.items() if serial not in doubts}, method)
     return doubts
 
 
@@ -39,27 +39,27 @@ def _one_recording(readings: Readings) -> Doubts:
     }
 
 
-def _exchanged(readings: Readings) -> Doubts:
+def _exchanged(readings: Readings, method: Method) -> Doubts:
     """A zero that moved moves all units alike; only an exchange carries each of two to the other's.
 
     How far units rest from where they did is what the other audits of the lot show.
     """
-    doubts: Doubts = {}
+    doubts, config = Doubts(), method.release
     for first, second in combinations(readings, 2):
         moved = [_moved(one) for name, one in readings.items() if name not in (first, second)]
-        if len(moved) < ReleaseConfig.least_others:
+        if len(moved) < config.min_others:
             continue
         pair = readings[first], readings[second]
         usual = float(np.median(moved))
         # Three quarters of a normal distribution are within 1.15 SD; a quarter may be exchanged themselves.
         shown = float(np.quantile(np.abs(np.subtract(moved, usual)), 0.75)) / 1.15
-        spread = max(shown, ReleaseConfig.least_rest * min(one.span for one in pair))
+        spread = max(shown, config.min_rest * min(one.span for one in pair))
         # By how much, squared, each audit rests nearer to where the other unit does than to its own.
         nearer = [
             (_moved(own) - usual) ** 2 - (own.audit_rest - other.unit_rest - usual) ** 2
             for own, other in (pair, pair[::-1])
         ]
-        if min(nearer) > (ReleaseConfig.exchanged * spread) ** 2:
+        if min(nearer) > (config.exchanged * spread) ** 2:
             for serial, other_serial in ((first, second), (second, first)):
                 rest, unit_rest = readings[serial].audit_rest, readings[serial].unit_rest
                 doubts[serial] = reason("doubt.exchanged", other=other_serial, rest=rest, unit_rest=unit_rest)
@@ -70,29 +70,30 @@ def _moved(reading: AuditResult) -> float:
     return reading.audit_rest - reading.unit_rest
 
 
-def _beside(values: Mapping[str, float]) -> Iterator[tuple[str, float, list[float], float]]:
+def _beside(values: Mapping[str, float], config: ReleaseConfig) -> Iterator[tuple[str, float, list[float], float]]:
     """Yield each serial and its value with those of the others and their median, where there are enough others."""
     for serial, own in values.items():
         others = [other for name, other in values.items() if name != serial]
-        if len(others) >= ReleaseConfig.least_others:
+        if len(others) >= config.min_others:
             yield serial, own, others, float(np.median(others))
 
 
-def _out_of_line(readings: Readings) -> Doubts:
-    doubts: Doubts = {}
-    for serial, gain, others, usual in _beside({serial: one.line.gain for serial, one in readings.items()}):
-        if usual > 0 and not usual / FindingConfig.stretch <= gain <= usual * FindingConfig.stretch:
+def _out_of_line(readings: Readings, method: Method) -> Doubts:
+    doubts, stretch = Doubts(), method.findings.stretch
+    gains = {serial: one.line.gain for serial, one in readings.items()}
+    for serial, gain, others, usual in _beside(gains, method.release):
+        if usual > 0 and not usual / stretch <= gain <= usual * stretch:
             doubts[serial] = reason("doubt.gain", gain=gain, usual=usual, others=len(others))
     return doubts
 
 
-def _strangers(readings: Readings) -> Doubts:
+def _strangers(readings: Readings, method: Method) -> Doubts:
     """Name an audit that rests far from where its unit does while the others rest where theirs do."""
-    doubts: Doubts = {}
+    doubts, config = Doubts(), method.release
     moved = {serial: _moved(one) / max(one.span, 1e-12) for serial, one in readings.items()}
-    for serial, own, others, usual in _beside(moved):
+    for serial, own, others, usual in _beside(moved, config):
         farthest = max(abs(other - usual) for other in others)
-        if abs(own - usual) > max(ReleaseConfig.stranger_rest, ReleaseConfig.stranger_factor * farthest):
+        if abs(own - usual) > max(config.stranger_rest, config.stranger_factor * farthest):
             one = readings[serial]
             doubts[serial] = reason("doubt.stranger", rest=one.audit_rest, unit_rest=one.unit_rest, others=len(others))
     return doubts

@@ -6,7 +6,6 @@ from functools import cached_property
 
 import numpy as np
 
-from softcal.core.quality.acceptance import Promise
 from softcal.core.quality.qualification import Qualification
 from softcal.core.quality.release import AuditedUnit, PromisedRelease, release
 from softcal.core.unit.line_spread import SeenGains
@@ -30,7 +29,7 @@ class LotRelease:
 
     qualification: Qualification
     limit: Limit
-    promise: Promise
+    config: ReleaseConfig
     forecasts: Mapping[str, float]
     found: PromisedRelease | None
     widening: Widening
@@ -82,13 +81,13 @@ class LotRelease:
             return reason("release.none_left", seen=seen)
         count = len(self.forecasts)
         if not promised.released:
-            part, factor = ReleaseConfig.least_part, promised.factor
+            part, factor = self.config.min_part, promised.factor
             return reason("release.poor", seen=seen, part=part, open=count, factor=factor)
         return reason(
             "release.promised",
             seen=seen,
-            risk=self.promise.risk,
-            confidence=self.promise.confidence,
+            risk=self.config.risk,
+            confidence=self.config.confidence,
             released=len(promised.released),
             open=count,
             any_form=any_form(promised),
@@ -119,8 +118,8 @@ class LotRelease:
             widening=self.widening,
             day_rmse=day_rmse,
             audits=self._audits(found),
-            risk=self.promise.risk,
-            confidence=self.promise.confidence,
+            risk=self.config.risk,
+            confidence=self.config.confidence,
         )
 
     def _audits(self, promised: PromisedRelease) -> Reason:
@@ -136,8 +135,8 @@ class LotRelease:
         return {
             "audits": len(self.qualification.audits),
             "audited": len(self.qualification.here),
-            "risk": self.promise.risk,
-            "confidence": self.promise.confidence,
+            "risk": self.config.risk,
+            "confidence": self.config.confidence,
             "statement": str(self.statement),
             "statement_reason": self.statement.to_json(),
             "qualification": self.qualification.source,
@@ -163,7 +162,7 @@ def release_lot(
     forecasts: Mapping[str, float],
     qualification: Qualification,
     limit: Limit,
-    promise: Promise,
+    config: ReleaseConfig,
     widening: Widening = Widening(),  # noqa: B008 - frozen
     least: float = 0.0,
     seen: SeenGains | None = None,
@@ -179,9 +178,9 @@ def release_lot(
         days: by serial, the error that another day adds as golden runs show it, in the forecasts' unit.
     """
     may_release = qualification.is_given and limit.is_stated
-    decided = release(forecasts, qualification.audits, limit, promise, least, days) if may_release else None
+    decided = release(forecasts, qualification.audits, limit, config, least, days) if may_release else None
     days, doubts = days or {}, doubts or {}
-    return LotRelease(qualification, limit, promise, forecasts, decided, widening, seen, days, doubts, corrected_by)
+    return LotRelease(qualification, limit, config, forecasts, decided, widening, seen, days, doubts, corrected_by)
 
 
 def _audited(audits: Sequence[AuditedUnit], which: Reason, bound: Mapping[str, Value]) -> Reason:

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from softcal.core.quality.acceptance import least_units
+from softcal.core.quality.acceptance import min_units
 from softcal.core.quality.release import AuditedUnit
-from softcal.core.unit.method import ReleaseConfig
+from softcal.core.unit.method import Method, ReleaseConfig
 from softcal.core.words.reason import Reason, reason
 
 THIS_LOT, EARLIER_LOTS, NONE = "this lot", "earlier lots", "none"
@@ -50,14 +50,14 @@ def qualify(
     past: Sequence[PastAudit],
     now: datetime,
     sensor_model: str,
-    method_id: str,
+    method: Method,
     golden_failed_at: datetime | None = None,
     units: int | None = None,
 ) -> Qualification:
     """Say whether and on what audits the units of a lot may be released.
 
     Enough audits of the lot itself outrank all others. Audits of earlier lots count where they are of the same product
-    and method, not older than `lasts_days`, of `least_lots` lots at least, and no later audit or golden unit failed: a
+    and method, not older than `lasts_days`, of `min_lots` lots at least, and no later audit or golden unit failed: a
     failure withdraws everything before it.
 
     Args:
@@ -65,42 +65,43 @@ def qualify(
         golden_failed_at: when a golden unit last failed on the line that presses this lot.
         units: of this lot, measured or not; None where more may come than anybody knows.
     """
-    wanted = least_units(ReleaseConfig.risk)
+    config = method.release
+    wanted = min_units(config.risk)
     if len(here) >= wanted:
         return Qualification(THIS_LOT, tuple(here), 0, reason("part.here", audits=len(here)), tuple(here))
     if not sensor_model:
-        return _none(here, reason("part.no_model"), units)
-    same = [audit for audit in past if (audit.sensor_model, audit.method_id) == (sensor_model, method_id)]
-    lasts = timedelta(days=ReleaseConfig.lasts_days)
+        return _none(here, reason("part.no_model"), config, units)
+    same = [audit for audit in past if (audit.sensor_model, audit.method_id) == (sensor_model, method.id)]
+    lasts = timedelta(days=config.lasts_days)
     fresh = [audit for audit in same if now - audit.made_at <= lasts]
     failed = [audit.made_at for audit in fresh if audit.has_failed]
     since = max([*failed, *([golden_failed_at] if golden_failed_at else [])], default=None)
     standing = [audit for audit in fresh if since is None or audit.made_at > since]
     lots = {audit.unit.lot_id for audit in standing}
-    if len(standing) + len(here) >= wanted and len(lots) >= ReleaseConfig.least_lots:
+    if len(standing) + len(here) >= wanted and len(lots) >= config.min_lots:
         audits = (*here, *(audit.unit for audit in standing))
         seen = reason("part.of_lots", audits=len(standing), lots=len(lots))
         return Qualification(EARLIER_LOTS, audits, 0, seen, tuple(here))
     failing = (
         (not past, reason("part.no_lot")),
         (not same, reason("part.other_method")),
-        (not fresh, reason("part.old_audits", days=ReleaseConfig.lasts_days)),
+        (not fresh, reason("part.old_audits", days=config.lasts_days)),
         (len(standing) < len(fresh), reason("part.withdrawn")),
-        (True, reason("part.few_lots", audits=len(standing), lots=len(lots), least=ReleaseConfig.least_lots)),
+        (True, reason("part.few_lots", audits=len(standing), lots=len(lots), least=config.min_lots)),
     )
-    return _none(here, next(why for is_so, why in failing if is_so), units)
+    return _none(here, next(why for is_so, why in failing if is_so), config, units)
 
 
-def small_lot(units: int) -> Reason | None:
+def small_lot(units: int, config: ReleaseConfig) -> Reason | None:
     """Say what a lot is to do that has no unit left once enough are audited; None for a larger one."""
-    wanted = least_units(ReleaseConfig.risk)
+    wanted = min_units(config.risk)
     if units > wanted:
         return None
-    return reason("part.small_lot", units=units, wanted=wanted, least=ReleaseConfig.least_lots)
+    return reason("part.small_lot", units=units, wanted=wanted, least=config.min_lots)
 
 
-def _none(here: Sequence[AuditedUnit], why: Reason, units: int | None) -> Qualification:
-    missing, small = least_units(ReleaseConfig.risk) - len(here), None if units is None else small_lot(units)
+def _none(here: Sequence[AuditedUnit], why: Reason, config: ReleaseConfig, units: int | None) -> Qualification:
+    missing, small = min_units(config.risk) - len(here), None if units is None else small_lot(units, config)
     if small is None or units is None:
         said = reason("part.unqualified", audits=len(here), why=why, missing=missing)
         return Qualification(NONE, (), missing, said, tuple(here))

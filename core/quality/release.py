@@ -6,12 +6,12 @@ released where its forecast times the bound of that ratio is within the limit.
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.quality.acceptance import Promise, least_risk, share_beyond, tolerance_factor
+from softcal.core.quality.acceptance import min_risk, share_beyond, tolerance_factor
 from softcal.core.unit.method import ReleaseConfig
 from softcal.core.unit.verdict import Limit
 
@@ -62,18 +62,21 @@ class Ratios:
     count: float
     degrees: float
 
-    def bound(self, promise: Promise) -> float:
+    def bound(self, config: ReleaseConfig, risk: float | None = None) -> float:
         """Return the factor that measured / forecast of all but a share `risk` of the units stays below.
 
         The larger of two. exp(mean + k SD) holds with the promise's confidence where the ratios are near log-normal
         (ISO 16269-6, the method of ISO 3951). One unit in audits + 1 exceeds the largest ratio seen, for ratios of any
         distribution. Infinite where the audits are too few.
+
+        Args:
+            risk: that of the configuration, or less.
         """
-        if self.audits < ReleaseConfig.least_audits or (self.lots > 1 and self.lots < ReleaseConfig.least_lots):
+        if self.audits < config.min_audits or (self.lots > 1 and self.lots < config.min_lots):
             return float("inf")
-        reckoned = replace(promise, confidence=1 - (1 - promise.confidence) / ReleaseConfig.reserve)
-        factor = tolerance_factor(self.count, self.degrees, reckoned)
-        return float(np.exp(max(self.largest, self.centre + factor * max(self.spread, ReleaseConfig.least_spread))))
+        confidence = 1 - (1 - config.confidence) / config.reserve
+        factor = tolerance_factor(self.count, self.degrees, config.risk if risk is None else risk, confidence)
+        return float(np.exp(max(self.largest, self.centre + factor * max(self.spread, config.min_spread))))
 
 
 @dataclass(frozen=True)
@@ -94,7 +97,7 @@ class PromisedRelease:
     risk_any_form: float
 
 
-def audited_ratios(audits: Sequence[AuditedUnit]) -> Ratios:
+def audited_ratios(audits: Sequence[AuditedUnit], config: ReleaseConfig) -> Ratios:
     """Return what the audited units show; units of several lots show how lots differ as well.
 
     Over lots the variance of one more unit is that of the lots' means and what one unit adds to it (one-way random
@@ -123,7 +126,7 @@ def audited_ratios(audits: Sequence[AuditedUnit]) -> Ratios:
     squares = sum(float(np.sum((group - group.mean()) ** 2)) for group in groups)
     within = squares / free * (1 - float(np.mean(1 / sizes))) if free else 0.0
     # Lots that agree by luck must not prove that lots are alike.
-    between = max(float(np.var(means, ddof=1)), ReleaseConfig.least_spread**2 / len(groups))
+    between = max(float(np.var(means, ddof=1)), config.min_spread**2 / len(groups))
     whole = between + within
     degrees = whole**2 / (between**2 / (len(groups) - 1) + (within**2 / free if free else 0.0))
     count = len(groups) * whole / between
@@ -134,7 +137,7 @@ def release(
     forecasts: Mapping[str, float],
     audits: Sequence[AuditedUnit],
     limit: Limit,
-    promise: Promise = Promise(),  # noqa: B008 - frozen
+    config: ReleaseConfig,
     least: float = 0.0,
     days: Mapping[str, float] | None = None,
 ) -> PromisedRelease:
@@ -155,7 +158,7 @@ def release(
     for serial, rmse in forecasts.items():
         if not 0 < rmse < float("inf"):
             raise InputError(f"unit {serial}: forecast error is {rmse}; only units with a forecast can be released")
-    ratios, considered = audited_ratios(audits), len(forecasts)
+    ratios, considered = audited_ratios(audits, config), len(forecasts)
     days = days or {}
     # What is left of the limit once another day has taken its part; without golden runs the limit itself.
     limits = {
@@ -164,13 +167,13 @@ def release(
     need = {serial: forecasts[serial] / limits[serial] if limits[serial] else np.inf for serial in forecasts}
     ordered = sorted(forecasts, key=lambda serial: (need[serial], serial))
     needed = np.array([need[serial] for serial in ordered])
-    count, factor = considered, ratios.bound(promise)
-    least = max(ReleaseConfig.least_part * considered, least, 1)
+    count, factor = considered, ratios.bound(config)
+    least = max(config.min_part * considered, least, 1)
     while (passing := int(np.count_nonzero(needed[:count] * factor <= 1))) < count:
         count = passing
         if count < least:
             break
-        factor = ratios.bound(replace(promise, risk=promise.risk * count / considered))
+        factor = ratios.bound(config, config.risk * count / considered)
     if count < least:
         return PromisedRelease((), factor, ratios, 1.0, 1.0)
     share = risk = 1.0
@@ -178,12 +181,12 @@ def release(
         # Lots are exchangeable as wholes only: the bound is the largest of that many lots.
         risk = min(1 / (ratios.lots + 1) / (count / considered), 1.0)
     elif count:
-        one = least_risk(ratios.audits)
-        beyond = share_beyond(ratios.audits, one, promise.confidence)
+        one = min_risk(ratios.audits)
+        beyond = share_beyond(ratios.audits, one, config.confidence)
         share, risk = (min(value / (count / considered), 1.0) for value in (beyond, one))
     return PromisedRelease(tuple(ordered[:count]), factor, ratios, share, risk)
 
 
-def least_passing(units: int, held: int) -> float:
-    """Return how many unmeasured units must pass so that half of a lot does, of which `held` were measured."""
-    return ReleaseConfig.least_part * units - held
+def min_passing(units: int, held: int, config: ReleaseConfig) -> float:
+    """Return how many unmeasured units must pass so that `min_part` of a lot does, of which `held` were measured."""
+    return config.min_part * units - held

@@ -4,8 +4,9 @@ The factor alone would be a poor answer where units were pressed with different 
 units in ten is then several times what most of them need at high loads, and still too narrow at low ones.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from scipy.special import stdtrit
@@ -32,39 +33,43 @@ class AuditedSamples:
         return np.asarray(self.residual / np.maximum(widening(self.half), 1e-12))
 
 
-def fit_widening(units: Sequence[AuditedSamples], coverage: float) -> Widening:
+def fit_widening(audits: Iterable[AuditedSamples], coverage: float, config: ReleaseConfig) -> Widening:
     """Return the widening that serves the samples on average and the units one by one.
 
     The factor is what the median unit asks for where that is less than 1. The added error is the smallest that
     does two things. It covers the audited units' samples to `coverage`, each unit weighing the same: the pooled version
     of hierarchical conformal prediction (Dunn, Wasserman and Ramdas 2023; Lee, Barber and Willett 2023). And one more
-    unit has `least_coverage` of its samples covered, all but a share `risk` of the times. That is the
+    unit has `min_coverage` of its samples covered, all but a share `risk` of the times. That is the
     prediction limit of the logarithm of the units' own factors (Student's t; Hahn 1970).
+
+    Args:
+        audits: one a unit; the first `max_audits` of them are read.
 
     Raises:
         InputError: there is no audited unit.
     """
+    units = list(islice(audits, config.max_audits))
     if not units:
         raise InputError("no audited unit: to widen intervals takes one at least")
     median = float(np.median([np.quantile(unit.ratio(Widening()), coverage) for unit in units]))
     scale, step = min(1.0, median), max(float(np.median(unit.residual)) for unit in units) or CLOSE
-    if _needed(units, Widening(scale), coverage) <= 1:
+    if _needed(units, Widening(scale), coverage, config) <= 1:
         return Widening(scale)
     low, high = 0.0, step
-    while _needed(units, Widening(scale, high), coverage) > 1:
+    while _needed(units, Widening(scale, high), coverage, config) > 1:
         low, high = high, 2 * high
     while high - low > CLOSE * high:
         middle = (low + high) / 2
-        is_enough = _needed(units, Widening(scale, middle), coverage) <= 1
+        is_enough = _needed(units, Widening(scale, middle), coverage, config) <= 1
         low, high = (low, middle) if is_enough else (middle, high)
     return Widening(scale, high)
 
 
-def _needed(units: Sequence[AuditedSamples], widening: Widening, coverage: float) -> float:
+def _needed(units: Sequence[AuditedSamples], widening: Widening, coverage: float, config: ReleaseConfig) -> float:
     """Return the factor that the widened intervals would still need."""
     ratios = [unit.ratio(widening) for unit in units]
-    own = np.log([max(float(np.quantile(ratio, ReleaseConfig.least_coverage)), 1e-12) for ratio in ratios])
-    return max(pooled_scale(ratios, coverage), float(np.exp(_next_unit(own, ReleaseConfig.risk))))
+    own = np.log([max(float(np.quantile(ratio, config.min_coverage)), 1e-12) for ratio in ratios])
+    return max(pooled_scale(ratios, coverage), float(np.exp(_next_unit(own, config.risk))))
 
 
 def _next_unit(values: Array, risk: float) -> float:

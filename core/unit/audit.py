@@ -46,7 +46,7 @@ def measure(
         recording_sha256=audit.sha256,
         output_sha256=audit.output_sha256,
         reference_sha256=content_sha256({"reference": audit.reference}, {}),
-        scores=score_map(network, state.unit_map, audit, own, method.decision),
+        scores=score_map(network, state.unit_map, audit, method.decision, own),
         line=load_line(value, audit.reference),
         fitted_line=load_line(fitted_value, audit.reference),
         unit_rest=unit.rest,

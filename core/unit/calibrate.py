@@ -56,7 +56,7 @@ def fit_unit(problem: UnitProblem) -> tuple[Fit, Array]:
     method, known = model.method, model.source.unlabelled
     check_windows(target, method.inspection)
     check_alive(target, known, method.health)
-    limits = output_limits(target, known, is_rising=model.interval.slope_limit > 0, config=method.health)
+    limits = output_limits(target, known, is_rising=model.interval.slope_limit > 0, method=method)
     fit, bridge = problem.fit, problem.crossed
     chosen = choose_map(fit)
     evidence = gather_evidence(

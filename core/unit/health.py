@@ -6,10 +6,9 @@ from functools import lru_cache
 import numpy as np
 
 from softcal.core.errors import InputError, UnitRefused
-from softcal.core.maps.config import EndConfig
 from softcal.core.maps.crossing import CACHED
 from softcal.core.recording import RATE_TOLERANCE, Array, Indices, OutputRecording
-from softcal.core.unit.method import HealthConfig
+from softcal.core.unit.method import HealthConfig, Method
 from softcal.core.unit.missing import lost_windows
 from softcal.core.unit.verdict import Finding, Verdict
 from softcal.core.words.reason import Reason, reason
@@ -59,11 +58,11 @@ class Rail:
 
 
 @lru_cache(maxsize=CACHED)
-def rail(recording: OutputRecording, is_upper: bool, config: HealthConfig) -> Rail:
+def rail(recording: OutputRecording, is_upper: bool, method: Method) -> Rail:
     """Describe the upper or lower end of the range of a recording's output."""
-    output = recording.output
+    output, config = recording.output, method.health
     rising = output if is_upper else -output
-    band = noise_band(recording, config)
+    band = noise_band(recording, method)
     top, span = float(rising.max()), float(np.ptp(rising))
     in_band, beside = rising > top - band, (rising <= top - band) & (rising > top - 2 * band)
     pressed = rising >= top - max(config.near_end * span, 2 * band)
@@ -82,7 +81,7 @@ def rail(recording: OutputRecording, is_upper: bool, config: HealthConfig) -> Ra
     )
 
 
-def noise_band(recording: OutputRecording, config: HealthConfig) -> float:
+def noise_band(recording: OutputRecording, method: Method) -> float:
     """Return the width of a flat stretch: six standard deviations of the noise, at least one and a half ADC steps.
 
     The noise comes from second differences, which a slow signal leaves small (median absolute value / 0.6745 / √6).
@@ -90,7 +89,7 @@ def noise_band(recording: OutputRecording, config: HealthConfig) -> float:
     noise = float(np.median(np.abs(np.diff(recording.output, 2)))) / 0.6745 / np.sqrt(6)
     # A simulated recording may have neither noise nor steps.
     least = 1e-3 * float(np.ptp(recording.output))
-    return float(max(EndConfig.clear_of_noise * noise, config.adc_steps * recording.step, least))
+    return float(max(method.map.ends.clear_of_noise * noise, method.health.adc_steps * recording.step, least))
 
 
 def check_alive(target: OutputRecording, source: OutputRecording, config: HealthConfig) -> None:
@@ -120,21 +119,19 @@ def check_alive(target: OutputRecording, source: OutputRecording, config: Health
         raise UnitRefused(reason("dead.small", span=span, source_span=source_span, unit=unit, cure=cure))
 
 
-def output_limits(
-    target: OutputRecording, source: OutputRecording, is_rising: bool, config: HealthConfig
-) -> OutputLimits:
+def output_limits(target: OutputRecording, source: OutputRecording, is_rising: bool, method: Method) -> OutputLimits:
     """Find the rail of the unit's readout and the longest stillness it shows in good order.
 
     Only the loaded end of the output is looked at: at rest every unit is flat.
     """
-    end, known = (rail(recording, is_rising, config) for recording in (target, source))
-    clipped = end.level if end.is_clipped(known, config) else None
+    end, known = (rail(recording, is_rising, method) for recording in (target, source))
+    clipped = end.level if end.is_clipped(known, method.health) else None
     # A slow load on a coarse converter stands still for long by itself: twice the longest seen is no fault yet.
     longest = max(_longest_run(recording) for recording in (target, source))
     return OutputLimits(
         rail_low=-np.inf if clipped is None or is_rising else clipped,
         rail_high=np.inf if clipped is None or not is_rising else clipped,
-        stuck_samples=max(2 * longest, round(config.stuck_s * target.sample_rate_Hz)),
+        stuck_samples=max(2 * longest, round(method.health.stuck_s * target.sample_rate_Hz)),
     )
 
 

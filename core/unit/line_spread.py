@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.unit.method import ReleaseConfig
 
 MOST_SPREAD = 1.0
 
@@ -62,9 +61,9 @@ class SeenGains:
     spread: float
 
 
-def seen_gains(gains: Sequence[float]) -> SeenGains | None:
-    """Return mean and spread of gains; None where they are too few, or one is not positive."""
-    if len(gains) < ReleaseConfig.least_others or min(gains) <= 0:
+def seen_gains(gains: Sequence[float], min_gains: int) -> SeenGains | None:
+    """Return mean and spread of gains; None where they are fewer than `min_gains`, or one is not positive."""
+    if len(gains) < min_gains or min(gains) <= 0:
         return None
     logs = np.log(gains)
     return SeenGains(len(gains), float(np.exp(logs.mean())), float(np.std(logs, ddof=1)))

@@ -2,8 +2,8 @@
 
 A number that decides stands here or in `maps/config.py` and `unit/knowledge.py`. Halves, and constants of arithmetic
 and solvers, stand in the formula they belong to. The whole is kept with every calibration and is part of its identity:
-results of other numbers show as stale. A release judges calibrations of several methods: it goes by this version's
-numbers (`ReleaseConfig`). A trim has a number of its own, in `unit/trim.py`.
+results of other numbers show as stale. A release goes by the method of the lot's calibrations. The number of
+a trim is part of the device format (`unit/trim.py`).
 """
 
 from dataclasses import dataclass, field
@@ -207,19 +207,19 @@ class ReleaseConfig:
     Args:
         risk: largest share of released units beyond the limit that is promised.
         confidence: probability that lots released by the rule keep to it.
-        least_spread: SD of log(measured / forecast) from unit to unit that a few audits cannot prove to be smaller.
+        min_spread: SD of log(measured / forecast) from unit to unit that a few audits cannot prove to be smaller.
         reserve: a bound is taken at this part of the error that the promise allows: 10 makes 99 % of 90 %. Else one
             poor lot in ten is let through, and of kinds of lot that are mostly poor those are all that is released.
-        least_audits: the spread of fewer audits is a guess, whatever risk is asked for.
-        least_part: a lot is released by sample where at least this part of it passes; the few best of a poor lot are
+        min_audits: the spread of fewer audits is a guess, whatever risk is asked for.
+        min_part: a lot is released by sample where at least this part of it passes; the few best of a poor lot are
             picked by luck.
-        least_lots: audits of fewer lots say nothing firm about a lot without audits: how lots differ is not known.
+        min_lots: audits of fewer lots say nothing firm about a lot without audits: how lots differ is not known.
         lasts_days: how long an audit of an earlier lot counts.
-        most_audits: audited units that the scale of the intervals is made of.
-        least_coverage: an interval covers at least this share of the samples of all units but the risk (`widening.py`).
-        least_others: an audit is out of line with at least so many others. Fewer audited units or golden runs show no
+        max_audits: audited units that the scale of the intervals is made of.
+        min_coverage: an interval covers at least this share of the samples of all units but the risk (`widening.py`).
+        min_others: an audit is out of line with at least so many others. Fewer audited units or golden runs show no
             spread of a line or its days.
-        exchanged, least_rest: two audits look exchanged where each rests nearer to the other unit than to its own by so
+        exchanged, min_rest: two audits look exchanged where each rests nearer to the other unit than to its own by so
             many standard deviations of what the other audits of the lot moved, or of this share of the span.
         stranger_rest, stranger_factor: an audit is of another unit where its rest moved by more than the first share
             of the span, and by the second times as much as that of any other audit.
@@ -229,17 +229,17 @@ class ReleaseConfig:
 
     risk: float = setting(0.10)
     confidence: float = setting(0.90)
-    least_spread: float = setting(0.10)
+    min_spread: float = setting(0.10)
     reserve: float = setting(10.0, "benchmarks/trust.py on seeds 0-24; tested on seeds 24-48")
-    least_audits: int = setting(5)
-    least_part: float = setting(0.5)
-    least_lots: int = setting(3)
+    min_audits: int = setting(5)
+    min_part: float = setting(0.5)
+    min_lots: int = setting(3)
     lasts_days: float = setting(365.0)
-    most_audits: int = setting(40)
-    least_coverage: float = setting(0.80)
-    least_others: int = setting(3)
+    max_audits: int = setting(40)
+    min_coverage: float = setting(0.80)
+    min_others: int = setting(3)
     exchanged: float = setting(4.0, f"{SET}: by chance one pair of audits in millions")
-    least_rest: float = setting(0.005)
+    min_rest: float = setting(0.005)
     stranger_rest: float = setting(0.2)
     stranger_factor: float = setting(4.0)
     min_correction_audits: int = setting(3)

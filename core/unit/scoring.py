@@ -18,8 +18,8 @@ def score_map(
     network: Network,
     unit_map: UnitMap,
     audit: LabelledRecording,
+    config: DecisionConfig,
     own: NetworkConfig | MeasuredError | None = None,
-    config: DecisionConfig = DecisionConfig(),  # noqa: B008 - frozen
 ) -> Scores:
     """Score a unit on all rows of its audit that have an estimate.
 

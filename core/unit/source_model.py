@@ -65,7 +65,8 @@ def make_source_model(
     source: LabelledRecording,
     network: Network,
     held_out: Indices | None = None,
-    method: Method = Method(),  # noqa: B008 - frozen
+    *,
+    method: Method,
 ) -> SourceModel:
     """Compare the source with itself once for the whole lot.
 

@@ -3,7 +3,7 @@
 The device trims by the same rule (docs/format.md; tests/firmware/device_stream.py).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from softcal.core.maps.anchors import AnchoredMap, SourceLevels, check_loads
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
 from softcal.core.metrics import rms, rmse
 from softcal.core.recording import OutputRecording
-from softcal.core.settings import setting
 from softcal.core.unit.state import Trim
 from softcal.core.unit.uncertainty import NORMAL_90, Interval
 from softcal.core.windows import resting
@@ -20,16 +19,9 @@ from softcal.core.windows import resting
 NOTHING = "nothing was changed"
 
 
-@dataclass(frozen=True)
-class TrimConfig:
-    """The number of a trim. No part of `Method`: it decides no map that a recording is calibrated with.
-
-    Args:
-        most_change: a gain that changes by more than this share is another unit, or other units of load. The device
-            holds no larger one.
-    """
-
-    most_change: float = setting(0.5, "docs/format.md")
+MAX_CHANGE = 0.5
+"""A gain that changes by more than this share is another unit, or other units of load. The device holds no larger one
+(docs/format.md)."""
 
 
 class NeedlessTrim(InputError):
@@ -41,7 +33,6 @@ def trim(
     unit_map: UnitMap,
     interval: Interval,
     loads: Anchors,
-    config: TrimConfig = TrimConfig(),  # noqa: B008 - frozen
 ) -> Trim:
     """Re-anchor a fitted map by known loads at the place of use.
 
@@ -83,10 +74,10 @@ def trim(
         )
     # The weighted straight line that carries what is read onto what is wanted.
     gain, offset = (float(value) for value in np.polyfit(read, wanted, 1, w=1 / error))
-    if abs(gain - 1) > config.most_change:
+    if abs(gain - 1) > MAX_CHANGE:
         raise InputError(
-            f"the loads ask for {gain:.2g} x the gain of unit {problem.target.serial}, {1 - config.most_change:.2g} to "
-            f"{1 + config.most_change:.2g} was expected; that is another unit, or other units of load or output; "
+            f"the loads ask for {gain:.2g} x the gain of unit {problem.target.serial}, {1 - MAX_CHANGE:.2g} to "
+            f"{1 + MAX_CHANGE:.2g} was expected; that is another unit, or other units of load or output; "
             f"{NOTHING}; check serial and columns, or calibrate it again"
         )
     missing = np.abs(wanted - read) / abs(rise)

@@ -118,7 +118,7 @@ def default_limit(
     unit: str,
     source_rmse: float,
     full_range: float,
-    config: DecisionConfig = DecisionConfig(),  # noqa: B008 - frozen
+    config: DecisionConfig,
 ) -> Limit:
     """Return what units of a lot that states no limit fail by: a multiple of the source's held-out RMSE.
 

@@ -41,7 +41,7 @@ CODES: Mapping[type[SoftcalError], str] = {
 
 SIGNAL_POINTS = 400
 
-READING, READ = "reading at rest", ReadingConfig()
+READING = "reading at rest"
 
 CHECK_S = 12.0
 """How long a self-test takes, about."""
@@ -228,7 +228,8 @@ class StationService:
             self._ready()
             return None
         if order.kind is OrderKind.LOAD:
-            reading = read_at_rest(bench, order.serial, READ.settle_s, READ.reading_s, relay.on_reading)
+            config = ReadingConfig()
+            reading = read_at_rest(bench, order.serial, config.settle_s, config.reading_s, relay.on_reading)
             self._ready()
             return reading
         with_reference = order.kind in (OrderKind.SOURCE, OrderKind.GOLDEN)

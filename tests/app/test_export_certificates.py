@@ -37,6 +37,7 @@ from softcal.core.maps.catalogue import FAMILIES
 from softcal.core.unit.budget import SIMULATED, Reference, measured_budget
 from softcal.core.unit.estimate import Estimate
 from softcal.core.unit.measured_error import MeasuredError, Scores
+from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Limit, compare_with_audit, default_limit
 from tests.app.pdf_text import read_fonts, read_pages, read_text
@@ -123,7 +124,7 @@ def _variants(facts: Certificate) -> list[Certificate]:
         replace(facts, bands=()),
         replace(facts, sensor_model=" "),
         replace(facts, reference=SIMULATED),
-        replace(facts, limit=default_limit("N", 0.1, 3.0)),
+        replace(facts, limit=default_limit("N", 0.1, 3.0, DecisionConfig())),
         replace(facts, by_loads="trimmed", measured=None),
         replace(facts, measured=ErrorForecast(0.22, 0.0, np.inf)),
         expired(facts),
@@ -182,7 +183,7 @@ def test_only_a_certificate_that_held_makes_a_result_traceable_and_conformity_st
 
 
 def test_why_nothing_is_stated_is_said_by_its_code(facts: Certificate) -> None:
-    derived = default_limit("N", 0.1, 3.0)
+    derived = default_limit("N", 0.1, 3.0, DecisionConfig())
     cases: dict[str, Certificate] = {
         "simulated": replace(facts, reference=SIMULATED),
         "no_limit": replace(facts, limit=derived),

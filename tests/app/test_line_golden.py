@@ -22,6 +22,7 @@ from softcal.core.errors import InputError
 from softcal.core.maps.config import MapConfig
 from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import Order, OrderKind, Progress
+from softcal.core.unit.method import Method
 from softcal.db.connection import open_registry
 from softcal.db.entries import StoredCalibration
 from softcal.db.registry import Registry
@@ -147,7 +148,7 @@ def test_a_golden_run_that_no_day_explains_fails_and_says_so(registry, keeper, p
 
 def test_golden_runs_of_the_source_show_how_days_differ(registry, keeper, press_unit):
     press_golden(keeper, press_unit)
-    gains = AuditReader(registry)._gains_by_day("small", "A0", datetime.now(UTC))
+    gains = AuditReader(registry, Method())._gains_by_day("small", "A0", datetime.now(UTC))
     assert gains == [pytest.approx(DAY_GAIN, abs=0.04)]
 
 

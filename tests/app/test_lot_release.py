@@ -5,6 +5,7 @@ import re
 import shutil
 import sqlite3
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
@@ -28,6 +29,7 @@ from softcal.app.texts.reasons import said
 from softcal.core.quality.widening import AuditedSamples, fit_widening
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.line_spread import LineSpread
+from softcal.core.unit.method import Method
 from softcal.core.unit.uncertainty import Widening
 from softcal.core.words.reason import Reason, reason
 from softcal.db.connection import open_registry
@@ -197,7 +199,9 @@ def test_units_nobody_measured_pass_on_the_audits_of_the_others(make_lot, batch,
     assert np.allclose(second.interval.half_width, np.hypot(scaled, widened.added))
     audited = [unit["serial"] for unit in report["units"] if unit["audited"]]
     read = [unit.summary.state.audit for unit in registry.pages.standings("large", audited).values()]
-    asked = fit_widening([AuditedSamples(np.array(one.residual), np.array(one.half)) for one in read], 0.9)
+    asked = fit_widening(
+        [AuditedSamples(np.array(one.residual), np.array(one.half)) for one in read], 0.9, Method().release
+    )
     assert (widened.scale, widened.added) == pytest.approx((asked.scale, asked.added)) and asked != Widening()
     assert second.predicted_rmse == pytest.approx(first.predicted_rmse * second.release.scale)
     # What is promised of it is the bound that the audits give, not their mean.
@@ -362,7 +366,7 @@ def test_a_person_can_confirm_a_doubted_audit_and_a_new_one_ends_the_doubt(make_
 def test_audits_made_under_another_method_qualify_nothing(make_lot, batch, registry):
     folder = make_lot()
     batch(folder)
-    evidence = AuditReader(registry).evidence("large", "another method", datetime.now(UTC))
+    evidence = AuditReader(registry, replace(Method(), range_margin=0.07)).evidence("large", datetime.now(UTC))
     assert not evidence.qualification.is_given and evidence.widening == Widening()
 
 
@@ -373,11 +377,11 @@ def test_a_golden_unit_of_another_sensor_model_withdraws_nothing(make_lot, batch
     batch(make_lot("other", audits=0, model="XX"))
     batch(make_lot("fourteenth", audits=0))
     now = datetime.now(UTC)
-    method_id = registry.pages.standings("one", ["one-00"])["one-00"].summary.state.fit.method.id
+    method = registry.pages.standings("one", ["one-00"])["one-00"].summary.state.fit.method
     registry.stations.add_golden_run(GoldenRun("line", "other-00", now, 9.0, "N", False))
-    assert AuditReader(registry).evidence("fourteenth", method_id, now).qualification.is_given
+    assert AuditReader(registry, method).evidence("fourteenth", now).qualification.is_given
     registry.stations.add_golden_run(GoldenRun("line", "seventh-05", now, 9.0, "N", False))
-    assert not AuditReader(registry).evidence("fourteenth", method_id, now).qualification.is_given
+    assert not AuditReader(registry, method).evidence("fourteenth", now).qualification.is_given
 
 
 @pytest.mark.long

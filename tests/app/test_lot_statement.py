@@ -11,11 +11,11 @@ from softcal.app.export.certificates.lot_statement import LotStatementFacts, lot
 from softcal.app.texts.catalogue import text as text_of
 from softcal.app.texts.reasons import said
 from softcal.core.lot import Lot
-from softcal.core.quality.acceptance import Promise
 from softcal.core.quality.lot_release import release_lot
 from softcal.core.quality.lot_standing import LotStanding, UnitInLot
 from softcal.core.quality.qualification import Qualification
 from softcal.core.quality.release import AuditedUnit
+from softcal.core.unit.method import ReleaseConfig
 from softcal.core.unit.verdict import Limit
 from softcal.core.words.reason import plain, reason
 from tests.app.pdf_text import read_pages
@@ -30,7 +30,7 @@ def facts_of(audits: list[AuditedUnit], units: int, waiting: int = 0, withdrawn:
     """Return the facts of a lot with `units` released on its audits, without audits none."""
     source, why = ("this lot", plain("ten of this lot")) if audits else ("none", reason("part.no_lot"))
     qualification = Qualification(source, tuple(audits), 0 if audits else 6, why, tuple(audits))
-    decided = release_lot({f"LONG-SERIAL-{k:05d}": 0.2 for k in range(units)}, qualification, LIMIT, Promise(0.1, 0.9))
+    decided = release_lot({f"LONG-SERIAL-{k:05d}": 0.2 for k in range(units)}, qualification, LIMIT, ReleaseConfig())
     word = "pass" if audits else "conditional"
     open_, failed = (plain("another load was expected"),), (plain("its audit failed"),)
     in_lot = [

@@ -17,6 +17,7 @@ from softcal.core.unit import findings, health, verdict
 from softcal.core.unit.evidence import DAY, LINE
 from softcal.core.unit.knowledge import KnowledgeConfig
 from softcal.core.unit.measured_error import MeasuredError, Scores
+from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Limit, compare_with_audit, compare_with_limit, default_limit
 from softcal.core.words import reason as reasons
@@ -121,7 +122,7 @@ def test_a_code_of_a_later_version_stays_readable() -> None:
 @pytest.mark.parametrize("error", [0.05, 0.11, 0.13, 0.4])
 def test_the_statement_of_a_verdict_is_said_in_korean_with_its_values(error: float) -> None:
     forecast = ErrorForecast(error, error - 0.03, error + 0.03)
-    for limit in (Limit("N", 0.12), default_limit("N", 0.04, 3.0)):
+    for limit in (Limit("N", 0.12), default_limit("N", 0.04, 3.0, DecisionConfig())):
         (one,) = compare_with_limit(forecast, limit).reasons
         korean = said(one, KOREAN)
         assert f"{error:.3g} N" in korean and "예측" in korean

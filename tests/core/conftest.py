@@ -12,6 +12,7 @@ from softcal.core.gap.case import Case, Run
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.twin.parameters import ReadoutMetadata
+from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.windows import TAPS
 
@@ -53,7 +54,7 @@ def press() -> Press:
 @pytest.fixture(scope="session")
 def source_model(press: Press, linear_network: Network) -> SourceModel:
     source = press(1, serial="S0", seconds=120.0)
-    return make_source_model(source, linear_network, np.arange(0, len(source.windows), 4))
+    return make_source_model(source, linear_network, np.arange(0, len(source.windows), 4), method=Method())
 
 
 @pytest.fixture(scope="session")

@@ -57,13 +57,15 @@ def maker(
     """Return a function that makes adapters of a unit calibrated under a load."""
     output_V = read_V(force_N, 1) if output_V is None else output_V
     recording = OutputRecording("A1", np.arange(len(force_N)) / RATE_HZ, output_V, RATE_HZ)
-    interval = make_source_model(LabelledRecording(recording, force_N), network, np.arange(0, 4000, 7)).interval
+    interval = make_source_model(
+        LabelledRecording(recording, force_N), network, np.arange(0, 4000, 7), method=Method()
+    ).interval
     calibration = Calibration(
         serial="A1",
         network_id=network.id,
         unit_map=AffineMap(1.0, 0.0, "identity"),
         interval=interval,
-        output_limits=output_limits(recording, recording, True, Method().health),
+        output_limits=output_limits(recording, recording, True, Method()),
         method=Method(),
         predicted_rmse=0.01,
     )

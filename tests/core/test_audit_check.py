@@ -6,6 +6,7 @@ import pytest
 
 from softcal.core.quality.audit_check import doubtful_audits
 from softcal.core.unit.measured_error import MeasuredError, Scores
+from softcal.core.unit.method import Method
 from softcal.core.unit.output_level import LoadLine
 from softcal.core.unit.state import AuditResult
 
@@ -38,7 +39,7 @@ def readings(rng):
 
 
 def codes(readings):
-    return {serial: why.code for serial, why in doubtful_audits(readings).items()}
+    return {serial: why.code for serial, why in doubtful_audits(readings, Method()).items()}
 
 
 def test_audits_of_units_that_differ_and_of_a_day_with_another_zero_are_taken(readings):
@@ -90,7 +91,7 @@ def test_a_lot_that_misreads_as_a_whole_does_not_contradict_itself(readings):
 
 def test_the_audit_of_a_unit_that_is_not_of_the_lot_is_named(readings):
     readings["U5"] = replace(readings["U5"], audit_rest=readings["U5"].unit_rest + 0.4)
-    found = doubtful_audits(readings)
+    found = doubtful_audits(readings, Method())
     assert {serial: why.code for serial, why in found.items()} == {"U5": "doubt.stranger"}
     assert found["U5"].values["rest"] == pytest.approx(1.2) and found["U5"].values["unit_rest"] == pytest.approx(0.8)
 

@@ -164,7 +164,7 @@ def test_known_positions_reveal_a_gain_error_the_output_hides(source_model, line
     depth_mm = unit.reference * 2 / 3
     blind = calibrate_problem(UnitProblem(replace(source_model, method=AFFINE), lighter))
     known = replace(source, unlabelled=replace(source.unlabelled, stage_mm=source.reference))
-    model = make_source_model(known, linear_network, np.arange(0, len(known.windows), 4), AFFINE)
+    model = make_source_model(known, linear_network, np.arange(0, len(known.windows), 4), method=AFFINE)
     seen = calibrate_problem(UnitProblem(model, replace(lighter, stage_mm=depth_mm)))
     assert seen.predicted_rmse > 4 * blind.predicted_rmse
 
@@ -226,7 +226,7 @@ def creeping(output: np.ndarray, share: float = 0.25, seconds: float = 6.0) -> n
 def test_known_positions_tell_creep_from_good_order(source_model, linear_network, press):
     source = source_model.source
     known = replace(source, unlabelled=replace(source.unlabelled, stage_mm=source.reference))
-    model = make_source_model(known, linear_network, np.arange(0, len(known.windows), 4))
+    model = make_source_model(known, linear_network, np.arange(0, len(known.windows), 4), method=Method())
     unit = press(2, gain=1.3, seconds=120.0)
     sound = replace(unit.unlabelled, stage_mm=unit.reference)
     kinds = [

@@ -30,6 +30,7 @@ from softcal.core.export.loader import open_sensor, run_self_test
 from softcal.core.export.quantise import quantise_map
 from softcal.core.export.shape_mix import Mix
 from softcal.core.maps.affine_map import AffineMap
+from softcal.core.maps.config import AnchorConfig
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording
 
@@ -39,7 +40,7 @@ CONFORMANCE = Path(__file__).parents[2] / "firmware" / "conformance"
 
 @pytest.fixture
 def network_file(linear_network: Network, press: Press) -> NetworkFile:
-    return build_network_file(linear_network, press(1, serial="S0"))
+    return build_network_file(linear_network, press(1, serial="S0"), AnchorConfig())
 
 
 @pytest.fixture
@@ -279,7 +280,7 @@ def test_no_window_at_all_takes_a_mix_out_of_32_bits(rng: np.random.Generator) -
 def test_a_network_too_large_for_the_format_is_refused(press: Press) -> None:
     wide = Network((np.ones((15, 1100)), np.ones((1100, 1))), (np.zeros(1100), np.zeros(1)), 0.5, 0.1, 0.0, 1.0)
     with pytest.raises(UnitRefused, match="15-1100-1"):
-        build_network_file(wide, press(1))
+        build_network_file(wide, press(1), AnchorConfig())
 
 
 def test_knots_that_fall_on_one_code_are_merged(network_file: NetworkFile) -> None:

@@ -13,6 +13,7 @@ from softcal.core.simulated_lot import LotDesign, SimulatedLot, simulate_lot
 from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.findings import contradictions
 from softcal.core.unit.health import output_limits
+from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.unit.state import UnitState
 from softcal.core.unit.unit_problem import UnitProblem
@@ -29,7 +30,7 @@ def seed(request: pytest.FixtureRequest) -> int:
 @pytest.fixture(scope="module")
 def model(seed: int) -> SourceModel:
     source = simulate_lot(seed, LotDesign(good=1)).source
-    return make_source_model(source, fit_network(source, NETWORK).network)
+    return make_source_model(source, fit_network(source, NETWORK).network, method=Method())
 
 
 def lot(seed: int, **design: object) -> SimulatedLot:
@@ -133,6 +134,6 @@ def test_an_output_is_elsewhere_when_half_of_the_wider_range_parts_it_from_the_s
     press = np.sin(np.pi * t_s) ** 2 + 1e-3 * np.random.default_rng(1).normal(size=1500)
     source = OutputRecording("S0", t_s, press - 0.5, 50.0)
     unit = OutputRecording("U1", t_s, 0.5 + apart_V + 0.2 * press, 50.0)
-    limits = output_limits(unit, source, True, model.method.health)
+    limits = output_limits(unit, source, True, model.method)
     said = [finding.reason.code for finding in contradictions(source, unit, limits, model.method)]
     assert said == (["elsewhere"] if is_elsewhere else [])

@@ -8,7 +8,7 @@ import pytest
 from softcal.core.errors import UnitRefused
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.health import check_alive, count_presses, health_findings, output_limits, run_lengths
-from softcal.core.unit.method import HealthConfig
+from softcal.core.unit.method import HealthConfig, Method
 
 HEALTH = HealthConfig()
 
@@ -19,7 +19,7 @@ def source(press):
 
 
 def kinds(target, source):
-    limits = output_limits(target, source, is_rising=True, config=HEALTH)
+    limits = output_limits(target, source, is_rising=True, method=Method())
     return [f.kind for f in health_findings(target, source, limits, HEALTH)]
 
 
@@ -49,7 +49,7 @@ def test_a_clipped_range_is_found_with_its_rail(press, source):
     unit = press(2).unlabelled
     clipped = replace(unit, output=np.minimum(unit.output, 0.65))
     assert "saturated" in kinds(clipped, source)
-    assert output_limits(clipped, source, is_rising=True, config=HEALTH).rail_high == pytest.approx(0.65, abs=0.02)
+    assert output_limits(clipped, source, is_rising=True, method=Method()).rail_high == pytest.approx(0.65, abs=0.02)
 
 
 def test_a_noisy_clip_is_found_too(press, source, rng):
@@ -71,7 +71,7 @@ def test_a_falling_output_is_clipped_at_its_lower_end(press, source):
     falling_source = replace(source, output=1.0 - source.output)
     unit = press(2).unlabelled
     clipped = replace(unit, output=np.maximum(1.0 - unit.output, 0.35))
-    limits = output_limits(clipped, falling_source, is_rising=False, config=HEALTH)
+    limits = output_limits(clipped, falling_source, is_rising=False, method=Method())
     assert limits.rail_low == pytest.approx(0.35, abs=0.02)
 
 
@@ -96,7 +96,7 @@ def test_a_reading_that_freezes_in_mid_range_asks_for_a_retest(press, source):
     start = int(np.flatnonzero(np.abs(output - 0.65) < 0.01)[0])
     output[start : start + 400] = output[start]
     pair = replace(press(2).unlabelled, output=output), source
-    found = health_findings(*pair, output_limits(*pair, is_rising=True, config=HEALTH), HEALTH)
+    found = health_findings(*pair, output_limits(*pair, is_rising=True, method=Method()), HEALTH)
     assert [f.best for f in found if f.kind == "stuck"] == ["retest"]
 
 

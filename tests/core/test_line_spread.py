@@ -7,12 +7,12 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.maps.config import MapConfig
-from softcal.core.quality.acceptance import Promise, tolerance_factor
+from softcal.core.quality.acceptance import tolerance_factor
 from softcal.core.quality.release import AuditedUnit, release
 from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.explanation import contributions
 from softcal.core.unit.line_spread import LineSpread, seen_gains
-from softcal.core.unit.method import LineConfig, Method
+from softcal.core.unit.method import LineConfig, Method, ReleaseConfig
 from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import Limit
 
@@ -81,17 +81,19 @@ def test_no_spread_and_percent_for_a_share_are_refused(load, day):
 
 
 def test_gains_of_audited_units_show_the_spread(rng):
-    seen = seen_gains(list(1.05 * np.exp(0.12 * rng.normal(size=4000))))
+    seen = seen_gains(list(1.05 * np.exp(0.12 * rng.normal(size=4000))), 3)
     assert seen.centre == pytest.approx(1.05, rel=0.01) and seen.spread == pytest.approx(0.12, rel=0.05)
-    assert seen_gains([1.0, 1.1]) is None and seen_gains([1.0, -0.4, 1.1]) is None
+    assert seen_gains([1.0, 1.1], 3) is None and seen_gains([1.0, -0.4, 1.1], 3) is None
 
 
 def test_what_golden_runs_show_from_day_to_day_is_kept_from_the_limit():
     audits = [AuditedUnit(f"A{k}", 0.3, 0.3 * (1 + 0.01 * k)) for k in range(10)]
     forecasts = {f"U{k}": 0.3 for k in range(4)}
-    factor = release(forecasts, audits, Limit("N", 1.0)).factor
+    limit, config = Limit("N", 1.0), ReleaseConfig()
+    factor = release(forecasts, audits, limit, config).factor
     room = np.sqrt(1.0 - (0.3 * factor) ** 2)
-    assert len(release(forecasts, audits, Limit("N", 1.0), days=dict.fromkeys(forecasts, 0.99 * room)).released) == 4
-    assert release(forecasts, audits, Limit("N", 1.0), days=dict.fromkeys(forecasts, 1.01 * room)).released == ()
+    within, beyond = (dict.fromkeys(forecasts, share * room) for share in (0.99, 1.01))
+    assert len(release(forecasts, audits, limit, config, days=within).released) == 4
+    assert release(forecasts, audits, limit, config, days=beyond).released == ()
     # Four days say less of the next than forty.
-    assert tolerance_factor(4, 3, Promise()) > 1.9 * tolerance_factor(40, 39, Promise())
+    assert tolerance_factor(4, 3, 0.1, 0.9) > 1.9 * tolerance_factor(40, 39, 0.1, 0.9)

@@ -13,7 +13,7 @@ from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.measured_error import MeasuredError
-from softcal.core.unit.method import Method
+from softcal.core.unit.method import DecisionConfig, Method
 from softcal.core.unit.scoring import score_map
 from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import Limit
@@ -41,12 +41,12 @@ def test_the_own_calibration_is_compared_on_its_test_rows_alone(source_model, pr
     unit, audit = press(2, gain=1.3, seconds=120.0), press(3, gain=1.3)
     made = calibrate(UnitProblem(source_model, unit.unlabelled, Limit("N", 2.0)))
     config = NetworkConfig(hidden=(8,), max_epochs=20)
-    scores = score_map(linear_network, made.unit_map, audit, config)
+    scores = score_map(linear_network, made.unit_map, audit, DecisionConfig(), config)
     assert scores.own is not None and scores.own.own.rows < scores.after.rows
     rows = np.arange(len(audit) - scores.own.own.rows, len(audit))
     found = estimate(linear_network, made.calibration, audit.unlabelled).estimate
     assert scores.own.after == MeasuredError.of(found[rows], audit.reference[rows])
-    again = score_map(linear_network, made.unit_map, audit, scores.own.own)
+    again = score_map(linear_network, made.unit_map, audit, DecisionConfig(), scores.own.own)
     assert again == scores
 
 
@@ -90,5 +90,5 @@ def test_no_window_reaches_over_a_gap_in_the_score(source_model, press, linear_n
     t_s = np.concatenate([raw.t_s[:10], raw.t_s[10:600] + 5.0])
     short = LabelledRecording(OutputRecording("U1", t_s, raw.output[:600], 50.0), press(3).reference[:600])
     unit = calibrate(UnitProblem(source_model, press(2, seconds=120.0).unlabelled, Limit("N", 2.0)))
-    scores = score_map(linear_network, unit.unit_map, short)
+    scores = score_map(linear_network, unit.unit_map, short, DecisionConfig())
     assert scores.after.rows == 590 - (TAPS - 1) and scores.unscored == {"warm-up": 10, "gap": TAPS - 1}

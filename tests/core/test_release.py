@@ -1,5 +1,6 @@
 """Bounds over units, acceptance sampling and release: against closed forms, other implementations and drawn lots."""
 
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -8,11 +9,10 @@ from scipy.stats import binom, norm
 
 from softcal.core.errors import InputError
 from softcal.core.quality.acceptance import (
-    Promise,
     audits_by_count,
     failing_share,
-    least_risk,
-    least_units,
+    min_risk,
+    min_units,
     pooled_scale,
     promise_rows,
     share_beyond,
@@ -20,11 +20,14 @@ from softcal.core.quality.acceptance import (
 )
 from softcal.core.quality.lot_release import release_lot
 from softcal.core.quality.qualification import PastAudit, qualify, small_lot
-from softcal.core.quality.release import AuditedUnit, audited_ratios, least_passing, release
+from softcal.core.quality.release import AuditedUnit, audited_ratios, min_passing, release
 from softcal.core.quality.widening import AuditedSamples, Widening, fit_widening
+from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import Limit
 
 LIMIT = Limit("N", 1.0)
+METHOD = Method()
+RULES = METHOD.release
 NOW = datetime(2026, 5, 1, tzinfo=UTC)
 
 
@@ -36,7 +39,7 @@ def upper_bound(scores, risk):
 
 def test_too_few_units_bound_nothing():
     assert share_beyond(8, 0.1, 0.9) == 1.0 > share_beyond(9, 0.1, 0.9)
-    assert least_units(0.1) == 9 and least_units(0.05) == 19 and least_risk(9) == pytest.approx(0.1)
+    assert min_units(0.1) == 9 and min_units(0.05) == 19 and min_risk(9) == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize(("count", "risk"), [(10, 0.1), (22, 0.05), (40, 0.1)])
@@ -50,7 +53,7 @@ def test_the_share_beyond_the_bound_is_kept_with_the_stated_confidence(count, ri
 def test_more_audits_never_promise_less():
     shares = [share_beyond(count, 1 / (count + 1), 0.9) for count in range(2, 60)]
     assert np.all(np.diff(shares) < 0)
-    factors = [tolerance_factor(count, count - 1, Promise()) for count in range(2, 60)]
+    factors = [tolerance_factor(count, count - 1, 0.1, 0.9) for count in range(2, 60)]
     assert np.all(np.diff(factors) < 0)
 
 
@@ -79,9 +82,9 @@ def test_hierarchical_scale_of_too_few_units_is_infinite():
 
 
 def test_counting_needs_the_classical_numbers_of_audits():
-    assert audits_by_count(Promise(0.1, 0.9)) == 22
-    assert audits_by_count(Promise(0.05, 0.95)) == 59
-    assert audits_by_count(Promise(0.1, 0.9), failed=1) == 38
+    assert audits_by_count(0.1, 0.9) == 22
+    assert audits_by_count(0.05, 0.95) == 59
+    assert audits_by_count(0.1, 0.9, failed=1) == 38
     assert binom.cdf(1, 38, 0.1) <= 0.1 < binom.cdf(1, 37, 0.1)
 
 
@@ -92,7 +95,7 @@ def test_a_process_of_which_all_failed_is_known_to_fail():
 def test_the_tolerance_factor_is_that_of_the_standards_tables():
     # ISO 16269-6, one-sided, unknown SD, p = 0.90, confidence 0.90; n = 5, 10, 20 (also Odeh and Owen 1980, table 1).
     for count, factor in ((5, 2.742), (10, 2.066), (20, 1.765)):
-        assert tolerance_factor(count, count - 1, Promise()) == pytest.approx(factor, abs=2e-3)
+        assert tolerance_factor(count, count - 1, 0.1, 0.9) == pytest.approx(factor, abs=2e-3)
 
 
 def _lot(rng, count, centre, spread, forecast_spread=0.3):
@@ -111,7 +114,7 @@ def test_few_lots_release_more_bad_units_than_promised(centre, depends):
             truth = 0.3 * np.exp(centre + 0.35 * rng.normal(size=210))
         audits = [AuditedUnit(f"A{k}", forecast[k], truth[k]) for k in range(10)]
         rest = {f"U{k}": float(forecast[k]) for k in range(10, 210)}
-        decision = release(rest, audits, LIMIT)
+        decision = release(rest, audits, LIMIT, RULES)
         beyond = sum(truth[int(serial[1:])] > 1.0 for serial in decision.released)
         bad, released = bad + beyond, released + len(decision.released)
         broken += beyond > 0.1 * len(decision.released)
@@ -124,7 +127,7 @@ def test_a_good_lot_is_released():
     for _ in range(200):
         forecast, truth = _lot(rng, 40, 0.0, 0.2, 0.2)
         audits = [AuditedUnit(f"A{k}", forecast[k], truth[k]) for k in range(10)]
-        decision = release({f"U{k}": float(forecast[k]) for k in range(10, 40)}, audits, LIMIT)
+        decision = release({f"U{k}": float(forecast[k]) for k in range(10, 40)}, audits, LIMIT, RULES)
         shares.append(len(decision.released) / 30)
     assert np.mean(shares) >= 0.85
 
@@ -133,25 +136,25 @@ def test_release_of_few_of_many_takes_more_than_release_of_all():
     audits = [
         AuditedUnit(f"A{k}", 0.3, 0.3 * np.exp(0.2 * v)) for k, v in enumerate(norm.ppf(np.linspace(0.05, 0.95, 10)))
     ]
-    alone = release({"U": 0.5}, audits, LIMIT)
-    among = release({"U": 0.5, "V": 0.4, "W": 5.0}, audits, LIMIT)
+    alone = release({"U": 0.5}, audits, LIMIT, RULES)
+    among = release({"U": 0.5, "V": 0.4, "W": 5.0}, audits, LIMIT, RULES)
     assert alone.released == ("U",) and among.released == ("V", "U") and among.factor > alone.factor
     assert among.risk_any_form > alone.risk_any_form
 
 
 def test_the_few_best_of_a_poor_lot_are_not_released():
     audits = [AuditedUnit(f"A{k}", 0.3, 0.3) for k in range(10)]
-    assert release({"U": 0.01, "V": 5.0, "W": 5.0}, audits, LIMIT).released == ()
+    assert release({"U": 0.01, "V": 5.0, "W": 5.0}, audits, LIMIT, RULES).released == ()
 
 
 def test_no_audit_releases_nothing():
-    assert release({"U": 0.01}, [], LIMIT).released == ()
-    assert release({"U": 0.01}, [AuditedUnit("A", 0.1, 0.1)], LIMIT).released == ()
+    assert release({"U": 0.01}, [], LIMIT, RULES).released == ()
+    assert release({"U": 0.01}, [AuditedUnit("A", 0.1, 0.1)], LIMIT, RULES).released == ()
 
 
 def test_a_unit_audited_twice_is_refused():
     with pytest.raises(InputError, match="A1"):
-        audited_ratios([AuditedUnit("A1", 0.1, 0.1), AuditedUnit("A1", 0.1, 0.2)])
+        audited_ratios([AuditedUnit("A1", 0.1, 0.1), AuditedUnit("A1", 0.1, 0.2)], RULES)
     with pytest.raises(InputError):
         AuditedUnit("A1", 0.1, float("nan"))
 
@@ -163,10 +166,10 @@ def test_lots_that_differ_bound_a_new_lot_wider_than_their_units_do():
         [AuditedUnit(f"A{k}", 1.0, float(np.exp(s + 0.1 * rng.normal())), f"lot {j}") for k in range(8)]
         for j, s in enumerate(shifts)
     ]
-    together = audited_ratios([unit for lot in lots for unit in lot])
-    assert together.spread > 3 * audited_ratios(lots[0]).spread
+    together = audited_ratios([unit for lot in lots for unit in lot], RULES)
+    assert together.spread > 3 * audited_ratios(lots[0], RULES).spread
     assert together.degrees < 5
-    assert audited_ratios(lots[0] + lots[1]).bound(Promise()) == np.inf
+    assert audited_ratios(lots[0] + lots[1], RULES).bound(RULES) == np.inf
 
 
 def test_audits_of_earlier_lots_keep_the_promise_for_a_new_lot():
@@ -177,12 +180,12 @@ def test_audits_of_earlier_lots_keep_the_promise_for_a_new_lot():
             for j, c in enumerate(0.3 * rng.normal(size=5))
             for k in range(6)
         ]
-        share = 1 - norm.cdf(np.log(audited_ratios(units).bound(Promise())) / np.hypot(0.3, 0.2))
+        share = 1 - norm.cdf(np.log(audited_ratios(units, RULES).bound(RULES)) / np.hypot(0.3, 0.2))
         beyond += share > 0.1
     assert beyond / trials <= 0.1 + 5 * np.sqrt(0.09 / trials)
 
 
-def _past(lots=4, each=5, days=10, model="EG", method="m1", failed=False):
+def _past(lots=4, each=5, days=10, model="EG", method=METHOD.id, failed=False):
     return [
         PastAudit(
             AuditedUnit(f"P{k}", 0.1, 0.1 + 0.001 * k, f"lot {j}"), model, method, NOW - timedelta(days=days), failed
@@ -197,25 +200,25 @@ def _here(count):
 
 
 def test_enough_audits_of_the_lot_qualify_it():
-    assert qualify(_here(9), [], NOW, "", "m1").source == "this lot"
-    found = qualify(_here(6), [], NOW, "EG", "m1")
+    assert qualify(_here(9), [], NOW, "", METHOD).source == "this lot"
+    found = qualify(_here(6), [], NOW, "EG", METHOD)
     assert not found.is_given and found.wanted == found.reason.values["missing"] == 3
 
 
 def test_audits_of_earlier_lots_qualify_the_same_product_and_method():
-    found = qualify([], _past(), NOW, "EG", "m1")
+    found = qualify([], _past(), NOW, "EG", METHOD)
     assert found.source == "earlier lots" and len(found.audits) == 20
 
 
 @pytest.mark.parametrize(
     ("past", "model", "method", "code"),
     [
-        (_past(), "other", "m1", "other_method"),
-        (_past(), "EG", "m2", "other_method"),
-        (_past(), "", "m1", "no_model"),
-        (_past(days=400), "EG", "m1", "old_audits"),
-        (_past(lots=2, each=9), "EG", "m1", "few_lots"),
-        (_past() + _past(lots=1, each=1, days=5, failed=True), "EG", "m1", "withdrawn"),
+        (_past(), "other", METHOD, "other_method"),
+        (_past(), "EG", replace(METHOD, range_margin=0.07), "other_method"),
+        (_past(), "", METHOD, "no_model"),
+        (_past(days=400), "EG", METHOD, "old_audits"),
+        (_past(lots=2, each=9), "EG", METHOD, "few_lots"),
+        (_past() + _past(lots=1, each=1, days=5, failed=True), "EG", METHOD, "withdrawn"),
     ],
 )
 def test_what_does_not_count_is_named(past, model, method, code):
@@ -226,13 +229,13 @@ def test_what_does_not_count_is_named(past, model, method, code):
 
 
 def test_a_failed_golden_unit_withdraws_what_was_audited_before_it():
-    assert not qualify([], _past(days=10), NOW, "EG", "m1", golden_failed_at=NOW - timedelta(days=3)).is_given
-    assert qualify([], _past(days=2), NOW, "EG", "m1", golden_failed_at=NOW - timedelta(days=3)).is_given
+    assert not qualify([], _past(days=10), NOW, "EG", METHOD, golden_failed_at=NOW - timedelta(days=3)).is_given
+    assert qualify([], _past(days=2), NOW, "EG", METHOD, golden_failed_at=NOW - timedelta(days=3)).is_given
 
 
 def test_audits_made_after_a_failure_qualify_again():
     past = _past(days=30, failed=True) + _past(days=5)
-    assert qualify([], past, NOW, "EG", "m1").is_given
+    assert qualify([], past, NOW, "EG", METHOD).is_given
 
 
 def _audited(residual, half=1.0):
@@ -245,7 +248,7 @@ def test_the_interval_serves_one_more_unit_however_differently_units_were_presse
         # Each unit misreads its loads by another share; residuals grow with the load.
         loads = (0.3 * rng.normal() * rng.random(200) + 0.02 * rng.normal(size=200) for _ in range(11))
         units = [_audited(residual, half=0.02) for residual in loads]
-        widening = fit_widening(units[:-1], 0.9)
+        widening = fit_widening(units[:-1], 0.9, RULES)
         served += np.mean(units[-1].ratio(widening) <= 1) >= 0.8
         pooled = pooled_scale([unit.ratio(Widening()) for unit in units[:-1]], 0.9)
         pooled_served += np.mean(units[-1].ratio(Widening()) <= pooled) >= 0.8
@@ -263,7 +266,7 @@ def test_the_widening_follows_its_closed_form():
 def test_units_that_are_alike_get_the_factor_of_their_median_and_nothing_beside_it():
     rng = np.random.default_rng(6)
     units = [_audited(0.5 * rng.normal(size=4000), half=1.645) for _ in range(10)]
-    widening = fit_widening(units, 0.9)
+    widening = fit_widening(units, 0.9, RULES)
     # 0.5 x 1.645 is the true 90 % half-width.
     assert widening.scale == pytest.approx(0.5, rel=0.05) and widening.added < 0.2
     covered = [np.mean(unit.ratio(widening) <= 1) for unit in units]
@@ -272,46 +275,46 @@ def test_units_that_are_alike_get_the_factor_of_their_median_and_nothing_beside_
 
 def test_an_interval_that_is_too_narrow_gets_an_error_beside_it():
     units = [_audited(np.random.default_rng(k).normal(size=500), half=0.1) for k in range(10)]
-    widening = fit_widening(units, 0.9)
+    widening = fit_widening(units, 0.9, RULES)
     assert widening.scale == 1.0 and widening.added == pytest.approx(1.645, rel=0.15)
 
 
 def test_one_audited_unit_widens_and_none_is_refused():
-    assert fit_widening([_audited(np.full(50, 2.0))], 0.9).added == pytest.approx(np.sqrt(3.0), rel=0.01)
+    assert fit_widening([_audited(np.full(50, 2.0))], 0.9, RULES).added == pytest.approx(np.sqrt(3.0), rel=0.01)
     with pytest.raises(InputError):
-        fit_widening([], 0.9)
+        fit_widening([], 0.9, RULES)
 
 
 def test_the_few_good_units_of_a_poor_lot_are_not_released():
     audits = [AuditedUnit(f"A{k}", 0.3, 0.3 * (1 + 0.01 * k)) for k in range(10)]
     forecasts = {"U1": 0.3, "U2": 0.31}
-    assert release(forecasts, audits, LIMIT).released == ("U1", "U2")
+    assert release(forecasts, audits, LIMIT, RULES).released == ("U1", "U2")
     # 10 audits held and 2 would pass: half of 24 units, but not of 26.
-    assert release(forecasts, audits, LIMIT, least=least_passing(24, 10)).released == ("U1", "U2")
-    assert release(forecasts, audits, LIMIT, least=least_passing(26, 10)).released == ()
+    assert release(forecasts, audits, LIMIT, RULES, least=min_passing(24, 10, RULES)).released == ("U1", "U2")
+    assert release(forecasts, audits, LIMIT, RULES, least=min_passing(26, 10, RULES)).released == ()
 
 
 @pytest.mark.parametrize(("units", "audited", "left"), [(1, 0, 1), (9, 2, 7), (5, 5, 0)])
 def test_a_lot_with_no_unit_left_after_the_audits_is_told_to_measure_all_of_it(units, audited, left):
-    found = qualify(_here(audited), [], NOW, "EG", "m1", units=units)
+    found = qualify(_here(audited), [], NOW, "EG", METHOD, units=units)
     assert not found.is_given and found.wanted == left
     assert found.reason.code == "part.unqualified_small"
     assert found.reason.values["small"].values == {"units": units, "wanted": 9, "least": 3}
 
 
 def test_a_lot_with_a_unit_to_spare_is_told_how_many_to_audit():
-    assert qualify(_here(1), [], NOW, "EG", "m1", units=10).reason.values["missing"] == 8
+    assert qualify(_here(1), [], NOW, "EG", METHOD, units=10).reason.values["missing"] == 8
 
 
 def test_a_small_lot_is_shown_no_promise_it_cannot_have():
-    assert small_lot(9) is not None and small_lot(10) is None
-    assert [row[0] for row in promise_rows(10)] == ["3 audits", "5 audits", "9 audits"]
-    assert len(promise_rows()) > len(promise_rows(10))
+    assert small_lot(9, RULES) is not None and small_lot(10, RULES) is None
+    assert [row[0] for row in promise_rows(RULES, 10)] == ["3 audits", "5 audits", "9 audits"]
+    assert len(promise_rows(RULES)) > len(promise_rows(RULES, 10))
 
 
 def test_a_lot_whose_every_unit_was_measured_has_nothing_left_to_promise():
     audits = [AuditedUnit("A", 0.1, 0.2), AuditedUnit("B", 0.1, 2.0)]
-    decided = release_lot({}, qualify(audits, [], NOW, "EG", "m1", units=2), LIMIT, Promise())
+    decided = release_lot({}, qualify(audits, [], NOW, "EG", METHOD, units=2), LIMIT, RULES)
     seen = decided.statement.values["seen"].values
     assert decided.statement.code == "release.none_left"
     assert (seen["audits"].values, seen["beyond"], seen["limit"], seen["unit"]) == ({"audits": 2}, 1, 1.0, "N")
@@ -320,10 +323,13 @@ def test_a_lot_whose_every_unit_was_measured_has_nothing_left_to_promise():
 def test_a_forecast_is_multiplied_by_what_audits_measured_of_theirs_and_by_nothing_without_them():
     audits = [AuditedUnit(f"A{k}", 0.2, 0.3) for k in range(12)]
     forecasts = {"light": 0.3, "heavy": 0.75}
-    decided = release_lot(forecasts, qualify(audits, [], NOW, "EG", "m1", units=14), LIMIT, Promise())
+    decided = release_lot(forecasts, qualify(audits, [], NOW, "EG", METHOD, units=14), LIMIT, RULES)
     assert decided.forecast_scale == pytest.approx(1.5)
     said = {serial: decided.sample_release(serial, 1) for serial in forecasts}
-    assert [said[serial].judgement(rmse, LIMIT).verdict for serial, rmse in forecasts.items()] == ["pass", "fail"]
-    blind = release_lot(forecasts, qualify([], [], NOW, "EG", "m1", units=14), LIMIT, Promise())
+    assert [said[serial].judgement(rmse, LIMIT).verdict for serial, rmse in forecasts.items()] == [
+        "pass",
+        "fail",
+    ]
+    blind = release_lot(forecasts, qualify([], [], NOW, "EG", METHOD, units=14), LIMIT, RULES)
     assert blind.forecast_scale == 1.0
     assert all(blind.sample_release(serial, 1) is None for serial in forecasts)

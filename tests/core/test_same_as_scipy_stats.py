@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from softcal.core.maps.synchrony import ranks
-from softcal.core.quality.acceptance import Promise, failing_share, share_beyond, tolerance_factor
+from softcal.core.quality.acceptance import failing_share, share_beyond, tolerance_factor
 from softcal.core.quality.widening import _next_unit
 
 CLOSE = {"rel": 1e-12}
@@ -29,10 +29,9 @@ def test_what_lies_beyond_a_bound(count: int, rank: int) -> None:
 @pytest.mark.parametrize("risk", [0.05, 0.1])
 @pytest.mark.parametrize(("count", "degrees"), [(2, 1), (5, 4), (22, 21), (3.5, 40)])
 def test_the_factor_of_a_tolerance(count: float, degrees: float, risk: float) -> None:
-    promise = Promise(risk, 0.9)
     shift = stats.norm.ppf(1 - risk) * np.sqrt(count)
     wanted = stats.nct.ppf(0.9, degrees, shift) / np.sqrt(count)
-    assert tolerance_factor(count, degrees, promise) == pytest.approx(wanted, rel=1e-9)
+    assert tolerance_factor(count, degrees, risk, 0.9) == pytest.approx(wanted, rel=1e-9)
 
 
 def test_what_one_more_value_exceeds(rng: np.random.Generator) -> None:

@@ -115,7 +115,7 @@ def test_a_forecast_is_the_root_of_the_sum_of_squares():
 def test_a_gain_from_matched_levels_widens_with_the_square_of_the_load(source_model, linear_network, press):
     # Rests as the source does and reaches beyond its loads: nothing of them is unseen.
     unit = press(3, gain=1.2, offset_V=-0.1, seconds=120.0).unlabelled
-    limits = output_limits(unit, source_model.source.unlabelled, is_rising=True, config=METHOD.health)
+    limits = output_limits(unit, source_model.source.unlabelled, is_rising=True, method=METHOD)
     evidence = gather_evidence(source_model, unit, AffineMap(1.0, 0.0, "identity"), limits, OtherMaps(gain_error=0.1))
     row = variance_table(source_model, evidence)[1]
     even = variance_table(source_model, replace(evidence, budget={**evidence.budget, "gain": 0.0}))[1]
@@ -130,7 +130,7 @@ def test_a_gain_from_matched_levels_widens_with_the_square_of_the_load(source_mo
 def test_loads_the_unit_has_not_shown_are_uncertain_there_alone(source_model, linear_network, press):
     unit = press(3, seconds=120.0).unlabelled
     half = replace(unit, output=0.5 + 0.5 * (unit.output - 0.5))
-    limits = output_limits(half, source_model.source.unlabelled, is_rising=True, config=METHOD.health)
+    limits = output_limits(half, source_model.source.unlabelled, is_rising=True, method=METHOD)
     evidence = gather_evidence(source_model, half, AffineMap(1.0, 0.0, "identity"), limits)
     row, reach = variance_table(source_model, evidence)[1], np.quantile(evidence.estimate, 0.995)
     level = source_model.interval.low + (np.arange(len(row)) + 0.5) * np.ptp(source_model.source.reference) / len(row)

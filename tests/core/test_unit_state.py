@@ -12,6 +12,7 @@ from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.anchors import AnchoredMap
 from softcal.core.maps.interface import map_sha256
 from softcal.core.unit.measured_error import MeasuredError, Scores
+from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.output_level import LoadLine
 from softcal.core.unit.state import Correction, SampleRelease, Trim, UnitState
 from softcal.core.unit.state_json import adjustments_to_json, fit_from_json, fit_to_json, state_from_json
@@ -156,7 +157,7 @@ STANDS_AGAINST = {
     "an unreadable audit": ACTS["unreadable"],
     "a suspect audit": ACTS["suspect"],
     "another limit": lambda state: replace(state, limit=Limit("N", 0.39)),
-    "no stated limit": lambda state: replace(state, limit=default_limit("N", 0.15, 3.0)),
+    "no stated limit": lambda state: replace(state, limit=default_limit("N", 0.15, 3.0, DecisionConfig())),
     "a withdrawn statement": lambda state: replace(
         state, release=release_of(is_released=False, withdrawn=reason("part.withdrawn"))
     ),
@@ -212,7 +213,7 @@ FINDINGS = st.lists(st.sampled_from(list(Verdict)), max_size=2)
 @given(
     number=st.integers(1, 6),
     found=FINDINGS,
-    limit=st.sampled_from([LIMIT, Limit("N", 0.2), default_limit("N", 0.15, 3.0)]),
+    limit=st.sampled_from([LIMIT, Limit("N", 0.2), default_limit("N", 0.15, 3.0, DecisionConfig())]),
     acts=st.lists(st.sampled_from(["trim", "correction", "release", "suspect", "unreadable"]), max_size=6),
     after=st.none() | st.floats(0.01, 1.0),
     rows=st.integers(30, 20_000),

@@ -7,6 +7,7 @@ from scipy.stats import norm
 
 from softcal.core.errors import InputError
 from softcal.core.unit.measured_error import MeasuredError, Scores
+from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import (
     VERDICTS,
@@ -59,14 +60,14 @@ def test_an_error_near_the_limit_is_conditional_within_it_and_fails_beyond_it(rm
 
 
 def test_the_reason_states_error_limit_and_where_the_limit_comes_from():
-    verdict = compare_with_limit(ErrorForecast(0.5, 0.46, 0.54), default_limit("N", 0.15, 3.0))
+    verdict = compare_with_limit(ErrorForecast(0.5, 0.46, 0.54), default_limit("N", 0.15, 3.0, DecisionConfig()))
     assert "0.5 N" in str(verdict.reasons[0])
     assert verdict.reasons[0].values["origin"].code == "part.automatic"
 
 
 @given(rmse=st.floats(0.001, 0.44), guard=st.floats(0, 0.3), word=st.sampled_from(VERDICTS))
 def test_nothing_passes_by_a_limit_that_nobody_stated(rmse, guard, word):
-    error, derived = ErrorForecast(rmse, rmse - guard, rmse + guard), default_limit("N", 0.15, 3.0)
+    error, derived = ErrorForecast(rmse, rmse - guard, rmse + guard), default_limit("N", 0.15, 3.0, DecisionConfig())
     for source in ("predicted", "measured"):
         judgement = compare_with_limit(error, derived, (Finding(plain("something"), word),), source)
         assert judgement.verdict is worst_of([Verdict.CONDITIONAL, word])

@@ -14,6 +14,7 @@ from softcal.core.export.blob import NetworkFile, UnitFile
 from softcal.core.export.compile_map import InputScale
 from softcal.core.export.device import DeviceOptions, UnitFacts, build_network_file, build_unit_file
 from softcal.core.maps.affine_map import AffineMap, fit_affine
+from softcal.core.maps.config import AnchorConfig
 from softcal.core.maps.interface import FitProblem
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
@@ -54,7 +55,7 @@ def real_case(measured_data: Path) -> DeviceCase:
     source, target = (_recording(measured_data / "egain_pair" / f"{name}.csv", name) for name in ("S1", "S2"))
     network = fit_network(source, NetworkConfig(max_epochs=60)).network
     unit_map = fit_affine(FitProblem(source, network, target.unlabelled))
-    network_file = build_network_file(network, source)
+    network_file = build_network_file(network, source, AnchorConfig())
     estimate = network.evaluate(unit_map.apply(target.windows))
     facts = UnitFacts("S2", 1, "pass", 0, unit_map, target.unlabelled, estimate - 0.4, estimate + 0.5, 0.3)
     options = DeviceOptions(InputScale.of_converter(10, 5.0))

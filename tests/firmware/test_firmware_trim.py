@@ -16,6 +16,7 @@ from softcal.core.export.loader import OUT_OF_RANGE, open_sensor, run_self_test
 from softcal.core.export.quantise import quantise_layer
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.anchors import AnchoredMap
+from softcal.core.maps.config import AnchorConfig
 from softcal.core.maps.interface import Anchors, FitProblem
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
@@ -123,7 +124,7 @@ def both(bridge: ctypes.CDLL) -> Both:
     source, unit = pressed("S0", source_V, 1), pressed("U1", unit_V, 2).unlabelled
     network = fit_network(source, NetworkConfig(hidden=(16, 8), max_epochs=60)).network
     unit_map = AffineMap(1 / GAIN, -OFFSET_V / GAIN)
-    network_file = build_network_file(network, source)
+    network_file = build_network_file(network, source, AnchorConfig())
     exact = network.evaluate(unit_map.apply(unit.windows))
     facts = UnitFacts("U1", 1, "pass", 0, unit_map, unit, exact - BAND_N, exact + BAND_N, BAND_N)
     unit_file = build_unit_file(facts, network, network_file).file

@@ -11,7 +11,6 @@ import pytest
 from softcal.core.gap.method import GapMethod
 from softcal.core.settings import origins
 from softcal.core.unit.method import Method
-from softcal.core.unit.trim import TrimConfig
 from softcal.core.use.method import UseMethod
 
 CORE = Path(__file__).parents[2] / "core"
@@ -19,6 +18,7 @@ ROOMS = ("unit", "maps", "use")
 NO_DECISION = {
     "core/unit/method.py": {"CONFIDENCE", "LEVELS"},  # parts of the file formats, and fields of `Method`
     "core/unit/audit.py": {"INSTANTS"},  # instants of the stored reading
+    "core/unit/trim.py": {"MAX_CHANGE"},  # what a device holds
     "core/unit/bridge.py": {"SAME_DAY"},  # the identity
     "core/unit/line_spread.py": {"MOST_SPREAD"},  # 1, the end of what a share can be
     "core/unit/uncertainty.py": {"NORMAL_90"},  # a quantile of the normal distribution
@@ -123,6 +123,7 @@ EXPLAINED = {
         "6": "variance of a second difference over that of the samples",
         "0.001": "width of a flat stretch without noise or steps",
     },
+    "core/unit/lot_correction.py": {"3": "values that leave a straight line two degrees of freedom"},
     "core/unit/method.py": {"0.9": "a tenth below another number"},
     "core/unit/source_model.py": {"0.05": "a finite step of a slope", "0.001": "floor of a divisor"},
     "core/unit/uncertainty.py": {"3": "terms of a parabola", "4": "features of a window"},
@@ -221,9 +222,7 @@ def test_numbers_of_the_file_formats_cannot_be_changed() -> None:
             Method(**{name: getattr(Method(), name) + 1})
 
 
-@pytest.mark.parametrize(
-    "method", [Method(), TrimConfig(), UseMethod(), GapMethod()], ids=["calibration", "trim", "use", "gap"]
-)
+@pytest.mark.parametrize("method", [Method(), UseMethod(), GapMethod()], ids=["calibration", "use", "gap"])
 def test_every_number_says_where_it_comes_from(method: object) -> None:
     assert [name for name, _, origin in origins(method) if not origin.strip()] == []
 
@@ -240,3 +239,77 @@ def test_a_method_comes_back_from_what_was_kept() -> None:
     method = replace(Method(), range_margin=0.07)
     assert Method.of(json.loads(json.dumps(method.to_json()))) == method
     assert Method.of({}) == Method()
+
+
+ROOT = CORE.parent
+PRODUCT = [path for folder in ("app", "core", "db", "station") for path in sorted((ROOT / folder).rglob("*.py"))]
+
+
+def numbered_classes() -> set[str]:
+    """Names of the classes whose numbers are declared with `setting` or `table`, and of those made of them."""
+    return {
+        node.name
+        for path in PRODUCT
+        if "softcal.core.settings import" in (text := path.read_text())
+        for node in ast.parse(text).body
+        if isinstance(node, ast.ClassDef) and any(isinstance(part, ast.AnnAssign) for part in node.body)
+    }
+
+
+NUMBERED = numbered_classes()
+FIELDS = {
+    part.target.id
+    for path in PRODUCT
+    for node in ast.walk(ast.parse(path.read_text()))
+    if isinstance(node, ast.ClassDef) and node.name in NUMBERED
+    for part in node.body
+    if isinstance(part, ast.AnnAssign) and isinstance(part.target, ast.Name)
+}
+
+
+def test_no_number_is_read_from_the_class_of_a_configuration() -> None:
+    """A class has this version's numbers; what is hashed is the method that a unit was calibrated with."""
+    assert {"Method", "ReleaseConfig", "MapConfig", "UseMethod", "GapMethod", "ProofMethod"} <= NUMBERED
+    read = [
+        f"{path.relative_to(ROOT)}:{node.lineno}: {node.value.id}.{node.attr}"
+        for path in PRODUCT
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name)
+        if node.value.id in NUMBERED and node.attr in FIELDS
+    ]
+    assert read == []
+
+
+OF_A_RUN = {"core/inspection", "core/gap", "station/record"}
+"""Packages that judge recordings before, or rigs without, a unit that was calibrated: one method for all of them."""
+
+
+def test_no_module_keeps_a_configuration() -> None:
+    """What a module keeps cannot be the numbers of the method that it is called with."""
+    made = [
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for path in PRODUCT
+        if path.parent.relative_to(ROOT).as_posix() not in OF_A_RUN
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None
+        for part in ast.walk(node.value)
+        if isinstance(part, ast.Call) and isinstance(part.func, ast.Name) and part.func.id in NUMBERED
+    ]
+    assert made == []
+
+
+DECIDING = ("quality", "unit")
+
+
+@pytest.mark.parametrize("room", DECIDING)
+def test_no_function_that_decides_has_a_configuration_by_default(room: str) -> None:
+    """A caller that leaves a method out would judge by another than the one that is stored."""
+    given = [
+        f"{path.relative_to(ROOT)}:{function.lineno}: {function.name}"
+        for path in sorted((CORE / room).glob("*.py"))
+        for function in ast.walk(ast.parse(path.read_text()))
+        if isinstance(function, ast.FunctionDef)
+        for default in (*function.args.defaults, *function.args.kw_defaults)
+        if isinstance(default, ast.Call) and isinstance(default.func, ast.Name) and default.func.id in NUMBERED
+    ]
+    assert given == []

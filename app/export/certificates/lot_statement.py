@@ -111,7 +111,7 @@ def lot_statement_pdf(facts: LotStatementFacts, words: Words = ENGLISH) -> bytes
 
 
 def _evidence_rows(facts: LotStatementFacts, words: Words) -> list[tuple[str, str]]:
-    promise, release = facts.decided.promise, facts.decided.found
+    promise, release = facts.decided.config, facts.decided.found
     audits, limit = facts.decided.audits, facts.decided.limit.maximum_rmse
     lots = sorted({audit.lot_id or facts.lot.id for audit in audits})
     counts = {"audits": len(audits), "beyond": sum(audit.measured_rmse > limit for audit in audits)}
