@@ -12,7 +12,7 @@ from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.config import DEFAULT, MapConfig
 from softcal.core.maps.interface import FitProblem, UnitMap
-from softcal.core.maps.plan import EXACT, JOINT, exact_map
+from softcal.core.maps.plan import EXACT, JOINT, MAX_WINDOWS, exact_map
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
@@ -137,8 +137,8 @@ def _by_pot(source: Array, target: Array, test: Array) -> Array:
     import ot
 
     transport = ot.da.EMDTransport()
-    rows = evenly(len(target), MapConfig().plan.most_windows)
-    transport.fit(Xs=target[rows], Xt=source[evenly(len(source), MapConfig().plan.most_windows)])
+    rows = evenly(len(target), MAX_WINDOWS)
+    transport.fit(Xs=target[rows], Xt=source[evenly(len(source), MAX_WINDOWS)])
     return np.asarray(transport.transform(Xs=np.array(test)))
 
 
@@ -146,7 +146,7 @@ def _share_by_plan(
     source: LabelledRecording, network: Network, target: LabelledRecording, test: LabelledRecording, share: float
 ) -> float:
     windows = target.windows[evenly(len(target.windows), max(1, round(share * len(target.windows))))]
-    unit_map = exact_map(windows, source.windows, source.windows, MapConfig().plan)
+    unit_map = exact_map(windows, source.windows, source.windows)
     return _error(network, unit_map.apply(test.windows), test)
 
 

@@ -118,7 +118,8 @@ def source_level(source: LabelledRecording, load: float, config: AnchorConfig) -
     away = source.reference - load
     span = float(np.ptp(source.reference))
     within = np.count_nonzero(np.abs(away) <= config.near * span)
-    near = np.argsort(np.abs(away), kind="stable")[: max(within, config.least_near)]
+    near = np.argsort(np.abs(away), kind="stable")[: max(within, 30)]
+    # Thirty samples hold a straight line and their scatter.
     slope, level = np.polyfit(away[near], source.unlabelled.output[near], 1)
     scatter = float(np.std(source.unlabelled.output[near] - level - slope * away[near]))
     # A load is known to so much only: a source that repeats well must not make two anchors overrule a good map.
@@ -183,7 +184,8 @@ def check_values(source: LabelledRecording, load: Array, nothing: str, config: A
             )
     order = np.argsort(load)
     for earlier, later in zip(order[:-1], order[1:], strict=True):
-        if load[later] - load[earlier] < config.same_load * (high - low):
+        # Nearer than a hundredth of the range they are one load stated twice.
+        if load[later] - load[earlier] < 0.01 * (high - low):
             rows = sorted((int(earlier) + 1, int(later) + 1))
             raise InputError(
                 f"loads {rows[0]} and {rows[1]} are the same, {load[earlier]:g} {unit}; state one "

@@ -144,7 +144,8 @@ def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple
     # Noise that passes for presses shows as far more swings than the source has.
     rate = target_rate / max(source_rate, 1e-9)
     mapped = candidates[TWO_POINT].apply(problem.target.windows)
-    dwell = dwell_distance(problem.source.unlabelled, mapped, config.dwell_cells)
+    # Over 20 levels: ten or forty tell programmes apart as well.
+    dwell = dwell_distance(problem.source.unlabelled, mapped, 20)
     numbers: dict[str, float | str] = {
         "swing_rate_ratio": rate,
         "gain": match.gain,

@@ -83,10 +83,7 @@ class SynchronyConfig:
             Loads that part slowly are alike for a while: twice as much of the opening's end is not used.
         off_curve: or within so many times what the opening itself shows: lags and loops differ from unit to unit.
         least_swings: up and down three times alike is no chance; two slow rises are.
-        swing: of an opening, as a share of the source's robust range.
         covered_share: of the source's range that an opening, or a whole recording, must reach over.
-        longest_lag_s: clocks further apart are not looked for.
-        clear_gain: slow loads leave the peak of the correlation flat: lag 0 is kept where it reaches this share.
         scales: fine structure is what a mean over this many samples keeps and one over `apart` times as many does not.
         apart: lags beyond so many scales are unrelated. A recording is long enough for a scale from twice as many on,
             and leaves unrelated lags alone from four times as many on.
@@ -102,10 +99,7 @@ class SynchronyConfig:
     settled_s: float = setting(1.0)
     off_curve: float = setting(3.0)
     least_swings: int = setting(6)
-    swing: float = setting(0.2)
     covered_share: float = setting(0.75)
-    longest_lag_s: float = setting(1.0)
-    clear_gain: float = setting(0.9)
     scales: tuple[int, ...] = setting((5, 25, 50))
     apart: int = setting(10)
     shown_share: float = setting(0.9)
@@ -120,15 +114,10 @@ class LagConfig:
         least_s: a lag below it is lost in a window.
         explained: a lag is told where a low-pass leaves so many times less unexplained than any delay or none. Creep
             that a unit has beyond its source reaches 1.4 there, a source that is read with spikes 1.8.
-        averaged: outputs are averaged over this many samples first: a low-pass takes noise of the source away as well,
-            and that is no lag.
-        slowed_s: lag of the source behind which a load at equal time is looked for where none is seen without.
     """
 
     least_s: float = setting(0.1)
     explained: float = setting(2.5, "simulated lots 2-7, insole; tested on lots 40-56")
-    averaged: int = setting(50)
-    slowed_s: float = setting(0.5)
 
 
 @dataclass(frozen=True)
@@ -150,10 +139,9 @@ class PairConfig:
     """The regression on pairs (`paired.py`).
 
     Args:
-        knots, pairs_per_knot: of the curve: so many at most, and so many pairs to each.
+        knots: of the curve, at most.
         pairs: used at most, spread over the recording: the cost of a fit does not grow with its length. A forecast
             reads twice as many windows, and half as many show what noise or f itself misreads.
-        fewest: fewer windows fix no map; so few fix little more than gain and offset.
         stiffness: weight of the squared bend of f's answer along the curve, integrated over the unit's range (taken as
             1): a unit answers smoothly to load, while its curve into the source's output must follow every jump of the
             source's.
@@ -171,9 +159,7 @@ class PairConfig:
     """
 
     knots: int = setting(24, PAIRS_CHOSEN)
-    pairs_per_knot: int = setting(10)
     pairs: int = setting(4000)
-    fewest: int = setting(4)
     stiffness: float = setting(2e-5, PAIRS_CHOSEN)
     curve_stiffness: float = setting(7e-8, PAIRS_CHOSEN)
     tether: float = setting(1e-3)
@@ -184,25 +170,6 @@ class PairConfig:
     every: int = setting(4)
     knot_range: tuple[float, float] = setting((0.001, 0.999))
     shapes: tuple[tuple[int, float], ...] = setting(((1, 1.02), (5, 0.99), (15, 0.97)), PAIRS_CHOSEN)
-
-
-@dataclass(frozen=True)
-class PlanConfig:
-    """Discrete transport plans, exact and joint (`plan.py`).
-
-    Args:
-        most_windows: per side of an exact plan; the cost matrix grows with their product, the solver faster still.
-        neighbours: stored windows that an unseen one moves with.
-        joint_windows: the same for the joint problem, which solves several plans.
-        joint_rounds: of the block coordinate descent at most.
-        ridge_per_window: of the kernel ridge regression.
-    """
-
-    most_windows: int = setting(1500)
-    neighbours: int = setting(8)
-    joint_windows: int = setting(1000)
-    joint_rounds: int = setting(5)
-    ridge_per_window: float = setting(1e-4)
 
 
 @dataclass(frozen=True)
@@ -240,9 +207,7 @@ class AnchorConfig:
             of its gain, and of its level at rest as a share of the source's output range.
         load_error: of a known load, as a share of the source's range.
         near: samples of the source within this share of its range around a load show its output under it.
-        least_near: so many of them at least.
         beyond: a known load may lie beyond the source's range by this share of it.
-        same_load: loads nearer than this share of the source's range are one load stated twice.
         straight: beside two known loads a source that is bent by less than this share of its rise leaves its units a
             line: they are of its kind, and a curve would take another dwell for a bend.
         levels: of the source that a straight line behind a map goes by, over its range; with two more at each end they
@@ -254,9 +219,7 @@ class AnchorConfig:
     )
     load_error: float = setting(0.003)
     near: float = setting(0.05)
-    least_near: int = setting(30)
     beyond: float = setting(0.1)
-    same_load: float = setting(0.01)
     straight: float = setting(
         0.1, "set between simulated sources (0.05 to 0.1, units are lines) and the skin (0.12 to 0.21)"
     )
@@ -271,13 +234,11 @@ class ChoiceConfig:
         same_programme: units that spend their time alike up to this total variation distance ran one programme: samples
             can be matched. Random presses drawn from one distribution differ by 0.05 to 0.1 over a minute; matching
             their samples would copy that.
-        dwell_cells: levels over which the time spent is compared.
         unlike_rate: a unit that swings this many times more often than the source shows noise or another use.
         sharp: only a recording that fixes the gain this well can show that there is nothing to correct.
     """
 
     same_programme: float = setting(0.03)
-    dwell_cells: int = setting(20)
     unlike_rate: float = setting(6.0)
     sharp: float = setting(0.06)
 
@@ -295,6 +256,5 @@ class MapConfig:
     lag: LagConfig = field(default_factory=LagConfig)
     stage_matched: StageMatchConfig = field(default_factory=StageMatchConfig)
     pairs: PairConfig = field(default_factory=PairConfig)
-    plan: PlanConfig = field(default_factory=PlanConfig)
     anchors: AnchorConfig = field(default_factory=AnchorConfig)
     shared_load: SharedLoadConfig = field(default_factory=SharedLoadConfig)

@@ -28,6 +28,10 @@ from softcal.core.words.reason import reason
 SYNCHRONOUS, STAGE_MATCHED, SHARED_LOAD = "synchronous", "stage_matched", "shared_load"
 
 
+MIN_WINDOWS = 4
+"""Fewer windows fix no map; so few fix little more than gain and offset."""
+
+
 @dataclass(frozen=True, eq=False)
 class DynamicMap:
     """A monotone curve on every sample (Hammerstein model), then a linear filter within the window.
@@ -86,7 +90,7 @@ def fit_synchronous(problem: FitProblem) -> PairedMap:
     if not synchrony.is_synchronous:
         raise UnitRefused(reason("not_synchronous", correlation=synchrony.rank_correlation))
     source_rows, target_rows = paired_rows(problem.source.unlabelled, problem.target, synchrony)
-    if len(target_rows) < (enough := problem.config.pairs.fewest):
+    if len(target_rows) < (enough := MIN_WINDOWS):
         raise UnitRefused(reason("few.times", windows=len(target_rows), enough=enough))
     return fit_pairs(problem, source_rows, target_rows, SYNCHRONOUS)
 
@@ -142,8 +146,8 @@ class _Pairs:
         label = (network.evaluate(source) + problem.source.window_reference[source_rows]) / 2
         self._label = label / network.reference_scale
         low, high = np.quantile(target, self.config.knot_range)
-        # A curve needs three knots to bend.
-        count = np.clip(len(target) // self.config.pairs_per_knot, 3, self.config.knots)
+        # A curve needs three knots to bend, and ten pairs to each.
+        count = np.clip(len(target) // 10, 3, self.config.knots)
         self._knots = np.linspace(low, high, int(count))
         if self._knots[-1] <= self._knots[0]:
             level, unit = self._knots[0], problem.target.output_unit
@@ -296,8 +300,8 @@ def paired_by_stage(source: OutputRecording, target: OutputRecording, config: Ma
         distance_mm[group], nearest[group] = tree.query(asked[rows[group], :entries])
     # A share of the travel, so that one number serves strokes of 1 mm and of 20 mm.
     alike = distance_mm <= stage.near_share * travel_mm
-    if travel_mm <= 0 or alike.sum() < config.pairs.fewest:
-        raise UnitRefused(reason("few.positions", windows=int(alike.sum()), enough=config.pairs.fewest))
+    if travel_mm <= 0 or alike.sum() < MIN_WINDOWS:
+        raise UnitRefused(reason("few.positions", windows=int(alike.sum()), enough=MIN_WINDOWS))
     return nearest[alike].astype(np.int64), rows[alike]
 
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from softcal.core.identity import Settings
-from softcal.core.maps.config import PlanConfig
 from softcal.core.maps.interface import FitProblem
 from softcal.core.recording import Array, Arrays
 from softcal.core.windows import evenly, windows
@@ -16,6 +15,16 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 EXACT, JOINT = "exact", "joint"
+
+
+# The cost of a plan and no more: no verdict of the sets of benchmarks/sensitivity.py moves with them.
+MAX_WINDOWS, MAX_JOINT_WINDOWS, MAX_JOINT_ROUNDS = 1500, 1000, 5
+"""Windows per side of an exact and of a joint plan, and rounds of the joint problem's descent."""
+
+NEIGHBOURS = 8
+"""Stored windows that an unseen one moves with."""
+
+RIDGE_PER_WINDOW = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +43,7 @@ class TransportMap:
     stored: Array
     displacement: Array
     family: str
-    neighbours: int
+    neighbours: int = NEIGHBOURS
 
     @cached_property
     def _tree(self) -> "cKDTree":
@@ -68,7 +77,7 @@ class TransportMap:
         return cls(stored, displacement, family, neighbours)
 
 
-def exact_map(target: Array, source: Array, placed: Array, config: PlanConfig) -> TransportMap:
+def exact_map(target: Array, source: Array, placed: Array) -> TransportMap:
     """Couple target windows with source windows at least squared distance, and carry them to where the source stands.
 
     The paper's map: barycentric projection of the exact plan (Kim et al. 2020, eq. 3).
@@ -78,20 +87,20 @@ def exact_map(target: Array, source: Array, placed: Array, config: PlanConfig) -
         source: (n, taps) windows they are coupled with.
         placed: (n, taps) where these stand in the space f reads; the source windows themselves, unless they were moved.
     """
-    rows = evenly(len(source), config.most_windows)
-    target, source, placed = target[evenly(len(target), config.most_windows)], source[rows], placed[rows]
+    rows = evenly(len(source), MAX_WINDOWS)
+    target, source, placed = target[evenly(len(target), MAX_WINDOWS)], source[rows], placed[rows]
     plan = solve_exact(_squared_distances(target, source))
-    return TransportMap(target, barycentric(plan, placed) - target, EXACT, config.neighbours)
+    return TransportMap(target, barycentric(plan, placed) - target, EXACT)
 
 
 def fit_exact(problem: FitProblem) -> TransportMap:
     """Solve for the plan of least squared distance, then move each window to the mean of what it is coupled to.
 
     Assumes that both units were pressed under one distribution of loads. Long recordings are thinned evenly
-    (`PlanConfig.most_windows`).
+    (`MAX_WINDOWS`).
     """
     source = problem.source.windows
-    return exact_map(problem.target.windows, source, source, problem.config.plan)
+    return exact_map(problem.target.windows, source, source)
 
 
 def fit_joint(problem: FitProblem) -> TransportMap:
@@ -103,20 +112,19 @@ def fit_joint(problem: FitProblem) -> TransportMap:
     stops. The lot shares one f, so the f_t of this unit is only a tool: what is kept is the plan, as a map into the
     windows that the shared f reads. Descent starts from f read through matched means and scales.
     """
-    config = problem.config.plan
-    source_rows = evenly(len(problem.source.windows), config.joint_windows)
+    source_rows = evenly(len(problem.source.windows), MAX_JOINT_WINDOWS)
     source = problem.source.windows[source_rows]
     label = problem.source.window_reference[source_rows] / problem.network.reference_scale
-    target = problem.target.windows[evenly(len(problem.target.windows), config.joint_windows)]
+    target = problem.target.windows[evenly(len(problem.target.windows), MAX_JOINT_WINDOWS)]
     distance = _squared_distances(target, source)
     # Windows and labels are both made free of units, or one of them would decide alone.
     distance /= float(np.mean(np.var(source, axis=0))) * source.shape[1]
     # The problem has many local minima: descent starts where means and scales already agree.
     matched = (target - target.mean()) / max(float(target.std()), 1e-12) * source.std() + source.mean()
     estimate = problem.network.evaluate(matched) / problem.network.reference_scale
-    smoother = _smoother(target, config.ridge_per_window * len(target))
+    smoother = _smoother(target, RIDGE_PER_WINDOW * len(target))
     plan, best = np.empty((0, 0)), np.inf
-    for _ in range(config.joint_rounds):
+    for _ in range(MAX_JOINT_ROUNDS):
         cost = distance + (estimate[:, None] - label[None, :]) ** 2
         trial = solve_exact(cost)
         total = float(np.sum(trial * cost))
@@ -128,7 +136,7 @@ def fit_joint(problem: FitProblem) -> TransportMap:
         # The ridge draws towards 0: centred, it draws towards the mean load instead.
         middle = float(carried.mean())
         estimate = middle + smoother @ (carried - middle)
-    return TransportMap(target, barycentric(plan, source) - target, JOINT, config.neighbours)
+    return TransportMap(target, barycentric(plan, source) - target, JOINT)
 
 
 def _smoother(inputs: Array, ridge: float) -> Array:

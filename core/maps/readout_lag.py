@@ -9,10 +9,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from softcal.core.maps.config import LagConfig, MapConfig
+from softcal.core.maps.config import MapConfig
 from softcal.core.maps.crossing import CACHED, moving_mean
 from softcal.core.maps.synchrony import Synchrony, common_time, find_synchrony, ranks
 from softcal.core.recording import Array, OutputRecording
+
+AVERAGED = 50
+"""Samples of the means that are compared: a low-pass takes noise of the source away as well, and that is no lag."""
 
 
 @dataclass(frozen=True)
@@ -39,22 +42,22 @@ def find_readout_lag(
     slowed source as well. Loads that change slowly show no lag, and suffer from none.
     """
     config = maps.lag
-    shared = synchrony if synchrony.is_synchronous else find_synchrony(_slowed(source, config.slowed_s), target, maps)
+    shared = synchrony if synchrony.is_synchronous else find_synchrony(_slowed(source, 0.5), target, maps)
     if not shared.is_synchronous:
         return None
     time_s = common_time(source, target, until_s=shared.until_s)
     # Ten means that share no sample: fewer show no lag.
-    if len(time_s) < 10 * config.averaged:
+    if len(time_s) < 10 * AVERAGED:
         return None
-    unit = _ranks(_at(target, time_s), config)
-    prompt = _unexplained(_at(source, time_s), unit, config)
-    if _unexplained(_at(_slowed(source, config.least_s), time_s), unit, config) >= prompt:
+    unit = _ranks(_at(target, time_s))
+    prompt = _unexplained(_at(source, time_s), unit)
+    if _unexplained(_at(_slowed(source, config.least_s), time_s), unit) >= prompt:
         return None  # Nearly every unit ends here: what follows slower is met at least a little by the shortest lag.
     # A lag below the least is looked for, too, so that it is not taken for a longer one.
     tried = config.least_s * 2.0 ** (np.arange(-4, 8) / 2)
-    slow = [_unexplained(_at(_slowed(source, lag_s), time_s), unit, config) for lag_s in tried]
+    slow = [_unexplained(_at(_slowed(source, lag_s), time_s), unit) for lag_s in tried]
     best = int(np.argmin(slow))
-    late = min(prompt, *(_unexplained(_at(source, time_s - lag_s), unit, config) for lag_s in tried))
+    late = min(prompt, *(_unexplained(_at(source, time_s - lag_s), unit) for lag_s in tried))
     explained = late / max(slow[best], 1e-12)
     is_alike = slow[best] <= 1 - maps.synchrony.min_rank_correlation
     is_lag = is_alike and explained >= config.explained and tried[best] >= config.least_s
@@ -79,11 +82,11 @@ def _at(recording: OutputRecording, time_s: Array) -> Array:
     return np.asarray(np.interp(time_s, recording.t_s, recording.output))
 
 
-def _unexplained(source: Array, unit_ranks: Array, config: LagConfig) -> float:
+def _unexplained(source: Array, unit_ranks: Array) -> float:
     """Return the share of the ranks' variation that one output leaves of the other."""
-    return 1 - float(np.corrcoef(_ranks(source, config), unit_ranks)[0, 1])
+    return 1 - float(np.corrcoef(_ranks(source), unit_ranks)[0, 1])
 
 
-def _ranks(output: Array, config: LagConfig) -> Array:
+def _ranks(output: Array) -> Array:
     # Neighbouring means share nearly all their samples: five to a length hold what all do.
-    return ranks(moving_mean(output, config.averaged)[:: config.averaged // 5])
+    return ranks(moving_mean(output, AVERAGED)[:: AVERAGED // 5])

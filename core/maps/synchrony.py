@@ -15,6 +15,9 @@ from softcal.core.maps.crossing import CACHED, moving_mean, robust_range, turnin
 from softcal.core.recording import RATE_TOLERANCE, Array, Indices, Mask, OutputRecording
 from softcal.core.windows import TAPS
 
+LONGEST_LAG_s = 1.0
+"""Clocks further apart than this are not looked for."""
+
 
 @dataclass(frozen=True)
 class Synchrony:
@@ -149,7 +152,8 @@ def _opening_end(source: OutputRecording, target: OutputRecording, maps: MapConf
         return None
     a, b = (moving_mean(np.interp(time_s, r.t_s, r.output), TAPS) for r in (source, target))
     span, settled = robust_range(source.output, maps.crossing), round(config.settled_s * rate_Hz)
-    turns = turning_points(a, config.swing * span)
+    # A swing of an opening spans a fifth of the source's range at least; a tenth finds the same openings.
+    turns = turning_points(a, 0.2 * span)
     if len(turns) <= config.least_swings:
         return None
     first = known = int(turns[config.least_swings])
@@ -229,10 +233,10 @@ def _detail(x: _Band, y: _Band, scale: int, rate_Hz: float, config: SynchronyCon
     spectrum = x.spectrum * np.conj(y.spectrum)
     # All lags at once by the correlation theorem; its ends wrap around, which is why only a quarter is searched.
     every = np.fft.irfft(spectrum, x.length) / (x.spread * y.spread * x.length + 1e-300)
-    reach = min(x.length // 4, round(config.longest_lag_s * rate_Hz))
+    reach = min(x.length // 4, round(LONGEST_LAG_s * rate_Hz))
     near = np.concatenate([every[: reach + 1], every[-reach:]])
     # Slow loads leave the peak flat: without a clear gain the clocks are taken as equal.
-    best = 0 if near[0] >= config.clear_gain * near.max() else int(np.argmax(near))
+    best = 0 if near[0] >= 0.9 * near.max() else int(np.argmax(near))
     lag = best if best <= reach else best - len(near)
     # Unrelated lags say what chance alone gives on this very recording: no assumption on its noise is needed.
     edge = config.apart * scale

@@ -77,11 +77,10 @@ def _disagreement_pattern(model: SourceModel, evidence: MapEvidence) -> Array:
     flat, size = cells[0] * LEVELS + cells[1], pattern.size
     weights: tuple[Array, Array] = (evidence.disagreement**2 / mean_square, np.ones(len(flat)))
     tables = [np.asarray(np.bincount(flat, one, size), dtype=np.float64).reshape(pattern.shape) for one in weights]
-    config = model.method.forecast
-    # Pseudo-counts pull cells with few windows towards an even disagreement of 1.
-    kernel = np.ones(config.smooth)
+    # Five windows of even disagreement are added to each cell; the table is smoothed over nine load levels.
+    kernel = np.ones(9)
     smooth = [np.stack([np.convolve(row, kernel, mode="same") for row in table]) for table in tables]
-    return (smooth[0] + config.cell_prior) / (smooth[1] + config.cell_prior)
+    return (smooth[0] + 5) / (smooth[1] + 5)
 
 
 def _load_pattern(model: SourceModel, evidence: MapEvidence) -> Array:

@@ -31,7 +31,7 @@ class SourceConfig:
     Args:
         cells: of the grid over level and slope.
         slack_cells: neighbouring presses leave gaps between their traces: so many cells are still inside.
-        tail, tail_factor: bend and roughness beyond this quantile of the source, times this, are unfamiliar.
+        tail_factor: bend and roughness beyond so many times their 99.9 % quantile in the source are unfamiliar.
         bands: load bands over which the residuals of f are tabulated.
         cell_prior: a cell of band and direction with this many windows counts half, the whole recording the other half.
         slope_quantile, slope_share: holding still is less than this share of this quantile of the source's slopes.
@@ -39,7 +39,6 @@ class SourceConfig:
 
     cells: tuple[int, int] = setting((96, 64))
     slack_cells: float = setting(2.0)
-    tail: float = setting(0.999)
     tail_factor: float = setting(1.5)
     bands: int = setting(8)
     cell_prior: float = setting(50.0)
@@ -95,8 +94,6 @@ class ForecastConfig:
         parts: shares of the recording left out in turn while the chosen family is fitted again.
         stretches: per left-out share.
         clipped_part: a clipped load is anywhere in this part of the range: the upper third.
-        smooth: load levels over which the disagreement of maps is averaged.
-        cell_prior: so many windows of even disagreement are added to each cell of its table.
         overlap_edges: of the grid of levels and slopes on which loads and speeds are compared.
         fast, sharp: quantiles of slope and of bend that stand for fast movements and sharp turns.
     """
@@ -106,8 +103,6 @@ class ForecastConfig:
     parts: int = setting(3)
     stretches: int = setting(4)
     clipped_part: int = setting(3)
-    smooth: int = setting(9)
-    cell_prior: float = setting(5.0)
     overlap_edges: tuple[int, int] = setting((11, 8))
     fast: float = setting(0.95)
     sharp: float = setting(0.99)
@@ -131,12 +126,10 @@ class BridgeConfig:
     """What a golden run is believed (`bridge.py`).
 
     Args:
-        stretches: of time, every other of which tests whether that day differs at all.
         most_misread: share of the SD of its loads that f may misread it by once gain and zero are taken out.
         most_gain: a day that changes the gain by more than this factor is another unit.
     """
 
-    stretches: int = setting(16)
     most_misread: float = setting(0.3)
     most_gain: float = setting(1.5)
 
@@ -191,12 +184,10 @@ class DecisionConfig:
 
     Args:
         default_factor: a lot that states no limit gets this factor times the source's own held-out RMSE.
-        test_share: last share of an audit by time that is tested; own calibration trains on what comes before it.
         least_own_windows: with fewer training windows a network of one's own says little and is left out.
     """
 
     default_factor: float = setting(3.0)
-    test_share: float = setting(0.25, "Kim et al. 2020, Table 1")
     least_own_windows: int = setting(400)
 
 

@@ -50,7 +50,7 @@ def _own_scores(
     config: DecisionConfig,
 ) -> OwnScores | None:
     # By time and never at random: a later stretch is what the unit will be used on.
-    split = round(len(audit) * (1 - config.test_share))
+    split = round(len(audit) * 0.75)
     test = audit.part(split, len(audit))
     error = own if isinstance(own, MeasuredError) else None
     if isinstance(own, NetworkConfig):

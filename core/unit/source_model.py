@@ -143,8 +143,8 @@ def fit_support(windows: Array, output_mean: float, output_scale: float, config:
     # Cells beside visited ones are familiar too: samples never fill every cell.
     distance = np.maximum(distance_transform_edt(empty, sampling=step) - slack, 0)
     # A factor on a quantile: the maximum of a recording is set by its worst sample.
-    bend_limit = config.tail_factor * float(np.quantile(np.abs(shape.bend), config.tail))
-    roughness_limit = config.tail_factor * float(np.quantile(shape.roughness, config.tail))
+    bend_limit = config.tail_factor * float(np.quantile(np.abs(shape.bend), 0.999))
+    roughness_limit = config.tail_factor * float(np.quantile(shape.roughness, 0.999))
     return Support(output_mean, output_scale, origin, step, distance, bend_limit, roughness_limit)
 
 

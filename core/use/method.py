@@ -185,7 +185,7 @@ class DoubtConfig:
 
 @dataclass(frozen=True)
 class OnlineConfig:
-    """The paper's online method (`queued.py`); the numbers of its plan are those of `Method.map.plan`.
+    """The paper's online method (`queued.py`); the numbers of its plan are those of `maps/plan.py`.
 
     Args:
         queue: windows in a queue; a new map is fitted on every full one.

@@ -92,7 +92,6 @@ class QueuedTransport(Batches):
         if self._queue < TAPS:
             raise InputError(f"a queue of {self._queue} is smaller than a window; give {TAPS} or more")
         self._mode, self._pool = config.mode, pool
-        self._plan = calibration.method.map.plan
         self._map: UnitMap = calibration.unit_map
         is_anchored = isinstance(self._map, AnchoredMap)
         self._given = None if is_anchored else SourcePairs(source.windows, source.windows)
@@ -154,7 +153,7 @@ class QueuedTransport(Batches):
         self._put(replace(self._current, row=self._row, alarm=self._alarm() or self._due))
 
     def _mapped_onto(self, source: SourcePairs, queue: Array) -> TransportMap:
-        return exact_map(queue, source.windows, source.placed, self._plan)
+        return exact_map(queue, source.windows, source.placed)
 
     def _fitted(self, queue: Array, source: SourcePairs) -> _Fitted:
         mapped = self._mapped_onto(source, queue)
@@ -218,4 +217,4 @@ class QueuedTransport(Batches):
         if "placed" in arrays:
             self._source = SourcePairs(arrays["windows"], arrays["placed"])
         if "stored" in arrays:
-            self._use(TransportMap(arrays["stored"], arrays["displacement"], EXACT, self._plan.neighbours))
+            self._use(TransportMap(arrays["stored"], arrays["displacement"], EXACT))

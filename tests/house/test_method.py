@@ -24,8 +24,11 @@ NO_DECISION = {
     "core/unit/uncertainty.py": {"NORMAL_90"},  # a quantile of the normal distribution
     "core/unit/explanation.py": {"DENSITY_BINS"},  # bars of a figure
     "core/unit/budget.py": {"COVERAGE", "DIVISORS"},  # what a certificate states, and the GUM's distributions
+    "core/maps/paired.py": {"MIN_WINDOWS"},  # what is refused
+    "core/maps/plan.py": {"MAX_WINDOWS", "MAX_JOINT_WINDOWS", "MAX_JOINT_ROUNDS", "NEIGHBOURS", "RIDGE_PER_WINDOW"},
+    "core/maps/readout_lag.py": {"AVERAGED"},  # noise is averaged away
     "core/maps/crossing.py": {"CACHED"},  # entries of a cache
-    "core/maps/synchrony.py": {"NONE"},  # zeros
+    "core/maps/synchrony.py": {"NONE", "LONGEST_LAG_s"},  # zeros, and where a search ends
     "core/use/adapter.py": {"STATE_FORMAT"},  # of the stored state
     "core/use/batches.py": {"MOST_UPDATES"},  # length of a queue for the caller
     "core/gap/case.py": {"SHORTEST", "HALF_WIDTH"},  # what is refused, and a smoother
@@ -91,14 +94,15 @@ EXPLAINED = {
     },
     "core/use/activity.py": {"12": "one over the variance of a uniform index from -1/2 to 1/2"},
     "core/use/adapter.py": {"300": "places of a table over three swings"},
-    "core/maps/choose.py": {"5": "a third of a window"},
+    "core/maps/anchors.py": {"30": "samples of a straight line", "0.01": "one load stated twice"},
+    "core/maps/choose.py": {"5": "a third of a window", "20": "levels of a histogram"},
     "core/maps/paired.py": {
         "1.5": "exponent of the integral of a squared second difference",
         "3": "knots that a bend needs",
         "40": "steps of the descent at most",
         "14": "attempts of a step at most",
         "4": "Marquardt's factor on the damping after a step that failed",
-        "10": "the same after one that did not",
+        "10": "the same after one that did not; pairs to a knot",
     },
     "core/maps/readout_lag.py": {
         "10": "means that share no sample",
@@ -111,6 +115,8 @@ EXPLAINED = {
         "4": "bands of one recording in a cache; a quarter of a circular correlation",
         "20": "rounds of a search at most",
         "0.51": "half a sample and its rounding",
+        "0.2": "of the range: a swing of an opening",
+        "0.9": "of a flat peak: lag 0 is kept",
     },
     "core/maps/plan.py": {
         "2000000": "iterations of the exact solver: it refuses beyond them, nothing else changes",
@@ -118,14 +124,20 @@ EXPLAINED = {
     },
     "core/unit/estimate.py": {"3": "columns: estimate and both limits", "12": "letters of a name in a message"},
     "core/unit/evidence.py": {"12": "variance of a uniform variable over its squared width"},
+    "core/unit/bridge.py": {"16": "stretches of time, every other held out"},
+    "core/unit/forecast.py": {"5": "pseudo-counts of a table", "9": "levels of a smoother"},
+    "core/unit/scoring.py": {"0.75": "what own calibration trains on (Kim et al. 2020, Table 1)"},
     "core/unit/health.py": {
         "0.6745": "median of the magnitude of a standard normal variable",
         "6": "variance of a second difference over that of the samples",
         "0.001": "width of a flat stretch without noise or steps",
     },
-    "core/unit/lot_correction.py": {"3": "values that leave a straight line two degrees of freedom"},
     "core/unit/method.py": {"0.9": "a tenth below another number"},
-    "core/unit/source_model.py": {"0.05": "a finite step of a slope", "0.001": "floor of a divisor"},
+    "core/unit/source_model.py": {
+        "0.05": "a finite step of a slope",
+        "0.999": "quantile of bend and roughness",
+        "0.001": "floor of a divisor",
+    },
     "core/unit/uncertainty.py": {"3": "terms of a parabola", "4": "features of a window"},
 }
 """Numbers inside functions that nobody chose, with what they are."""
