@@ -218,10 +218,8 @@ FAULTS: tuple[Fault, ...] = (
         _pressing("every third line of the controller torn", _set("stage_wire", "torn", 0.3)),
         _pressing("motor without supply while pressing", lambda s: s.rig.cut_motor()),
         _without_cell(_pressing("motor without supply", lambda s: s.rig.cut_motor())),
-        *(
-            replace(_pressing("position report frozen while pressing", _freeze_position), stage_kind=kind)
-            for kind in ("grbl", "zaber")
-        ),
+        _pressing("position report frozen while pressing", _freeze_position),
+        _of_zaber("position report of a Zaber stage frozen", _freeze_position),
         *(
             _pressing(f"motor loses {mm:g} mm between two presses", _lose_steps(mm), BETWEEN_S)
             for mm in (0.1, 0.15, 0.2)
