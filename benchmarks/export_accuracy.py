@@ -30,6 +30,7 @@ from softcal.core.export.device import DeviceOptions, UnitFacts, build_network_f
 from softcal.core.export.graph import compose
 from softcal.core.export.loader import open_sensor
 from softcal.core.maps.choose import choose_map
+from softcal.core.maps.config import AnchorConfig
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
@@ -101,7 +102,7 @@ def measure(network: Network, source: LabelledRecording, target: LabelledRecordi
     train, test = _split(target)
     facts = facts_of(network, source, train, forecast)
     chosen = facts.unit_map
-    network_file = build_network_file(network, source)
+    network_file = build_network_file(network, source, AnchorConfig())
     unit = build_unit_file(facts, network, network_file).file
     estimate, _, _, flags = open_sensor(network_file.to_bytes(), unit.to_bytes()).estimate_output(test.windows)
     truth = network.evaluate(chosen.apply(test.windows))
@@ -162,7 +163,10 @@ def lot_sizes(lot: LotData, epochs: int) -> Iterator[list[str]]:
     """Every target of a lot behind one small network."""
     train, test = _split(lot.source)
     network = fit_network(train, NetworkConfig(hidden=(32, 16), max_epochs=epochs)).network
-    own, network_file = rmse(network.evaluate(test.windows), test.window_reference), build_network_file(network, train)
+    own, network_file = (
+        rmse(network.evaluate(test.windows), test.window_reference),
+        build_network_file(network, train, AnchorConfig()),
+    )
     for target in lot.targets:
         facts = facts_of(network, train, _split(target)[0], own)
         yield by_size(lot.name, facts, network, network_file, lot.unit)

@@ -24,6 +24,7 @@ from softcal.core.export.compile_map import InputScale
 from softcal.core.export.device import DeviceOptions, DeviceUnit, UnitFacts, build_network_file, build_unit_file
 from softcal.core.export.loader import open_sensor
 from softcal.core.maps.choose import choose_map
+from softcal.core.maps.config import AnchorConfig
 from softcal.core.maps.interface import FitProblem
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
@@ -112,7 +113,7 @@ def rows(quick: bool) -> Iterator[tuple[str, ...]]:
         network = fit_network(source, NetworkConfig(hidden=hidden, max_epochs=20 if quick else 200)).network
         chosen = choose_map(FitProblem(source, network, target.unlabelled)).unit_map
         estimate = network.evaluate(chosen.apply(target.windows))
-        network_file = build_network_file(network, source)
+        network_file = build_network_file(network, source, AnchorConfig())
         facts = UnitFacts("S2", 1, "pass", 0, chosen, target.unlabelled, estimate - 0.4, estimate + 0.4, None)
         unit = build_unit_file(facts, network, network_file, DeviceOptions(InputScale.of_converter(10, 5.0)))
         codes = unit.file.scale.codes(target.unlabelled.output)[:SAMPLES]

@@ -29,7 +29,7 @@ from softcal.core.network.training import fit_network
 from softcal.core.profiles import Profile
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import DEPTH_MM, PROGRAMMES, LotDesign, draw_twins
-from softcal.core.twin.simulate import simulate
+from softcal.core.twin.simulate import Twin, simulate
 
 PRESSES = (("one press for all", 0.0, 0.0), ("5 % from unit to unit", 0.05, 0.0), ("12 % from unit to unit", 0.12, 0.0),
            ("5 % from press to press", 0.0, 0.05), ("12 % from press to press", 0.0, 0.12))  # fmt: skip
@@ -145,7 +145,7 @@ def scaled(profile: Profile, factor: float, by_press: float, rng: np.random.Gene
     return Profile(profile.name, tuple(segments))
 
 
-def _recorded(rng: np.random.Generator, twin: object, profile: Profile, serial: str) -> LabelledRecording:
+def _recorded(rng: np.random.Generator, twin: Twin, profile: Profile, serial: str) -> LabelledRecording:
     t_s, stage_mm = profile.sample(50.0)
     force_N, output_V = simulate(twin, t_s, stage_mm, rng)
     return LabelledRecording(OutputRecording(serial, t_s, output_V, 50.0), force_N)

@@ -272,7 +272,12 @@ def press(options: argparse.Namespace) -> None:
     with open_simulated_bench(twin, 5) as (bench, station):
         record(bench, "warm", unit_profile(rng, 5.0), with_reference=True)
         lines, write = [], PtyEnd.write
-        with mock.patch.object(PtyEnd, "write", lambda end, content: (lines.append(content), write(end, content))[1]):
+
+        def counted(end: PtyEnd, content: bytes) -> None:
+            lines.append(content)
+            write(end, content)
+
+        with mock.patch.object(PtyEnd, "write", counted):
             begun_s, simulated_s = time.process_time(), station.world.now_s()
             recording = record(bench, "U1", unit_profile(rng, seconds), with_reference=True)
             press_s, simulated_s = time.process_time() - begun_s, station.world.now_s() - simulated_s

@@ -7,10 +7,9 @@ a trim is part of the device format (`unit/trim.py`).
 """
 
 from dataclasses import dataclass, field
-from functools import cache
 
 from softcal.core.inspection.config import InspectionConfig
-from softcal.core.maps.config import DEFAULT, MapConfig
+from softcal.core.maps.config import MapConfig
 from softcal.core.settings import SET, NumberedMethod, setting
 from softcal.core.unit.knowledge import KnowledgeTable
 from softcal.core.windows import TAPS
@@ -278,12 +277,3 @@ class Method(NumberedMethod):
     def __post_init__(self) -> None:
         if (self.taps, self.levels, self.confidence) != (TAPS, LEVELS, CONFIDENCE):
             raise ValueError(f"taps, levels and confidence are {FORMAT}")
-
-
-@cache
-def current_ids() -> tuple[str, ...]:
-    """Return the identities of this version's method, one for every map family that it can be used with."""
-    # Families of other packages are loaded for this.
-    from softcal.core.maps.catalogue import FAMILIES
-
-    return tuple(Method.with_family(name).id for name in (DEFAULT, *FAMILIES))

@@ -16,7 +16,7 @@ from softcal.core.errors import MapsConflict
 from softcal.core.words.reason import Reason, reason
 from softcal.db.entries import LimitEntry
 from softcal.db.schema.database import Database, given, parts
-from softcal.db.schema.tables import calibrations, in_use, limits, lots, refusals
+from softcal.db.schema.tables import calibrations, canonical_json, in_use, limits, lots, methods, refusals
 from softcal.db.truth import history
 from softcal.db.truth.registry_base import RegistryBase, damaged, of_row
 
@@ -280,9 +280,14 @@ def _last(database: Database, table: sa.Table, query: sa.Select[Any], lot_id: st
     return made_at
 
 
-def of_this_method() -> sa.ColumnElement[bool]:
+def of_this_method(database: Database) -> sa.ColumnElement[bool]:
     """Return whether a calibration was made with the method of this version, by whatever map family, as SQL."""
-    # Whoever lists units needs none of the method's numbers.
-    from softcal.core.unit.method import current_ids
+    # Whoever lists units needs none of the numerics behind the families.
+    from softcal.core.unit.method import Method
 
-    return calibrations.c.method_id.in_(current_ids())
+    ours, current = Method().to_json(), []
+    for one, numbers in database.tuples(select(methods.c.id, methods.c.numbers)):
+        family = {**ours["map"], "family": numbers["map"]["family"]}  # type: ignore[dict-item]
+        if canonical_json({**ours, "map": family}) == canonical_json(numbers):
+            current.append(one)
+    return calibrations.c.method_id.in_(current)

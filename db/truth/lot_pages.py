@@ -230,7 +230,7 @@ class StandingQuery:
             "reasons": case((is_refused, r.c.reasons), else_=c.c.reasons),
             "made_at": case((is_refused, r.c.made_at), else_=u.c.made_at),
             **{name: case((is_open, None), else_=c.c[name]) for name in MADE_FIELDS},
-            "is_stale": and_(u.c.made_at.is_not(None), ~is_open, ~of_this_method()),
+            "is_stale": and_(u.c.made_at.is_not(None), ~is_open, ~of_this_method(self.database)),
             "is_conflict": is_open,
             # What is left out of an entry.
             "is_made": and_(is_stated, ~is_undecided),

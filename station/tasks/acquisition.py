@@ -346,13 +346,14 @@ class _Run:
         host_s = device_times_s(self._readings.force)[began:]
         found_s = lag_s(host_s, force_N, at, contact_mm)
         is_stated, period_s = force.is_latency_stated, 1.0 / self._bench.force.rate_Hz
-        if not is_stated and (response := fit_response(host_s, force_N, at, contact_mm)).time_constant_s:
-            found_s = response.lag_s  # Behind a low pass the force is late, too, and a stop must know.
         possible_s = force.latency_s if is_stated else min(max(0.0, found_s), LATEST_S)
         if np.isfinite(found_s):
             check_lag(found_s, possible_s, period_s)
         if not is_stated and np.isfinite(found_s):
-            self.watched.learn_latency(possible_s)
+            response = fit_response(host_s, force_N, at, contact_mm)
+            # Behind a low pass the force is late, too, and a stop must know.
+            late_s = response.lag_s if response.time_constant_s else possible_s
+            self.watched.learn_latency(min(max(possible_s, late_s), LATEST_S))
 
     def _tell(self, fraction: float, remaining_s: float) -> None:
         if self._on_progress is None:
