@@ -171,6 +171,9 @@ def expected(text: str) -> np.ndarray | None:
     try:
         if len(rows[-1]) < len(header) and not text.endswith(("\n", "\r")):
             rows[-1] = rows[-1][:-1] + [""] * (len(header) - len(rows[-1]) + 1)
+        elif len(rows) > 2 and len(rows[-1]) == len(header) and not text.endswith(("\n", "\r")):
+            shortest = min(len(row[-1]) for row in rows[1:-1] if row)
+            rows[-1] = rows[-1][:-1] + [""] if 0 < len(rows[-1][-1]) < shortest else rows[-1]
         values = np.array([[_sample(row[k]) for k in places] for row in rows[1:]])
     except (ValueError, IndexError):
         return None

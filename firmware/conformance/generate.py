@@ -22,6 +22,7 @@ from softcal.core.export.integer_network import DeviceMap, IntegerMix
 from softcal.core.export.loader import run_self_test
 from softcal.core.export.quantise import quantise_layer
 from softcal.core.maps.affine_map import AffineMap
+from softcal.core.maps.config import AnchorConfig
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 
@@ -42,7 +43,7 @@ def synthetic_files() -> tuple[NetworkFile, dict[str, UnitFile]]:
     network = Network(weights, tuple(rng.normal(0, 0.1, b) for b in sizes[1:]), 0.6, 0.1, 1.0, 0.7)
     recording = OutputRecording("SYN-1", t_s, output, RATE_Hz)
     source = LabelledRecording(OutputRecording("SYN-0", t_s, output, RATE_Hz), np.abs(np.sin(t_s)))
-    network_file = build_network_file(network, source)
+    network_file = build_network_file(network, source, AnchorConfig())
     unit_map = AffineMap(0.9, 0.05)
     exact = network.evaluate(unit_map.apply(recording.windows))
     facts = UnitFacts("SYN-1", 7, "pass", 1_700_000_000, unit_map, recording, exact - 0.2, exact + 0.3, 0.5)

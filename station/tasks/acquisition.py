@@ -20,7 +20,6 @@ from softcal.station.motion.safety import STUCK_MM
 from softcal.station.motion.watched import WatchedBench
 from softcal.station.record.proof import check_lag, lag_s
 from softcal.station.record.recording import Raw, RunFacts, StationRecording, assemble, device_times_s
-from softcal.station.record.response import fit_response
 from softcal.station.record.spool import Spool
 from softcal.station.record.trajectory import DrivenMove, reconstruct
 from softcal.station.tasks.seconds import (
@@ -350,10 +349,7 @@ class _Run:
         if np.isfinite(found_s):
             check_lag(found_s, possible_s, period_s)
         if not is_stated and np.isfinite(found_s):
-            response = fit_response(host_s, force_N, at, contact_mm)
-            # Behind a low pass the force is late, too, and a stop must know.
-            late_s = response.lag_s if response.time_constant_s else possible_s
-            self.watched.learn_latency(min(max(possible_s, late_s), LATEST_S))
+            self.watched.learn_latency(possible_s)
 
     def _tell(self, fraction: float, remaining_s: float) -> None:
         if self._on_progress is None:

@@ -49,6 +49,8 @@ AT_A_TERMINAL = {
     "db/schema/database.py": "to whoever keeps the registry: it cannot be opened",
     "db/schema/engines.py": "to whoever keeps the registry: it cannot be opened",
     "db/schema/tables.py": "to whoever keeps the registry: it is damaged",
+    "db/truth/calibrations.py": "to whoever names a serial in a command; pages name lot and serial",
+    "db/truth/lot_decisions.py": "registries that a command exchanges",
     "db/truth/registry_base.py": "to whoever keeps the registry: it is damaged",
 }
 """File or folder → why no person at a page is told so."""
