@@ -262,5 +262,5 @@ def test_two_units_stand_side_by_side(calibrated: str, show) -> None:
     screen = show(calibrated, "compare", a="A1", b="A3")
     assert not screen.exception and not screen.error
     columns = list(screen.table[0].value.columns)
-    assert columns[1:] == ["A1", "A3"]
+    assert columns[1:] == ["small/A1", "small/A3"]
     assert show(calibrated, "compare", a="A1", b="A1", lang="ko").title[0].value == text("ko", "page.compare")
