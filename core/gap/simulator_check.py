@@ -1,6 +1,7 @@
 """Calls of a simulator before the fit: whether it can be fitted at all. What cannot is refused in one line."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -59,6 +60,10 @@ class _Calls:
         self.simulator, self._runs = simulator, runs
         self.names: set[str] = set()
         self.is_iterated = False
+        # Watched where the user's own code reads: what a simulator does before that reads every name.
+        self._watched = replace(simulator, run=self._watch)
+        self._given: Mapping[str, float] = {}
+        self._read = _ReadNames({})
 
     def first(self, values: Mapping[str, float]) -> Array:
         """Return the channels of the first run, one after another."""
@@ -80,14 +85,18 @@ class _Calls:
 
     def _run(self, run: SimulatorRun, values: Mapping[str, float], swings: Columns | None = None) -> Array:
         recorded = {name: run.columns[name] for name in ("t_s", *self.simulator.inputs)} | dict(swings or {})
-        inputs, parameters = {name: column.copy() for name, column in recorded.items()}, _ReadNames(values)
-        channels = self.simulator(inputs, parameters)
-        self.names |= parameters.names
-        self.is_iterated |= parameters.is_iterated
+        inputs = {name: column.copy() for name, column in recorded.items()}
+        channels = self._watched(inputs, values)
+        self.names |= self._read.names
+        self.is_iterated |= self._read.is_iterated
         self._refuse_written(inputs, recorded, "copy its inputs before changing them")
-        changed = {name: np.asarray(dict.get(parameters, name)) for name in values}
-        self._refuse_written(changed, {name: np.asarray(v) for name, v in values.items()}, "copy the parameters")
+        changed = {name: np.asarray(dict.get(self._read, name)) for name in self._given}
+        self._refuse_written(changed, {name: np.asarray(v) for name, v in self._given.items()}, "copy the parameters")
         return np.concatenate([channels[name] for name in self.simulator.channels])
+
+    def _watch(self, inputs: Columns, parameters: Mapping[str, float]) -> Columns:
+        self._given, self._read = dict(parameters), _ReadNames(parameters)
+        return self.simulator.run(inputs, self._read)
 
     def _refuse_written(self, after: Columns, before: Columns, cure: str) -> None:
         for name, values in before.items():

@@ -1,10 +1,13 @@
 """What each run has of its own and a simulator must be told: where it begins."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.gap.simulator import Simulator, candidate, recorded
+from softcal.core.gap.simulator_check import check_calls
 from softcal.core.gap.simulator_diagnosis import diagnose_simulator
 from softcal.core.twin.effects import Parameter
 
@@ -58,3 +61,12 @@ def test_a_parameter_of_runs_has_bounds_and_a_name_of_its_own():
     reversed_ = (Parameter("start", "", 20.0, 0.0, 4.0),)
     with pytest.raises(InputError, match="bounds"):
         Simulator("tank", level, (), ("level",), TANK.base, TANK.candidates, run_parameters=reversed_)
+
+
+def test_a_misspelt_cause_is_refused_though_every_run_has_its_own_start():
+    def misspelt(inputs, p):
+        return level(inputs, {"tau": p["tau"], "start": p["start"], "leak.rate": p["leak.rate"], "haze.size": 0.0})
+
+    with pytest.raises(InputError, match=r"haze\.size is never read"):
+        check_calls(replace(TANK, run=misspelt), runs_of(0.0))
+    check_calls(TANK, runs_of(0.0))
