@@ -162,7 +162,7 @@ def test_rest_takes_a_serial_of_any_script(korean: str, tmp_path: Path, add_ever
             answer = client.post(f"/v1/lots/small/units/{part}/files/json")
             assert answer.status_code == 200
             name = answer.headers["content-disposition"].partition('filename="')[2].removesuffix('-json.zip"')
-            assert unescape_serial(name) == serial
+            assert name.startswith("small-") and unescape_serial(name.removeprefix("small-")) == serial
             with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
                 assert all(name.isascii() for name in archive.namelist())
 

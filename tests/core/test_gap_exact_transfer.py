@@ -135,13 +135,13 @@ def lot(twin, count=2):
 
 def test_errors_of_a_lot_are_medians_on_the_rest_of_each_audit(lines, monkeypatch):
     made = lot(RIG, 3)
-    monkeypatch.setattr(transfer, "make_source_model", lambda source, network, rows: None)
+    monkeypatch.setattr(transfer, "make_source_model", lambda source, network, rows, *, method: None)
     monkeypatch.setattr(transfer, "UnitProblem", lambda model, recording: recording)
 
     def calibrate(problem):
         if problem is made.units[1].recording:
             raise UnitRefused("no map")
-        return "map"
+        return SimpleNamespace(calibration="map")
 
     monkeypatch.setattr(transfer, "calibrate", calibrate)
     monkeypatch.setattr(
