@@ -63,6 +63,24 @@ def audit_of(state: UnitState, before: float, after: float) -> AuditResult:
     )
 
 
+def audit_result(name: str, gain: float = 1.0, unit_rest: float = 0.5, audit_rest: float | None = None) -> AuditResult:
+    """Return an audit of a unit whose load is read by this gain, and whose output at rest stood there."""
+    return AuditResult(
+        map_id="",
+        recording_sha256=name,
+        output_sha256=name,
+        reference_sha256=f"loads of {name}",
+        scores=Scores(MeasuredError(0.2, 1000), MeasuredError(0.1, 1000)),
+        line=LoadLine(gain, 0.0),
+        fitted_line=LoadLine(gain, 0.0),
+        unit_rest=unit_rest,
+        audit_rest=unit_rest if audit_rest is None else audit_rest,
+        span=1.0,
+        residual=(0.0, 1.0),
+        half=(1.0, 1.0),
+    )
+
+
 def state_of(
     serial: str, network_id: str, recording_sha256: str, number: int = 1, verdict: str = "pass", limit_rmse: float = 2.0
 ) -> UnitState:

@@ -326,6 +326,17 @@ def wait_for(url: str) -> None:
     pytest.fail(f"{url} did not answer within {START_S} s")
 
 
+@pytest.fixture
+def registry(
+    calibrated: str, add_everybody: Callable[[str], None], monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Registry]:
+    """The calibrated lot's registry with everybody in it, the one that commands open."""
+    add_everybody(calibrated)
+    monkeypatch.setenv("SOFTCAL_REGISTRY", calibrated)
+    with open_registry(calibrated) as opened:
+        yield opened
+
+
 @pytest.fixture(scope="session")
 def chromium(require_program: Callable[..., str]) -> Iterator[Browser]:
     """One headless Chromium for all tests."""

@@ -11,6 +11,7 @@ from playwright.sync_api import TimeoutError as PlaywrightTimeout
 from softcal.app.line.facts import LineFacts, Screen, read_line
 from softcal.app.line.line import take_scan
 from softcal.core.orders import Order, OrderKind
+from tests.wait import wait_until
 
 STATION, LOT = "line-1", "LOT-7"
 SHORT = ("--speed", "4", "--unit-seconds", "12", "--source-seconds", "25", "--hidden", "12,6")
@@ -36,10 +37,7 @@ class Line:
         return read_line(self.registry, Screen(STATION))
 
     def until(self, is_so: Callable[[], bool], what: str) -> None:
-        deadline_s = time.monotonic() + 120
-        while not is_so():
-            assert time.monotonic() < deadline_s, f"waited for {what}; {self.facts}"
-            time.sleep(0.1)
+        wait_until(is_so, lambda: f"{what}; {self.facts}")
 
     def clear(self) -> None:
         """Nothing runs, nothing stands still and no unit waits, whatever other tests left here."""

@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from softcal.app.registry.unit import unit_in_use
 from softcal.app.use.adapt import AdaptOptions, Follower
 from softcal.core.lot import UnitKey
 from softcal.db.connection import open_registry
+from tests.wait import wait_until
 
 pytestmark = pytest.mark.long
 
@@ -84,9 +84,7 @@ def kill_after(process: "subprocess.Popen[str]", target: Path, log: list[str], r
     assert process.stdin is not None
     process.stdin.writelines(log[:rows])
     process.stdin.flush()
-    end_s = time.monotonic() + 60
-    while rows_of(target) < rows - 200 and time.monotonic() < end_s:
-        time.sleep(0.02)
+    wait_until(lambda: rows_of(target) >= rows - 200)
     os.kill(process.pid, signal.SIGKILL)
     process.wait(10)
     assert process.stderr is not None

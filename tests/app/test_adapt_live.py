@@ -25,6 +25,7 @@ from softcal.core.lot import UnitKey
 from softcal.db.connection import open_registry
 from softcal.station.interfaces import Sample
 from softcal.station.wire.frames.text_stream import StreamLine, format_line
+from tests.wait import wait_until
 
 
 @pytest.fixture(scope="module")
@@ -210,8 +211,7 @@ def test_serial_port_is_read_over_an_unplugging(bench: Path, tmp_path: Path) -> 
     port, target = tmp_path / "ttyUSB0", tmp_path / "live.csv"
     device = threading.Thread(target=plug_twice, args=(port,))
     device.start()
-    while not port.exists():
-        time.sleep(0.01)
+    wait_until(port.exists)
 
     assert adapt(bench, f"serial:{port}", str(target), "--duration", "4.5", "--stream", "plugged") == 0
 

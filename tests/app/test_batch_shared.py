@@ -6,7 +6,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +25,7 @@ from softcal.core.network.config import NetworkConfig
 from softcal.db.connection import open_registry
 from softcal.db.queues.work_queue import WorkSet
 from softcal.db.truth.calibrations import CalibrationTables
+from tests.wait import wait_until
 
 UNITS = 16
 SMALL = ("--hidden", "16,8")
@@ -54,13 +54,6 @@ def kept(url: str) -> dict[str, int]:
     return {str(serial): int(count) for serial, count in rows}
 
 
-def wait_until(condition, seconds: float = 60.0) -> None:
-    until_s = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < until_s
-        time.sleep(0.02)
-
-
 def children_of(pid: int) -> list[int]:
     return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
@@ -73,7 +66,7 @@ def test_a_batch_that_is_killed_goes_on_at_once_and_repeats_nothing(folder: Path
     process.wait()
     before = kept(registry_url)
     assert workers and len(before) < UNITS
-    wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers), 10.0)
+    wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers), within_s=10.0)
     report = folder.parent / "report.json"
     assert main(["batch", str(folder), "--registry", registry_url, *SMALL, "--no-own", "--json", str(report)]) in (0, 1)
     units = json.loads(report.read_text())["units"]

@@ -3,8 +3,7 @@
 import json
 import signal
 import subprocess
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
@@ -25,8 +24,8 @@ from softcal.core.orders import Heartbeat, StationState
 from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
+from tests.wait import wait_until
 
-LATEST_S = 30.0
 VERDICTS = 1000
 
 
@@ -62,13 +61,6 @@ class Broker:
     def restart(self) -> None:
         self.end()
         self.start()
-
-
-def wait_until(is_so: Callable[[], object], what: str) -> None:
-    end_s = time.monotonic() + LATEST_S
-    while not is_so():
-        assert time.monotonic() < end_s, f"not within {LATEST_S} s: {what}"
-        time.sleep(0.01)
 
 
 @pytest.fixture

@@ -34,6 +34,7 @@ from softcal.core.words.reason import plain
 from softcal.db.care.sync import synchronise
 from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
+from tests.wait import wait_until
 
 pytestmark = pytest.mark.usefixtures("own_data")
 SOFTCAL = str(Path(sys.executable).with_name("softcal"))
@@ -257,10 +258,8 @@ def test_a_run_delivers_what_waits_and_ends_by_a_signal(url, tmp_path, some_port
         registry.calibrations.refuse("L1", "U1", "fail", (plain("dead"),))
     process = subprocess.Popen([SOFTCAL, "connect", "run", file, "--registry", url], stderr=subprocess.PIPE, text=True)
     try:
-        end_s = time.monotonic() + 120
-        while not mails:
-            assert process.poll() is None and time.monotonic() < end_s, "no mail came"
-            time.sleep(0.05)
+        wait_until(lambda: mails or process.poll() is not None)
+        assert process.poll() is None, "no mail came"
     finally:
         process.send_signal(signal.SIGTERM)
         _, error = process.communicate(timeout=60)

@@ -1,6 +1,5 @@
 """Jobs of the screens: done in a process of their own, they leave a result or one line that says why not."""
 
-import time
 from datetime import UTC, datetime
 from functools import partial
 
@@ -17,6 +16,7 @@ from softcal.core.errors import InputError
 from softcal.core.orders import RunState
 from softcal.core.words.reason import joined, unpacked
 from softcal.db.connection import open_registry
+from tests.wait import wait_until
 
 ENGLISH = partial(text, "en")
 METADATA = {"vref_V": 5.0, "adc_bits": 16, "r_series_ohm": 1000.0, "sample_rate_Hz": 50.0, "serial": "A17"}
@@ -40,9 +40,7 @@ def test_a_job_runs_in_a_process_of_its_own_and_its_result_is_registered(
     with open_registry(calibrated) as registry:
         board = registry.job_board
         job_id = job_process.start_job(registry, "train", request, "Erin")
-        deadline_s = time.monotonic() + 120
-        while board.job(job_id).state.is_active and time.monotonic() < deadline_s:
-            time.sleep(0.2)
+        wait_until(lambda: not board.job(job_id).state.is_active)
         job = board.job(job_id)
         assert (job.state, job.message[:5]) == (RunState.DONE, job.result["network"][:5])
         assert registry.networks.get(job.result["network"]).sizes[1] == 6
@@ -77,8 +75,7 @@ def test_a_job_somebody_wants_stopped_ends_cancelled(calibrated: str, monkeypatc
 
     def endless(registry, job, tell):
         registry.job_board.cancel(job.job_id)
-        while not told:
-            time.sleep(0.01)
+        wait_until(lambda: told)
         raise InputError("the process would be gone by now")
 
     monkeypatch.setattr("softcal.app.jobs.jobs.check", endless)

@@ -6,7 +6,7 @@ import json
 import re
 import shlex
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -24,21 +24,12 @@ from softcal.app.rest.v1 import UnitAnswer
 from softcal.core.lot import Lot
 from softcal.core.orders import Heartbeat, Order, OrderKind, StationState
 from softcal.core.words.reason import plain
-from softcal.db.connection import open_registry
 from softcal.db.entries import UnitEntry
 from softcal.db.registry import Registry
 
 pytestmark = pytest.mark.usefixtures("own_data")
 EXAMPLES = 10
 ACCOUNTS = {"operator": "Oh", "engineer": "Erin", "quality": "Quinn"}
-
-
-@pytest.fixture
-def registry(calibrated: str, add_everybody, monkeypatch: pytest.MonkeyPatch) -> Iterator[Registry]:
-    add_everybody(calibrated)
-    monkeypatch.setenv("SOFTCAL_REGISTRY", calibrated)
-    with open_registry(calibrated) as opened:
-        yield opened
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ import inspect
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -15,18 +14,10 @@ import uvicorn
 
 from softcal.app.cli.main import main
 from softcal.app.rest.server import openapi_document, rest_app
-from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
+from tests.wait import wait_until
 
 pytestmark = pytest.mark.usefixtures("own_data")
-
-
-@pytest.fixture
-def registry(calibrated: str, add_everybody, monkeypatch: pytest.MonkeyPatch) -> Iterator[Registry]:
-    add_everybody(calibrated)
-    monkeypatch.setenv("SOFTCAL_REGISTRY", calibrated)
-    with open_registry(calibrated) as opened:
-        yield opened
 
 
 @pytest.fixture
@@ -50,8 +41,7 @@ def address(registry: Registry) -> Iterator[str]:
     server = uvicorn.Server(uvicorn.Config(rest_app(registry), port=0, log_level="warning"))
     thread = threading.Thread(target=server.run)
     thread.start()
-    while not server.started:
-        time.sleep(0.02)
+    wait_until(lambda: server.started)
     yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}"
     server.should_exit = True
     thread.join()

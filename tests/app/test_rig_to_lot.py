@@ -5,7 +5,6 @@ import shutil
 import subprocess
 import sys
 import threading
-import time
 from itertools import takewhile
 
 import numpy as np
@@ -19,6 +18,7 @@ from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import Order, OrderKind, RunState, StationState
 from softcal.core.words.reason import Reason
 from softcal.db.connection import open_registry
+from tests.wait import wait_until
 
 SMALL = ("--hidden", "16")
 PRESSES = 4
@@ -135,12 +135,10 @@ def test_orders_end_in_a_lot_folder_of_which_batch_computes_nothing_again(softca
 
         def order_all() -> None:
             try:
-                while (beat := queue.heartbeat("s1")) is None or beat.state is StationState.STARTING:
-                    time.sleep(0.05)
+                wait_until(lambda: (beat := queue.heartbeat("s1")) and beat.state is not StationState.STARTING)
                 for serial, kind in orders:
                     queue.place(Order(serial, "s1", kind, serial, "L1"))
-                    while queue.progress(serial).state.is_active:
-                        time.sleep(0.05)
+                    wait_until(lambda serial=serial: not queue.progress(serial).state.is_active)
             finally:
                 over.set()
 

@@ -1,7 +1,7 @@
 """The page of the source from an empty registry to a trained network, on a simulated station that really presses."""
 
-import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -9,6 +9,7 @@ import pytest
 from softcal.app.texts.catalogue import text
 from softcal.core.orders import OrderKind, RunState
 from softcal.db.connection import open_registry
+from tests.wait import wait_until
 
 pytestmark = pytest.mark.long
 
@@ -38,11 +39,9 @@ def test_a_source_is_registered_pressed_looked_at_and_trained_from_its_page(url:
     _press(screen, "source.add_lot")
     _press(screen, "source.step.2")
     with open_registry(url) as registry:
-        deadline_s = time.monotonic() + LONGEST_S
-        while (found := registry.order_queue.runs(STATION))[0][1].state.is_active:
-            assert time.monotonic() < deadline_s, found
-            time.sleep(0.2)
-        (order, progress), *_ = found
+        runs = partial(registry.order_queue.runs, STATION)
+        wait_until(lambda: not runs()[0][1].state.is_active, runs, LONGEST_S)
+        (order, progress), *_ = runs()
         assert (order.kind, order.serial, order.lot_id) == (OrderKind.SOURCE, "A0", LOT)
         assert progress.state is RunState.DONE, progress.text
         (recording,) = registry.recordings.of_lot(LOT, kind="source")

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from functools import partial
 from pathlib import Path
 
@@ -24,6 +23,7 @@ from softcal.station.devices.config import read_station_file, station_toml
 from softcal.station.devices.simulated_station import SimulatedStation
 from softcal.station.interfaces import Sample, StagePosition
 from softcal.station.record.spool import Spool, read_spool
+from tests.wait import wait_until
 
 SOFTCAL = Path(sys.executable).with_name("softcal")
 
@@ -151,8 +151,7 @@ def test_a_killed_process_leaves_its_samples_and_no_recording(tmp_path):
         f"options = command_parser(['station']).parse_args({words!r}); options.run(options)"
     )
     process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
-    while process.poll() is None and sum(p.stat().st_size for p in tmp_path.glob("spool/*")) < 20_000:
-        time.sleep(0.05)
+    wait_until(lambda: process.poll() is not None or sum(p.stat().st_size for p in tmp_path.glob("spool/*")) >= 20_000)
     process.send_signal(signal.SIGKILL)
     process.wait()
     (spool,) = tmp_path.glob("spool/*.spool")

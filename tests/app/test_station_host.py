@@ -22,6 +22,7 @@ from softcal.db.queues.order_queue import OrderQueue
 from softcal.db.truth.recordings import RecordingTables
 from softcal.station.devices.bench import Bench, open_simulated_bench
 from softcal.station.tasks.service import Hooks, StationService
+from tests.wait import wait_until
 
 QUICK = ramps([2.0], 4.0, rest_s=0.3, name="quick")
 
@@ -178,8 +179,7 @@ def test_a_stop_order_reaches_a_run_and_the_station_stands_before_its_end_is_tol
     host = make_host(registry, tmp_path, ramps([2.0] * 400, 1.0, name="long"))
 
     def person():
-        while queue.active("s1") is None or queue.active("s1")[1].phase != "pressing":
-            time.sleep(0.02)
+        wait_until(lambda: (active := queue.active("s1")) and active[1].phase == "pressing")
         queue.place(Order("stop", "s1", OrderKind.STOP))
 
     threading.Thread(target=person, daemon=True).start()
@@ -230,8 +230,7 @@ def test_a_stop_waits_for_nobody_who_writes_into_the_registry(registry, tmp_path
     is_stop_wanted = host._is_stop_wanted
 
     def say_stop_and_keep_the_registry_writing():
-        while not any(progress.phase for _, progress in queue.runs("s1")):
-            time.sleep(0.005)
+        wait_until(lambda: any(progress.phase for _, progress in queue.runs("s1")))
         queue.place(Order("stop", "s1", OrderKind.STOP))
         with registry.database.writing():
             locked.set()

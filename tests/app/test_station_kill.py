@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import pytest
 from softcal.app.line.recover import recover
 from softcal.core.orders import Order, OrderKind, RunState
 from softcal.db.connection import open_registry
+from tests.wait import wait_until
 
 pytestmark = pytest.mark.long
 
@@ -32,30 +32,23 @@ def served(url, folder):
         process.wait(30)
 
 
-def wait_for(is_so, limit_s=60.0):
-    end_s = time.monotonic() + limit_s
-    while not is_so():
-        assert time.monotonic() < end_s
-        time.sleep(0.02)
-
-
 def test_a_killed_service_leaves_an_interrupted_run_and_its_samples(tmp_path):
     url = f"sqlite:///{tmp_path / 'r.db'}"
     with open_registry(url) as registry:
         queue = registry.order_queue
         with served(url, tmp_path) as process:
-            wait_for(lambda: queue.is_answering("s1"))
+            wait_until(lambda: queue.is_answering("s1"))
             queue.place(Order("o1", "s1", OrderKind.SOURCE, "A0", "L1"))
-            wait_for(lambda: queue.progress("o1").phase == "pressing" and queue.progress("o1").fraction > 0.1)
+            wait_until(lambda: queue.progress("o1").phase == "pressing" and queue.progress("o1").fraction > 0.1)
             process.send_signal(signal.SIGKILL)
             process.wait(30)
-        wait_for(lambda: not queue.is_answering("s1"))
+        wait_until(lambda: not queue.is_answering("s1"))
         assert queue.progress("o1").state is RunState.RUNNING  # Nobody is there to say otherwise.
         (spooled,) = recover(tmp_path / "spool", tmp_path / "recovered")
         assert str(spooled.end) == "cut off"
         assert len(pd.read_csv(spooled.files[0])) == spooled.samples > 400
         with served(url, tmp_path):
-            wait_for(lambda: not queue.progress("o1").state.is_active)
+            wait_until(lambda: not queue.progress("o1").state.is_active)
             assert queue.progress("o1").code == "E-INTERRUPTED"
             assert queue.progress("o1").state is RunState.ERROR
         assert registry.lots.all() == []  # Nothing of the half run was stored.

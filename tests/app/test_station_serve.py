@@ -1,9 +1,9 @@
 """The resident service as a line uses it: source, units, golden unit, faults and stops, through the registry alone."""
 
 import threading
-import time
 from contextlib import contextmanager
 from datetime import UTC, date, datetime
+from functools import partial
 
 import pytest
 from sqlalchemy import update
@@ -17,6 +17,7 @@ from softcal.core.words.reason import reason
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate
 from softcal.db.schema.tables import heartbeats
+from tests.wait import wait_until
 
 SMALL = NetworkConfig(hidden=(12, 6), max_epochs=12)
 SHORT = {"speed": 1000.0, "source_s": 30.0, "unit_s": 12.0, "network": SMALL}
@@ -39,11 +40,8 @@ class Line:
             self.error = error
 
     def wait_for(self, is_so):
-        end_s = time.monotonic() + 60
-        while (beat := self.queue.heartbeat("s1")) is None or not is_so(beat):
-            assert time.monotonic() < end_s, beat
-            time.sleep(0.02)
-        return beat
+        heartbeat = partial(self.queue.heartbeat, "s1")
+        return wait_until(lambda: (beat := heartbeat()) and is_so(beat) and beat, heartbeat)
 
     def place(self, kind, serial="", reason=""):
         self.count += 1
@@ -51,11 +49,12 @@ class Line:
         return f"o{self.count}"
 
     def order(self, kind, serial="", reason=""):
-        order_id, end_s = self.place(kind, serial, reason), time.monotonic() + 60
-        while (progress := self.queue.progress(order_id)).state.is_active:
-            assert time.monotonic() < end_s, progress
-            time.sleep(0.02)
-        return progress
+        return self.ended(self.place(kind, serial, reason))
+
+    def ended(self, order_id):
+        progress = partial(self.queue.progress, order_id)
+        wait_until(lambda: not progress().state.is_active, progress)
+        return progress()
 
     def end(self):
         self.is_wanted = False
@@ -150,8 +149,7 @@ def test_a_stop_before_the_run_began_means_that_run_too(line):
     # Both orders are there before the service looks: the stop must not leave the run behind it standing.
     with line.registry.transaction():
         run, stop = line.place("unit", "A4"), line.place("stop")
-    while line.queue.progress(stop).state.is_active:
-        time.sleep(0.02)
+    line.ended(stop)
     assert line.queue.progress(run).state is RunState.CANCELLED
     assert line.queue.progress(run).phase == ""
 
@@ -182,8 +180,7 @@ def test_the_gate_tells_every_condition_and_an_override_opens_it(tmp_path):
 def test_a_terminated_service_stops_its_run_and_says_that_it_is_off(tmp_path):
     with served(tmp_path, speed=5.0, unit_s=300.0) as line:
         line.queue.place(Order("long", "s1", OrderKind.SOURCE, "A0", "L1"))
-        while line.queue.progress("long").phase != "homing":
-            time.sleep(0.02)
+        wait_until(lambda: line.queue.progress("long").phase == "homing")
         line.end()
         assert line.queue.progress("long").state is RunState.CANCELLED
         assert line.queue.heartbeat("s1").state is StationState.OFF

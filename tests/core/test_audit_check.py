@@ -5,27 +5,8 @@ from dataclasses import replace
 import pytest
 
 from softcal.core.quality.audit_check import doubtful_audits
-from softcal.core.unit.measured_error import MeasuredError, Scores
 from softcal.core.unit.method import Method
-from softcal.core.unit.output_level import LoadLine
-from softcal.core.unit.state import AuditResult
-
-
-def reading(name, gain=1.0, rest=0.5, audit_rest=None):
-    return AuditResult(
-        map_id="",
-        recording_sha256=name,
-        output_sha256=name,
-        reference_sha256=f"loads of {name}",
-        scores=Scores(MeasuredError(0.2, 1000), MeasuredError(0.1, 1000)),
-        line=LoadLine(gain, 0.0),
-        fitted_line=LoadLine(gain, 0.0),
-        unit_rest=rest,
-        audit_rest=rest if audit_rest is None else audit_rest,
-        span=1.0,
-        residual=(0.0, 1.0),
-        half=(1.0, 1.0),
-    )
+from tests.unit_states import audit_result
 
 
 def with_gain(one, factor):
@@ -35,7 +16,7 @@ def with_gain(one, factor):
 @pytest.fixture
 def readings(rng):
     rest = {f"U{k}": 0.3 + 0.1 * k for k in range(8)}
-    return {s: reading(s, 1 + 0.15 * rng.normal(), value, value + 0.02) for s, value in rest.items()}
+    return {s: audit_result(s, 1 + 0.15 * rng.normal(), value, value + 0.02) for s, value in rest.items()}
 
 
 def codes(readings):
@@ -67,7 +48,7 @@ def test_rests_that_wander_overnight_by_as_much_as_units_differ_are_no_exchange(
         unit_rest = rng.integers(238, 245, 12).astype(float)
         audit_rest = unit_rest + rng.integers(-3, 2, 12)
         lot = {
-            f"R{k}": replace(reading(f"R{k}", rest=u, audit_rest=a), span=38.0)
+            f"R{k}": replace(audit_result(f"R{k}", unit_rest=u, audit_rest=a), span=38.0)
             for k, (u, a) in enumerate(zip(unit_rest, audit_rest, strict=True))
         }
         assert codes(lot) == {}
@@ -75,7 +56,7 @@ def test_rests_that_wander_overnight_by_as_much_as_units_differ_are_no_exchange(
 
 @pytest.mark.parametrize(("others", "is_named"), [(2, False), (3, True)])
 def test_three_others_name_an_audit_in_another_unit_and_two_do_not(others, is_named):
-    lot = {f"U{k}": reading(f"U{k}", gain=9.80665 if k == 0 else 1.0, rest=0.3 + 0.1 * k) for k in range(others + 1)}
+    lot = {f"U{k}": audit_result(f"U{k}", 9.80665 if k == 0 else 1.0, 0.3 + 0.1 * k) for k in range(others + 1)}
     assert codes(lot) == ({"U0": "doubt.gain"} if is_named else {})
 
 

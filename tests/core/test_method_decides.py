@@ -16,12 +16,11 @@ from softcal.core.quality.widening import AuditedSamples, fit_widening
 from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.line_spread import seen_gains
 from softcal.core.unit.lot_correction import AuditedLine, LotCorrection
-from softcal.core.unit.measured_error import MeasuredError, Scores
 from softcal.core.unit.method import Method, ReleaseConfig
 from softcal.core.unit.output_level import LoadLine
-from softcal.core.unit.state import AuditResult
 from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import Limit
+from tests.unit_states import audit_result
 
 LIMIT = Limit("N", 1.0)
 NOW = datetime(2026, 5, 1, tzinfo=UTC)
@@ -72,34 +71,20 @@ def widened(method):
         yield vars(fit_widening(audits, 0.9, method.release))
 
 
-def audit(name, gain=1.0, moved=0.0, rest=0.5):
-    return AuditResult(
-        map_id="",
-        recording_sha256=name,
-        output_sha256=name,
-        reference_sha256=f"loads of {name}",
-        scores=Scores(MeasuredError(0.2, 1000), MeasuredError(0.1, 1000)),
-        line=LoadLine(gain, 0.0),
-        fitted_line=LoadLine(gain, 0.0),
-        unit_rest=rest,
-        audit_rest=rest + moved,
-        span=1.0,
-        residual=(0.0, 1.0),
-        half=(1.0, 1.0),
-    )
-
-
 def suspected(method):
     """Which audits are set aside: a far gain, a far rest, or two exchanged units, beside alike or unlike ones."""
     for others in range(1, 9):
         for scatter in (0.0, 0.03):
-            alike = {f"U{k}": audit(f"U{k}", moved=scatter * (-1) ** k, rest=float(k)) for k in range(others)}
+            alike = {f"U{k}": audit_result(f"U{k}", 1.0, k, k + scatter * (-1) ** k) for k in range(others)}
             for gain in (1.6, 2.5, 4.0, 5.0):
-                yield doubtful_audits({**alike, "far": audit("far", gain)}, method)
+                yield doubtful_audits({**alike, "far": audit_result("far", gain)}, method)
             for moved in (0.02, 0.08, 0.11, 0.15, 0.25, 0.35, 0.5):
-                yield doubtful_audits({**alike, "far": audit("far", moved=moved, rest=50.0)}, method)
+                yield doubtful_audits({**alike, "far": audit_result("far", 1.0, 50.0, 50.0 + moved)}, method)
             for apart in (0.008, 0.015, 0.03, 0.06, 0.1, 0.2, 0.4):
-                pair = {"A": audit("A", moved=apart, rest=60.0), "B": audit("B", moved=-apart, rest=60.0 + apart)}
+                pair = {
+                    "A": audit_result("A", 1.0, 60.0, 60.0 + apart),
+                    "B": audit_result("B", 1.0, 60.0 + apart, 60.0),
+                }
                 yield doubtful_audits({**alike, **pair}, method)
     yield [seen_gains([1.0, 1.1] * count, method.release.min_others) is None for count in range(1, 5)]
 
