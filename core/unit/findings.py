@@ -236,6 +236,10 @@ def _times_as_fast(source: OutputRecording, target: OutputRecording, method: Met
     times = float(whole_s / lasted_s)
     if abs(times - 1) <= RATE_TOLERANCE:
         return 1.0
+    # One programme makes the same presses at any rate; twice as many are another one, which no comparison need show.
+    presses = [swings(recording, method.map.crossing) for recording in (source, target)]
+    if max(presses) > 2 * min(presses):
+        return 1.0
     since_s = (target.t_s - target.t_s[0]) * times
     at_s = source.t_s - source.t_s[0]
     paced = replace(source, serial=target.serial, output=np.interp(at_s, since_s, target.output), stage_mm=None)
