@@ -2,6 +2,7 @@
 
 python benchmarks/registry.py commands [--quick] [--units 100]
 python benchmarks/registry.py list [--quick] [--units 1000 10000] [--databases SQLite PostgreSQL]
+python benchmarks/registry.py redecide [--quick] [--units 2000] [--databases SQLite PostgreSQL]
 python benchmarks/registry.py writers [--quick] [--writers 8] [--seconds 60]
 python benchmarks/registry.py kill [--quick] [--kills 100] [--seed N] [--what writer batch station]
 """
@@ -27,6 +28,7 @@ from common.registries import DATABASES, RATE_HZ, SOFTCAL, begin_lot, database_o
 from common.tables import print_table
 
 from softcal.app.batch.batch import run_batch
+from softcal.app.batch.changes import change_limit, compare_verdicts, read_verdicts
 from softcal.app.batch.lot_work import BatchConfig, Watch
 from softcal.app.batch.report import UnitResult
 from softcal.app.batch.train import train_or_find
@@ -142,6 +144,30 @@ def fill(registry: Registry, units: int) -> None:
         with registry.transaction():
             for number in range(start, min(start + CHUNK, units)):
                 registry.calibrations.add("bench", state(f"U{number:06d}", number, network_id))
+
+
+def redecide(options: argparse.Namespace) -> None:
+    """CPU of a lot under another limit: every unit of it is decided again. Beside it, reading all those units once."""
+    rows = (redecided(kind, 100 if options.quick else options.units) for kind in options.databases)
+    print_table("database | units | CPU s | reading the units alone, CPU s | memory more, MB | verdicts changed", rows)
+
+
+def redecided(kind: str, units: int) -> Row:
+    with fresh_url(kind) as url, open_registry(url) as registry:
+        fill(registry, units)
+        begun_s = time.process_time()
+        before = read_verdicts(registry, "bench")
+        reading_s = time.process_time() - begun_s
+        before_MB = peak_MB()
+        begun_s = time.process_time()
+        change_limit(registry, "bench", 0.05, reason="a benchmark")
+        taken_s, more_MB = time.process_time() - begun_s, peak_MB() - before_MB
+        changes = compare_verdicts("bench", before, read_verdicts(registry, "bench"))
+    return kind, len(before), taken_s, reading_s, more_MB, len(changes.changed)
+
+
+def peak_MB() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def writers(options: argparse.Namespace) -> None:
@@ -359,6 +385,9 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=9)
     parser = every.add(list_, "500 units instead of 1,000 and 10,000")
     parser.add_argument("--units", type=int, nargs="+", default=[1_000, 10_000])
+    parser.add_argument("--databases", nargs="+", choices=DATABASES, default=DATABASES)
+    parser = every.add(redecide, "100 units")
+    parser.add_argument("--units", type=int, default=2_000)
     parser.add_argument("--databases", nargs="+", choices=DATABASES, default=DATABASES)
     parser = every.add(writers, "three seconds instead of a minute")
     parser.add_argument("--writers", type=int, default=8)

@@ -198,7 +198,8 @@ def conflicts_of(
     if len(history.origins(database)) < 2:
         return []
     u, follower = in_use.c, in_use.alias()
-    is_followed = select(follower.c.number).where(
+    # Counted, not `EXISTS`: PostgreSQL would join that, and compare all units of a lot that was just written with all.
+    followers = select(func.count()).where(
         follower.c.lot_id == u.lot_id,
         follower.c.serial == u.serial,
         follower.c.follows_origin == u.origin,
@@ -209,7 +210,8 @@ def conflicts_of(
         func.min(calibrations.c.verdict) != func.max(calibrations.c.verdict),
     )
     query = select(u.lot_id, u.serial).select_from(in_use).join(calibrations, OF_STATEMENT)
-    query = query.where(~is_followed.correlate(in_use).exists()).group_by(u.lot_id, u.serial).having(differ)
+    is_head = followers.correlate(in_use).scalar_subquery() == 0
+    query = query.where(is_head).group_by(u.lot_id, u.serial).having(differ)
     query = query.where(*given((u.lot_id, lot_id), (u.serial, serials)))
     return [(lot, name) for lot, name in database.tuples(query.order_by(u.lot_id, u.serial))]
 

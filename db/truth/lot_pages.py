@@ -216,7 +216,7 @@ class StandingQuery:
     def table(self, serials: Sequence[str] | None = None, role: str | None = None) -> sa.Subquery:
         """Return every unit beside its map in use and its newest verdict, or a later refusal's.
 
-        "Nothing newer exists" is found through the index of the table; a window function over all
+        The newest row of a unit is found through the index of the table; a window function over all
         rows is not, and its join with the units would take the square of their number.
         """
         c, u, r = calibrations, in_use, refusals
@@ -242,7 +242,9 @@ class StandingQuery:
         refused = and_(_is_of_unit(r), _is_newest(r, ("made_at", "origin")))
         joined = stated.outerjoin(c, OF_STATEMENT).outerjoin(r, refused)
         query = select(units.c.lot_id, units.c.serial, units.c.role, *(c.label(name) for name, c in columns.items()))
-        query = query.select_from(joined).where(units.c.lot_id == self.lot_id)
+        # Named twice: PostgreSQL would read `= lot` into every table of the join. Of a lot that was just written it
+        # expects one row, and would compare all units of the lot with all.
+        query = query.select_from(joined).where(units.c.lot_id.in_([self.lot_id, self.lot_id]))
         return query.where(*given((units.c.role, role), (units.c.serial, serials))).subquery("standing")
 
     def entry(self, row: sa.RowMapping) -> UnitEntry:
@@ -283,7 +285,8 @@ def _is_of_unit(table: sa.Table) -> ColumnElement[bool]:
 
 
 def _is_newest(table: sa.Table, names: Sequence[str]) -> ColumnElement[bool]:
+    # By a subquery of its own for each row: no statistics make it anything but a search of the index.
     other = table.alias()
-    is_same = and_(other.c.lot_id == table.c.lot_id, other.c.serial == table.c.serial)
-    is_newer = sa.tuple_(*(other.c[name] for name in names)) > sa.tuple_(*(table.c[name] for name in names))
-    return ~select(other.c.serial).where(is_same, is_newer).correlate(table).exists()
+    query = select(*(other.c[name] for name in names)).order_by(*(other.c[name].desc() for name in names)).limit(1)
+    query = query.where(other.c.lot_id == table.c.lot_id, other.c.serial == table.c.serial).correlate(table)
+    return sa.tuple_(*(table.c[name] for name in names)).in_(query)
