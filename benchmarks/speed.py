@@ -1,6 +1,6 @@
 """Speed: estimates per second through f∘γ, seconds and memory to fit one map, and what a command costs to start.
 
-python benchmarks/speed.py estimate|fit|start|press|calibrate_unit [--quick]
+python benchmarks/speed.py estimate|fit|start|press|calibrate_unit|train [--quick]
 """
 
 import argparse
@@ -12,6 +12,8 @@ import time
 import tracemalloc
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from unittest import mock
 
@@ -26,7 +28,7 @@ from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
-from softcal.core.network.training import fit_network
+from softcal.core.network.training import fit_network, validation_blocks
 from softcal.core.profiles import unit_profile
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import draw_twins
@@ -324,6 +326,58 @@ def calibrate_unit(options: argparse.Namespace) -> None:
     print_table("samples | a unit, ms | matrix products of f, ms | times", rows)
 
 
+def train(options: argparse.Namespace) -> None:
+    """CPU to train f at the paper's size, beside a plain torch loop until its error is no larger.
+
+    The error is that on the held-out blocks, which stop both trainings where it does not fall any more.
+    """
+    source, config = unit(5_000 if options.quick else 25_000, 1, 1.0, 0.0), NetworkConfig()
+    fit_network(unit(2_000, 2, 1.0, 0.0), replace(config, max_epochs=1))
+    begun_s = time.process_time()
+    fit = fit_network(source, config)
+    taken_s = time.process_time() - begun_s
+    rows: list[tuple[object, ...]] = [("softcal", taken_s, sum(fit.epochs), fit.validation_rmse)]
+    begun_s = time.process_time()
+    epochs, error = train_plainly(source, config, fit.validation_rmse)
+    rows.append(("plain torch loop", time.process_time() - begun_s, epochs, error))
+    print_table("training | CPU s | epochs | error, held-out blocks, N", rows)
+    print(f"softcal takes {taken_s / float(str(rows[1][1])):.2f} of the plain loop's CPU")
+
+
+def train_plainly(source: LabelledRecording, config: NetworkConfig, enough: float) -> tuple[int, float]:
+    """Train as a tutorial of torch does: `DataLoader`, `Sequential`, Adam; return epochs and the best error."""
+    import torch
+    from torch.utils.data import DataLoader, TensorDataset
+
+    torch.manual_seed(config.seed)
+    torch.set_num_threads(1)
+    blocks = validation_blocks(len(source.windows), config.validation_share)
+    held_out = torch.from_numpy(blocks)
+    # As softcal does: what shares samples with a held-out window is not trained on.
+    trained_on = torch.from_numpy(np.convolve(blocks, np.ones(2 * TAPS + 1), mode="same") < 0.5)
+    x, y = (torch.from_numpy(values).float() for values in (source.windows, source.window_reference[:, None]))
+    x, scale = (x - x.mean()) / x.std(), float(y.std())
+    y = (y - y.mean()) / scale
+    sizes = (TAPS, *config.hidden, 1)
+    layers = [part for a, b in pairwise(sizes) for part in (torch.nn.Linear(a, b), torch.nn.ReLU())][:-1]
+    model = torch.nn.Sequential(*layers)
+    optimiser = torch.optim.Adam(model.parameters(), lr=config.learning_rate)
+    schedule = torch.optim.lr_scheduler.ReduceLROnPlateau(optimiser, factor=0.5, patience=config.patience // 3)
+    batches = DataLoader(TensorDataset(x[trained_on], y[trained_on]), batch_size=config.batch, shuffle=True)
+    best, best_epoch, epoch = np.inf, 0, 0
+    while best > enough and epoch < config.max_epochs and epoch - best_epoch < config.patience:
+        epoch += 1
+        for inputs, labels in batches:
+            optimiser.zero_grad()
+            torch.nn.functional.mse_loss(model(inputs), labels).backward()
+            optimiser.step()
+        with torch.no_grad():
+            error = float(torch.nn.functional.mse_loss(model(x[held_out]), y[held_out]) ** 0.5) * scale
+        schedule.step(error)
+        best, best_epoch = min((best, best_epoch), (error, epoch))
+    return epoch, best
+
+
 MEASURE = """import os, sys
 quiet = [(os.POSIX_SPAWN_OPEN, number, os.devnull, os.O_WRONLY, 0) for number in (1, 2)]
 _, status, used = os.wait4(os.posix_spawn(sys.argv[1], sys.argv[1:], os.environ, file_actions=quiet), 0)
@@ -365,6 +419,7 @@ def main() -> None:
     every.add(start, "3 runs a command instead of 15")
     every.add(press, "15 s of a press instead of 150 s")
     every.add(calibrate_unit, "4 units instead of 14")
+    every.add(train, "5,000 samples instead of 25,000")
     every.run()
 
 
