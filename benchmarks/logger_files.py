@@ -374,7 +374,7 @@ def fault_nan(rng: random.Random, lines: Lines) -> bool:
 
 
 def fault_text(rng: random.Random, lines: Lines) -> bool:
-    text = rng.choice(("N/A", "NA", "OL", "---", "#DIV/0!", "OVLD", "null"))
+    text = rng.choice(("N/A", "NA", "OL", "---", "#DIV/0!", "OVLD", "null", "ERR", "no signal"))
     lines.draft.truth["missing"] = (text,)
     return _replace_cells(rng, lines, text)
 

@@ -162,7 +162,8 @@ class _Range:
     high: float
 
     def __format__(self, spec: str) -> str:
-        return f"{self.low:{spec}} to {self.high:{spec}}"
+        low, high = f"{self.low:{spec}}", f"{self.high:{spec}}"
+        return low if low == high else f"{low} to {high}"
 
 
 def reasons_by_verdict(units: Sequence[UnitResult]) -> list[tuple[str, list[str]]]:
@@ -197,10 +198,11 @@ def _names(serials: Collection[str]) -> str:
 
 
 def _shared(alike: Sequence[Reason]) -> str:
-    """Return one sentence for reasons of one code."""
-    return filled(
-        ENGLISH[alike[0].code], {name: _span([one.values[name] for one in alike]) for name in alike[0].values}
-    )
+    """Return one sentence for reasons of one code; of their intervals the one that holds all."""
+    values = {name: _span([one.values[name] for one in alike]) for name in alike[0].values}
+    for name, end in (("lower", "low"), ("upper", "high")):
+        values |= {name: getattr(values[name], end)} if isinstance(values.get(name), _Range) else {}
+    return filled(ENGLISH[alike[0].code], values)
 
 
 def _span(values: Sequence[Value]) -> object:

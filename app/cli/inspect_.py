@@ -56,9 +56,10 @@ def _show_table(options: argparse.Namespace) -> None:
         print_table(FINDINGS_HEADER, findings)
     elif options.json != "-":
         print_table(("what", "value"), summary_rows(file))
-        for text in (*(text for *_, text in findings), *beside):
+        remarks = (*file.remarks, *beside)
+        for text in remarks:
             print(f"- {text}")
-        if not findings and not beside:
+        if not remarks:
             print("nothing is wrong with it that can be seen without its unit")
 
 

@@ -86,7 +86,7 @@ def inspection_json(file: FileRecording, beside: Sequence[str] = ()) -> dict[str
         "file": str(file.table.path),
         "layout": file.table.layout,
         "columns": list(file.table.names),
-        "remarks": list(file.table.remarks),
+        "remarks": list(file.reading_remarks),
         "rows": inspection.samples,
         "sample_rate_Hz": file.recording.sample_rate_Hz,
         "masked": inspection.masked.counts,

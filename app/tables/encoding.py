@@ -33,6 +33,12 @@ class Encoding:
         return {"utf-16": 2, "utf-16-le": 2, "utf-16-be": 2, "utf-32": 4}.get(self.name, 1)
 
 
+def is_text(content: bytes) -> bool:
+    """Whether a file of another format by its name is lines of plain text."""
+    head = content[:4096]
+    return b"\n" in head and not head.lstrip().startswith(b"<") and head.isascii() and b"\0" not in head
+
+
 def detect_encoding(file: BinaryIO, path: Path, declared: str | None) -> Encoding:
     """Return the encoding of a text file; the file is left at its beginning.
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softcal.app.tables.headings import IsRequested, data_rows, find_heading, refuse_doubles
-from softcal.app.tables.numbers import Kind, cell_kind, shown
+from softcal.app.tables.numbers import MAX_SUMMARY_ROWS, Kind, cell_kind, is_summary, shown
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.table import Column, Grid, Table
 from softcal.core.errors import InputError
@@ -71,6 +71,9 @@ def _end_of_data(rows: Sequence[Sequence[Any]], first: int, text_columns: frozen
     stop = len(rows)
     while stop > first:
         kinds = [cell_kind(cell, decimal) for cell in rows[stop - 1]]
+        if is_summary(rows[stop - 1]) and 0 not in text_columns and len(rows) - stop < MAX_SUMMARY_ROWS:
+            stop -= 1
+            continue
         stray = [k for k, kind in enumerate(kinds) if kind is Kind.TEXT and k not in text_columns]
         if not stray or Kind.NUMBER in kinds or Kind.STAMP in kinds:
             break

@@ -1,7 +1,8 @@
 """Cells into numbers: which text is a number, and what stands for a missing sample."""
 
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from datetime import date, datetime, time, timedelta
 from enum import Enum, auto
 from numbers import Real
@@ -11,6 +12,7 @@ from unicodedata import normalize
 import numpy as np
 from numpy.typing import NDArray
 
+from softcal.app.tables.stamp_text import is_stamp
 from softcal.core.recording import Array
 
 NOT_A_NUMBER = frozenset({"nan", "-nan", "+nan", "nan(ind)", "-nan(ind)", "1.#qnan", "-1.#qnan", "1.#ind", "-1.#ind"})
@@ -19,17 +21,16 @@ NOT_A_NUMBER = frozenset({"nan", "-nan", "+nan", "nan(ind)", "-nan(ind)", "1.#qn
 INFINITE = frozenset({"inf", "-inf", "+inf", "infinity", "-infinity", "+infinity", "1.#inf", "-1.#inf", "∞", "-∞"})
 """No sample either: a number beyond the range of its type."""
 
+MISSING_WORDS = frozenset(
+    "na n/a n.a. #n/a #na <na> null none nil nodata ol +ol -ol o.l. ovl ovld ovrld overload overflow overrange "
+    "underrange #value! #div/0! #ref! #num! #null! #name? #wert! #nv #bezug! -- --- ---- ----- nan()".split()
+) | {"no data", "over range", "under range"}
+"""What spreadsheets, statistics programs and meters write where they have no number, in small letters."""
+
 NUMBER = {
     ".": re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"),
     ",": re.compile(r"[+-]?(?:\d+(?:,\d+)?|,\d+)(?:[eE][+-]?\d+)?"),
 }
-CLOCK = r"\d{1,3}:\d{2}(?::\d{2}(?:[.,:]\d+)?)?(?: ?[AaPp][Mm])?"
-STAMP = re.compile(
-    rf"(?:\d{{4}}|\d{{1,2}})[-/.]\d{{1,2}}[-/.]\d{{1,4}}\.?(?:[ T]+{CLOCK}(?: ?(?:Z|UTC|[+-]\d{{2}}:?\d{{2}}))?)?"
-    rf"|\d{{8}}T\d{{4,6}}(?:[.,]\d+)?(?:Z|[+-]\d{{2}}:?\d{{2}})?|{CLOCK}|\d+ days? {CLOCK}"
-)
-"""Dates, times of day and both, as loggers write them."""
-
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:(?P<mark>[,. '’\u00a0\u202f])\d{3})(?:(?P=mark)\d{3})*(?:[.,]\d+)?")
 """Digits in groups of three."""
 
@@ -51,9 +52,16 @@ UNIT_NUMBER = re.compile(
 MAX_SUMMARY_ROWS = 12
 SUMMARY_WORDS = frozenset(
     "mean average avg median std stdev sd min minimum max maximum sum total count range variance "
-    "mittelwert mittel moyenne media promedio 평균 최대 최소".split()
+    "peak sd rms mittelwert mittel moyenne media promedio 평균 최대 최소".split()
 )
 """How rows of a summary below a table begin, in small letters."""
+
+
+def is_summary(cells: Sequence[Any]) -> bool:
+    """Whether a row below the samples says in its first filled cell of what it is a summary."""
+    first = next((cell for cell in cells if cell is not None and str(cell).strip()), None)
+    word = re.match(r"[^\W\d_]*", first.strip().lower()) if isinstance(first, str) else None
+    return word is not None and word[0] in SUMMARY_WORDS
 
 
 class Kind(Enum):
@@ -75,7 +83,7 @@ def cell_kind(cell: Any, decimal: str = ".", missing: Sequence[str] = ()) -> Kin
             return Kind.EMPTY
         if NUMBER[decimal].fullmatch(text) or is_missing(text, missing):
             return Kind.NUMBER
-        return Kind.STAMP if STAMP.fullmatch(text) else Kind.TEXT
+        return Kind.STAMP if is_stamp(text) else Kind.TEXT
     if isinstance(cell, (bool, np.bool_)):
         return Kind.TEXT
     if isinstance(cell, Real):
@@ -87,6 +95,31 @@ def is_missing(text: str, missing: Sequence[str] = ()) -> bool:
     """Whether a text stands for a missing sample: nothing, NaN, beyond all numbers, or declared."""
     bare = text.strip()
     return not bare or bare in missing or (small := bare.lower()) in NOT_A_NUMBER or small in INFINITE
+
+
+def is_no_sample(text: str, missing: Sequence[str] = ()) -> bool:
+    """Whether a text stands for a missing sample among numbers: as `is_missing`, or a word of `MISSING_WORDS`."""
+    return is_missing(text, missing) or text.strip().lower() in MISSING_WORDS
+
+
+def missing_words_remark(column: str, cells: Any, missing: Sequence[str]) -> list[str]:
+    """Return a remark where cells of a column hold words of `MISSING_WORDS` that nobody declared: which, how often.
+
+    Args:
+        cells: (n,) array of objects, or an arrow array of texts.
+    """
+    counts: Counter[str] = Counter()
+    if isinstance(cells, np.ndarray):
+        counts.update(cell.strip() for cell in cells if isinstance(cell, str))
+    else:
+        import pyarrow.compute as pc
+
+        texts = pc.utf8_trim_whitespace(cells)
+        is_word = pc.is_in(pc.utf8_lower(texts), value_set=_arrow_texts(MISSING_WORDS))
+        counts.update(pc.filter(texts, is_word).to_pylist())
+    words = [text for text in counts if text.lower() in MISSING_WORDS and text not in missing]
+    shown_words = ", ".join(f"{text!r} (rows: {counts[text]})" for text in words)
+    return [f"column {column!r}: {shown_words} read as missing samples"] if words else []
 
 
 def unit_number(cell: Any, decimal: str) -> tuple[str, str] | None:
@@ -103,7 +136,7 @@ def written_numbers(cells: NDArray[Any], decimal: str, missing: Sequence[str]) -
     A minus of a text editor, digits of full width, `1.5D-3`, `="0.52"`; one unit behind every number; marks between
     thousands where they can be nothing else. None where a cell is none of these, or two readings are possible.
     """
-    texts = [None if cell is None or is_missing(str(cell), missing) else _plain(str(cell)) for cell in cells]
+    texts = [None if cell is None or is_no_sample(str(cell), missing) else _plain(str(cell)) for cell in cells]
     present = [text for text in texts if text is not None]
     if not present:
         return None
@@ -177,7 +210,7 @@ def _number(cell: Any, decimal: str, missing: Sequence[str]) -> float | None:
         return np.nan
     if isinstance(cell, str):
         text = cell.strip()
-        if is_missing(text, missing):
+        if is_no_sample(text, missing):
             return np.nan
         return float(text.replace(",", ".")) if NUMBER[decimal].fullmatch(text) else None
     if isinstance(cell, (bool, np.bool_)) or not isinstance(cell, Real):
@@ -192,13 +225,11 @@ def texts_to_numbers(texts: Any, decimal: str = ".", missing: Sequence[str] = ()
     import pyarrow.compute as pc
 
     texts = pc.utf8_trim_whitespace(texts)
-    # Whatever converts Python's values into arrow's, or back, looks for pandas, which takes half a second to load.
-    builder = pa.lib.StringBuilder()
-    written = [form for word in (*NOT_A_NUMBER, *INFINITE) for form in {word, word.upper()}]
-    written += [sign + word for word in ("NaN", "Inf", "Infinity") for sign in ("", "-", "+")]
-    builder.append_values(["nan", "", *missing, *written])
-    words = builder.finish()
-    is_missing = pc.is_in(texts, value_set=words)
+    small = ("nan", "", *NOT_A_NUMBER, *INFINITE, *MISSING_WORDS)
+    words = _arrow_texts(small)
+    is_missing = pc.is_in(pc.utf8_lower(texts), value_set=words)
+    if missing:
+        is_missing = pc.or_(is_missing, pc.is_in(texts, value_set=_arrow_texts(missing)))
     pattern = f"^{NUMBER[decimal].pattern}$".replace("?:", "")
     if not pc.all(pc.or_(is_missing, pc.match_substring_regex(texts, pattern)), min_count=0).as_py():
         return None
@@ -208,6 +239,15 @@ def texts_to_numbers(texts: Any, decimal: str = ".", missing: Sequence[str] = ()
     numbers = pc.cast(pc.utf8_ltrim(texts, characters="+"), pa.float64())
     values = np.frombuffer(numbers.buffers()[1], np.float64, len(numbers), 8 * numbers.offset)
     return np.where(np.isfinite(values), values, np.nan)
+
+
+def _arrow_texts(texts: Iterable[str]) -> Any:
+    """Return texts as an arrow array; pyarrow's own conversion looks for pandas, which takes half a second to load."""
+    import pyarrow as pa
+
+    builder = pa.lib.StringBuilder()
+    builder.append_values(list(texts))
+    return builder.finish()
 
 
 def shown(cell: object) -> str:
@@ -229,4 +269,4 @@ def number_cure(cell: object, decimal: str = ".") -> str:
         return f"write it with a decimal {'point' if decimal == '.' else 'comma'} as the other numbers of its column"
     if THOUSANDS.fullmatch(text):
         return "write numbers without marks between thousands, or state the decimal mark with --decimal"
-    return f"correct it, leave it empty, or give --missing {shown(text)} if it stands for a missing sample"
+    return f"correct it, leave it empty, or give --missing {text[:40]!r} if it stands for a missing sample"

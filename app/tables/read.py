@@ -14,7 +14,7 @@ from softcal.app.tables.grid import grid_table
 from softcal.app.tables.hdf5 import read_hdf5
 from softcal.app.tables.headings import IsRequested
 from softcal.app.tables.matlab import read_matlab
-from softcal.app.tables.numbers import to_numbers, written_numbers
+from softcal.app.tables.numbers import missing_words_remark, to_numbers, written_numbers
 from softcal.app.tables.options import DETECT, TableOptions
 from softcal.app.tables.spreadsheet import read_excel
 from softcal.app.tables.table import Grid, Table
@@ -94,7 +94,10 @@ def _refusing(path: Path, content: bytes | None) -> Iterator[None]:
     """Refuse what is no table, and turn what a reader raises for a damaged file into one line."""
     suffix = path.suffix.lower()
     if suffix not in READERS:
-        raise InputError(f"{path}: {suffix or 'no'} suffix; one of {', '.join(sorted(READERS))} was expected")
+        raise InputError(
+            f"{path}: {suffix or 'no'} suffix; one of {', '.join(sorted(READERS))} was expected; give a text file "
+            "the suffix .txt"
+        )
     if content is None and not path.is_file():
         raise InputError(f"{path}: there is no such file")
     if (path.stat().st_size if content is None else len(content)) == 0:
@@ -121,6 +124,8 @@ def _typed(table: Table, options: TableOptions) -> Table:
         written = None
         if cells is None and column.cells.dtype == object:
             written = written_numbers(column.cells, table.decimal, options.missing)
+        if (cells is not None or written is not None) and column.cells.dtype == object:
+            remarks += missing_words_remark(column.name, column.cells, options.missing)
         if written is not None:
             cells, unit, how = written
             column = replace(column, unit=column.unit or unit)

@@ -23,6 +23,8 @@ REMARKS = ("comment", "comments", "note", "notes", "remark", "remarks", "bemerku
 """Names of a last column that rows without a remark end before, as LabVIEW writes them."""
 
 LVM_HEADER_END = "***End_of_Header***"
+LVM_SEGMENT, LVM_TIME = "Channels", "X_Value"
+"""How the header of a segment of LabVIEW begins, and how each of its columns of time is named."""
 
 
 @dataclass(frozen=True)
@@ -64,11 +66,13 @@ def detect_layout(
     rows = [split(line, delimiter) for line in texts]
     numbers = [k + 1 for k, _ in head]
     heading = find_heading(rows, numbers, path, decimal=decimal, declared=options.header_row, is_requested=is_requested)
+    if LVM_TIME in heading.names:
+        heading = replace(heading, names=_numbered(heading.names, LVM_TIME))
     refuse_doubles(heading.names, path, is_requested)
     if heading.first >= len(rows) or not heading.names:
         raise InputError(
             f"{path}: there is no row of data below the header; line {numbers[0]} reads {texts[0][:30]!r}: state "
-            "--delimiter, --decimal or --header-row"
+            "--delimiter, --decimal or --header-row, or write the names in one line and only numbers below it"
             if numbers
             else f"{path}: there is no row of data in it"
         )
@@ -83,6 +87,14 @@ def detect_layout(
     remarks = (encoding.remark,) if encoding.remark else ()
     start = head[heading.first][0]
     return TextLayout(encoding, delimiter, decimal, heading, start, text_columns, "; ".join(parts), remarks)
+
+
+def _numbered(names: Sequence[str], repeated: str) -> tuple[str, ...]:
+    """Return names in which the second one of a name that repeats, and those after it, have a number."""
+    return tuple(
+        f"{name} {count}" if name == repeated and (count := names[: k + 1].count(name)) > 1 else name
+        for k, name in enumerate(names)
+    )
 
 
 def _refuse_unnamed(rows: Sequence[Sequence[str]], line: int, names: int, delimiter: str, path: Path) -> None:
@@ -118,8 +130,10 @@ def _preamble(lines: Sequence[str], options: TableOptions) -> tuple[int, TableOp
     if lines and (match := re.fullmatch(r'"?sep=(.)"?\s*', lines[0])):
         skipped, delimiter = 1, delimiter or match[1]
     head = [line.rstrip("\t;, ") for line in lines[:HEAD_LINES]]
-    if LVM_HEADER_END in head:
-        skipped = len(head) - head[::-1].index(LVM_HEADER_END)
+    ends = [k for k, line in enumerate(head) if line == LVM_HEADER_END]
+    if ends:
+        # Of the file, then of its first segment.
+        skipped = ends[:2][-1] + 1
         for line in head[:skipped]:
             words = re.split(r"[\t;, ]", line, maxsplit=1)
             if words[0] == "Separator" and len(words) > 1:

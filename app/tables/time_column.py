@@ -5,7 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from softcal.app.tables.numbers import STAMP, to_numbers
+from softcal.app.tables.numbers import to_numbers
+from softcal.app.tables.stamp_text import is_stamp
 from softcal.app.tables.table import Column
 from softcal.core.errors import InputError
 from softcal.core.recording import RATE_TOLERANCE, Array
@@ -14,11 +15,11 @@ PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "ticks": 1e7, "min": 1 
 """Units of time, and how many of them a second has; Windows counts ticks of 100 ns."""
 
 UNIT_WORDS = {
-    "s": ("s", "sec", "secs", "second", "seconds", "sekunden"),
-    "ms": ("ms", "msec", "msecs", "millis", "millisecond", "milliseconds"),
+    "s": ("s", "sec", "secs", "second", "seconds", "sek", "sekunden", "초", "秒"),
+    "ms": ("ms", "msec", "msecs", "millis", "millisecond", "milliseconds", "밀리초", "毫秒"),
     "us": ("us", "µs", "μs", "usec", "usecs", "micros", "microsecond", "microseconds"),
     "ns": ("ns", "nsec", "nanos", "nanosecond", "nanoseconds"),
-    "min": ("min", "mins", "minute", "minutes"),
+    "min": ("min", "mins", "minute", "minutes", "minuten", "분"),
     "h": ("h", "hr", "hrs", "hour", "hours"),
 }
 UNIT_OF = {word: unit for unit, words in UNIT_WORDS.items() for word in words}
@@ -100,9 +101,10 @@ def find_time_column(names: Sequence[str], columns: Sequence[Column] = ()) -> st
     if len(times) > 1:
         still = {column.name for column in columns if np.mean(column.cells[1:] != column.cells[:-1]) < MIN_NEW_STAMPS}
         times = [name for name in times if name not in still] or times
-    if len(times) > 1:
-        raise InputError(f"{' and '.join(map(repr, times[:4]))} may be the column of time; name it with --time-column")
-    return times[0] if times else None
+    cells = {column.name: column.cells for column in columns}
+    if len(times) > 1 and all(name in cells and np.array_equal(cells[times[0]], cells[name]) for name in times):
+        return times[0]
+    return _only(times) if times else None
 
 
 def find_time_by_cells(columns: Sequence[Column], output: Array, rate_Hz: float | None) -> tuple[str | None, str]:
@@ -157,7 +159,7 @@ def _is_stamped(column: Column) -> bool:
     cells = column.cells
     if cells.dtype.kind == "O":
         texts = [cell if isinstance(cell, str) else str(cell) for cell in cells if cell is not None and cell == cell]
-        if sum(bool(STAMP.fullmatch(text.strip())) for text in texts) <= 0.9 * len(cells):
+        if sum(map(is_stamp, texts)) <= 0.9 * len(cells):
             return False
     elif cells.dtype.kind not in "mM":
         return False

@@ -1,6 +1,5 @@
 """A column of time into seconds: numbers in a unit, dates with or without a zone, times of day, counters that wrap."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, date, datetime, time, timedelta
@@ -10,16 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softcal.app.tables.numbers import Kind, cell_kind, shown
+from softcal.app.tables.stamp_text import (
+    CLOCK_TIME,
+    DAY_MONTH,
+    ELAPSED_DAYS,
+    YEAR_FIRST,
+    ZONE,
+    iso_like,
+    plain_stamp,
+    pointed,
+)
 from softcal.app.tables.table import Column, Table
-from softcal.app.tables.time_column import MIN_NEW_STAMPS, PER_SECOND, is_time_heading, stated_unit, words_of
+from softcal.app.tables.time_column import MIN_NEW_STAMPS, PER_SECOND, words_of
+from softcal.app.tables.time_unit import CURE, EPOCHS, SAMPLES, number_unit
 from softcal.core.errors import InputError
-from softcal.core.recording import RATE_TOLERANCE, Array
-
-MIN_RATE_HZ, MAX_RATE_HZ = 0.5, 2e5
-"""A soft sensor that is read less or more often is none: the column is not in seconds."""
-
-EPOCHS = {"ticks": (1.26e17, 1.6e17), "s": (1e9, 4e9), "ms": (1e12, 4e12), "us": (1e15, 4e15), "ns": (1e18, 4e18)}
-"""Numbers of these sizes count from 1970 in that unit: the years 2001 to 2096."""
+from softcal.core.recording import Array
 
 EXCEL_ZERO_S, TICKS_ZERO_S = -25_569 * 86400, -11_644_473_600
 """Where the days of a spreadsheet and the ticks of Windows begin: 1899-12-30 and 1601, in s since 1970."""
@@ -30,17 +34,12 @@ UTC_WORDS = frozenset({"utc", "gmt"})
 COUNTERS = (2**16, 2**32)
 """Where counters of ms and us begin again."""
 
-DAY_S = 86400.0
-SAMPLES = "samples"
-"""Unit of a column that counts them."""
-
+HOUR_S, DAY_S = 3600.0, 86400.0
 WITHIN_ONE_SAMPLE = 1.5
 """Largest step over the end of a counter, in median steps."""
 
 MAX_MIDNIGHT_GAP_S = 600.0
 """Rows may be lost over midnight; a time of day that goes back by nearly a day can be nothing else."""
-
-CURE = "state its unit or pattern with --time-format (s, ms, us, ns, min, iso, excel or a strptime pattern)"
 
 
 @dataclass(frozen=True)
@@ -116,18 +115,19 @@ class Clock:
         dates = table.column(str(self.date)).cells
         if dates.dtype.kind not in "OM":
             return None
-        texts = np.array([None if cell is None or cell != cell else str(cell).strip() for cell in dates], dtype=object)
+        texts = _texts(dates)
         if dates.dtype.kind == "M" or any(isinstance(cell, date) for cell in dates):
             texts = np.array([text and text[:10] for text in texts], dtype=object)
         for row in range(1, len(texts)):
             texts[row] = texts[row] or texts[row - 1]
-        cells = column.cells
-        times = np.array([None if cell is None or cell != cell else str(cell).strip() for cell in cells], dtype=object)
+        times = np.array([text and plain_stamp(text) for text in _texts(column.cells)], dtype=object)
         if pattern is not None and any(f"%{mark}" in pattern for mark in "dDjFxcsyYmbB"):
             joined = [day and at and f"{day} {at}" for day, at in zip(texts, times, strict=True)]
             return self._patterned(table, np.array(joined, dtype=object), pattern)
         try:
-            days = Clock(str(self.date), is_absolute=True)._stamps(table, texts)
+            days = Clock(str(self.date), is_absolute=True)._stamps(
+                table, np.array([text and plain_stamp(text) for text in texts], dtype=object)
+            )
         except InputError:
             if len({text for text in texts if text}) > 1:
                 raise
@@ -170,7 +170,8 @@ class Clock:
     def _from_numbers(self, table: Table, column: Column) -> tuple[Array, tuple[float, ...]]:
         values = table.numbers(self.name)
         if self._unit is None:
-            self._unit = self._number_unit(table, column, values)
+            self._unit, remark = number_unit(table.path, column, values, self.time_format, self.rate_Hz)
+            self.remarks += [remark] if remark else []
         if self._unit == "excel":
             return self._elapsed(
                 np.round(np.nan_to_num(values) * DAY_S * 1e6).astype(np.int64) * 1000,
@@ -185,60 +186,14 @@ class Clock:
         wraps = tuple(counter / per_second for counter in COUNTERS) if self._unit in ("ms", "us") else ()
         return values / per_second, wraps
 
-    def _number_unit(self, table: Table, column: Column, values: Array) -> str:
-        if self.time_format is not None:
-            if self.time_format == "iso":
-                raise InputError(
-                    f"{table.path}: column {self.name!r} holds numbers, no ISO dates; correct --time-format"
-                )
-            return self.time_format
-        present = values[np.isfinite(values)]
-        steps = np.diff(present)
-        step = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
-        stated = stated_unit(column)
-        if stated is not None and not (column.name == "t_s" and not column.unit):
-            return stated
-        if step == 0:
-            return "s"
-        if stated is None:
-            for unit, (low, high) in EPOCHS.items():
-                if low <= present[0] < high:
-                    return unit
-            if by_rate := self._unit_by_rate(step):
-                return by_rate
-            if self.rate_Hz is not None and step == 1 and not is_time_heading(self.name) and not np.any(present % 1):
-                return SAMPLES
-        rate_Hz = 1 / step
-        is_whole = bool(np.all(present == np.round(present)))
-        agrees = self.rate_Hz is not None and abs(rate_Hz / self.rate_Hz - 1) <= RATE_TOLERANCE
-        if not agrees and (rate_Hz < MIN_RATE_HZ or rate_Hz > MAX_RATE_HZ or (is_whole and rate_Hz <= 1)):
-            likely = [unit for unit, per in PER_SECOND.items() if MIN_RATE_HZ <= per / step <= MAX_RATE_HZ]
-            guess = "excel" if rate_Hz > MAX_RATE_HZ else " or ".join(likely[:2]) or "another unit"
-            raise InputError(
-                f"{table.path}: column {self.name!r} ({present[0]:.12g}, {present[1]:.12g}, ...) shows "
-                f"{rate_Hz:g} Hz if "
-                f"it is in s; is it in {guess}? {CURE}"
-            )
-        return "s"
-
-    def _unit_by_rate(self, step: float) -> str | None:
-        """Return the one unit in which the step is that of the declared rate, and say so."""
-        if self.rate_Hz is None:
-            return None
-        fitting = [u for u, per in PER_SECOND.items() if abs(per / step / self.rate_Hz - 1) <= RATE_TOLERANCE]
-        if len(fitting) != 1:
-            return None
-        if fitting[0] != "s":
-            self.remarks.append(f"column {self.name!r} is in {fitting[0]} by the sample rate of {self.rate_Hz:g} Hz")
-        return fitting[0]
-
     def _from_objects(self, table: Table, column: Column, pattern: str | None) -> Array:
         cells = column.cells
         if any(isinstance(cell, (date, time, timedelta)) for cell in cells):
             return self._from_sheet(table, cells)
-        texts = np.array([None if cell is None or cell != cell else str(cell).strip() for cell in cells], dtype=object)
+        texts = _texts(cells)
         if pattern is not None:
             return self._patterned(table, texts, pattern)
+        texts = np.array([text and plain_stamp(text) for text in texts], dtype=object)
         present = [text for text in texts if text]
         if sum(bool(ELAPSED_DAYS.fullmatch(text)) for text in present) > len(present) / 2:
             return self._elapsed_days(table, texts)
@@ -256,9 +211,7 @@ class Clock:
             if cell is None or cell != cell:
                 is_missing[row] = True
                 continue
-            if isinstance(cell, datetime):
-                counts[row] = pd.Timestamp(cell).value
-            elif isinstance(cell, date):
+            if isinstance(cell, date):
                 counts[row] = pd.Timestamp(cell).value
             elif isinstance(cell, time):
                 counts[row] = ((cell.hour * 60 + cell.minute) * 60 + cell.second) * 10**9 + cell.microsecond * 1000
@@ -294,8 +247,7 @@ class Clock:
             if third is None and fraction is None:
                 raise InputError(
                     f"{table.path}: line {table.lines[row]}, column {self.name!r}: {shown(text)} may be hours "
-                    f"and minutes or "
-                    f"minutes and seconds; {CURE}"
+                    f"and minutes or minutes and seconds; {CURE}"
                 )
             parts = [int(first), int(second), int(third)] if third is not None else [0, int(first), int(second)]
             hours = parts[0] % 12 + (12 if half[0] in "pP" else 0) if half else parts[0]
@@ -305,7 +257,7 @@ class Clock:
     def _stamps(self, table: Table, texts: NDArray[Any]) -> Array:
         """Return dates with times of day as seconds: ISO 8601, or day and month in an order that is certain."""
         present = np.flatnonzero([bool(text) for text in texts])
-        plain = np.array([_iso_like(texts[row]) for row in present], dtype=object)
+        plain = np.array([iso_like(texts[row]) for row in present], dtype=object)
         if not len(present):
             return np.full(len(texts), np.nan)
         if not YEAR_FIRST.match(plain[0]):
@@ -315,8 +267,7 @@ class Clock:
             row = int(present[zoned.index(not zoned[0])])
             raise InputError(
                 f"{table.path}: line {table.lines[row]}, column {self.name!r}: {shown(texts[row])}: some stamps "
-                f"have a zone and "
-                "others have none; write all of them with one"
+                "have a zone and others have none; write all of them with one"
             )
         return self._parsed(table, texts, present, plain, "ISO8601")
 
@@ -345,7 +296,7 @@ class Clock:
             if int(month) > 12:
                 day, month = month, day
             seconds = f"{clock.strip()}" if clock else "00:00:00"
-            plain.append(f"{'20' if len(year) == 2 else ''}{year}-{int(month):02}-{int(day):02} {_pointed(seconds)}")
+            plain.append(f"{'20' if len(year) == 2 else ''}{year}-{int(month):02}-{int(day):02} {pointed(seconds)}")
         return self._parsed(table, texts, np.array(rows), np.array(plain, dtype=object), "mixed")
 
     def _patterned(self, table: Table, texts: NDArray[Any], pattern: str) -> Array:
@@ -399,15 +350,22 @@ class Clock:
             row, step = int(rows[k]), float(steps[k])
             # Just before the end of the counter, then just behind its beginning
             largest = [MAX_MIDNIGHT_GAP_S if wrap == DAY_S else WITHIN_ONE_SAMPLE * typical for wrap in wraps]
+            # A signed counter begins again at its lowest number.
             is_new = [
-                0 <= raw[row] <= most and 0 < step + wrap <= most for wrap, most in zip(wraps, largest, strict=True)
+                min(abs(raw[row]), abs(raw[row] + wrap / 2)) <= most and 0 < step + wrap <= most
+                for wrap, most in zip(wraps, largest, strict=True)
             ]
             whole = [wrap for wrap, is_whole in zip(wraps, is_new, strict=True) if is_whole]
             if not whole:
+                is_hour = wraps == (DAY_S,) and 0 < step + HOUR_S <= WITHIN_ONE_SAMPLE * typical
+                cause = (
+                    "the clock was put back by an hour; write the stamps with their zone"
+                    if is_hour
+                    else "was the logger started again? split the file there, or sort its lines"
+                )
                 raise InputError(
-                    f"{table.path}: line {table.lines[row]}, column {self.name!r}: time goes back by "
-                    f"{-step:.6g} s; was the "
-                    "logger started again? split the file there, or sort its lines"
+                    f"{table.path}: line {table.lines[row]}, column {self.name!r}: time goes back by {-step:.6g} s; "
+                    f"{cause}"
                 )
             values[row:] += whole[0]
             self._added += whole[0]
@@ -415,15 +373,6 @@ class Clock:
             self.remarks.append(f"line {table.lines[row]}: {what}; time goes on")
         self._last = float(values[rows[-1]])
         return values
-
-
-ELAPSED_DAYS = re.compile(r"\d+ days? .*")
-CLOCK_TIME = re.compile(r"(\d{1,3}):(\d{2})(?::(\d{2}))?(?:[.,:](\d+))? ?([AaPp][Mm])?")
-YEAR_FIRST = re.compile(r"\d{4}-?\d{2}")
-ZONE = re.compile(r"(?:Z|[+-]\d{2}:?\d{2})$")
-DAY_MONTH = re.compile(
-    r"(\d{1,2})([-/.])(\d{1,2})[-/.](\d{4}|\d{2})(?:[ T]+(\d{1,2}:\d{2}(?::\d{2}(?:[.,:]\d+)?)?(?: ?[AaPp][Mm])?))?"
-)
 
 
 def _are_numbers(cells: NDArray[Any], decimal: str) -> bool:
@@ -437,18 +386,12 @@ def _are_times_of_day(cells: NDArray[Any]) -> bool:
     if cells.dtype.kind != "O":
         return False
     present = [cell for cell in cells if cell is not None and cell == cell]
-    return sum(bool(CLOCK_TIME.fullmatch(str(cell).strip())) for cell in present) > len(present) / 2
+    return sum(bool(CLOCK_TIME.fullmatch(plain_stamp(str(cell)))) for cell in present) > len(present) / 2
 
 
-def _pointed(clock: str) -> str:
-    """Return a time of day with a point before the parts of its second."""
-    return re.sub(r"^(\d+:\d+:\d+)[:,]", r"\1.", clock)
-
-
-def _iso_like(text: str) -> str:
-    """Return a stamp with dashes in its date and a point before the parts of a second."""
-    text = re.sub(r"^(\d{4})[/.](\d{1,2})[/.](\d{1,2})", lambda m: f"{m[1]}-{int(m[2]):02}-{int(m[3]):02}", text)
-    return re.sub(r",(\d+)", r".\1", text, count=1).replace(" +", "+").replace(" Z", "Z").replace(" UTC", "Z")
+def _texts(cells: NDArray[Any]) -> NDArray[Any]:
+    """Return cells as texts, None for those that are missing."""
+    return np.array([None if cell is None or cell != cell else str(cell).strip() for cell in cells], dtype=object)
 
 
 def median_rate_Hz(t_s: Array) -> float:

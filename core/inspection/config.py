@@ -14,8 +14,11 @@ class InspectionConfig:
     Args:
         spike_s: a loose cable lasts no longer; a press does.
         max_spike_samples: longer spikes of fast loggers are looked for as dropouts.
-        usual_excursion: quantile of the short excursions of a recording that stands for its usual ones.
-        spike_factor: a spike is so many times as high as a usual excursion.
+        usual_excursion, rare_excursion: quantiles of the short excursions of a recording to one side, up or down, that
+            stand for its usual and its rarest ones.
+        spike_factor, rare_factor: a spike is so many times as high as a usual excursion to its side, or as a rare one.
+        other_side_factor, spike_counts: and as a usual one to the other side, and as a step of the readout.
+        readout_step: quantile of the movements of a recording that stands for a step of its readout.
         spike_share, reference_spike_share: and at least this share of the range: forces have sharp peaks.
         outlier_share: largest share of values that may lie apart from the range of all others.
         overflow_factor: a value so many ranges away from all others is none that the sensor gave.
@@ -28,6 +31,8 @@ class InspectionConfig:
         max_lag_s: longest lag that is looked for.
         least_lag_s: a shorter lag of the reference is not told from a sensor's own.
         lag_gain: a lag is one where it leaves at most this part of the scatter at no lag.
+        lag_tie: of lags that leave nearly the same scatter the shortest is taken: within this part of what a lag takes
+            away.
         relaxed_gain: the same where the output follows the reference, as every sensor does a little.
         held_rows: a reference that changes only every so many rows was sampled slower than the output.
         stuck_s, stuck_factor: a reading between its ends that stands still for less, or for less than so many times
@@ -42,7 +47,12 @@ class InspectionConfig:
     spike_s: float = setting(0.06, f"{SET}: a loose cable at a station lasts for 20 to 60 ms")
     max_spike_samples: int = setting(64)
     usual_excursion: float = setting(0.99, MEASURED)
+    rare_excursion: float = setting(0.999, MEASURED)
     spike_factor: float = setting(3.0, MEASURED)
+    rare_factor: float = setting(1.6, MEASURED)
+    other_side_factor: float = setting(2.0, MEASURED)
+    spike_counts: float = setting(5.0, MEASURED)
+    readout_step: float = setting(0.05)
     spike_share: float = setting(0.1, MEASURED)
     reference_spike_share: float = setting(0.25, MEASURED)
     outlier_share: float = setting(0.02)
@@ -56,6 +66,7 @@ class InspectionConfig:
     max_lag_s: float = setting(1.5)
     least_lag_s: float = setting(0.1, "eGaIn and nylon sensors: their references come 0.02 s late at most")
     lag_gain: float = setting(0.7, MEASURED)
+    lag_tie: float = setting(0.1)
     relaxed_gain: float = setting(0.4, MEASURED)
     held_rows: int = setting(3)
     flat_runs: int = setting(3)

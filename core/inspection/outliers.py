@@ -1,5 +1,6 @@
 """Samples that no sensor gave: overflow codes, spikes faster than any press, dropouts. Quantiles alone decide."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,30 +104,33 @@ def _spike_rows(
     t_s: Array, values: Array, longest: int, gap_s: float, min_share: float, config: InspectionConfig
 ) -> Mask:
     # The first and the last sample have one neighbour: beside them stands what the next samples usually are.
-    margin = 2 * longest + 1
+    lengths, margin = range(1, longest + 1), 2 * longest + 1
     ends = np.median(values[:margin]), np.median(values[-margin:])
     padded = np.concatenate([ends[:1], values, ends[1:]])
     period_s = gap_s / GAP_FACTOR
     times_s = np.concatenate([[t_s[0] - period_s], t_s, [t_s[-1] + period_s]])
-    span = column_scale(values).span
-    heights = [_run_heights(padded, length) for length in range(1, longest + 1)]
-    usual = max(float(np.quantile(height, config.usual_excursion)) for height in heights)
-    min_height = max(min_share * span, np.finfo(float).tiny)
+    steps = np.abs(np.diff(padded))
+    min_height = max(min_share * column_scale(values).span, np.finfo(float).tiny)
     low, high = _range_of_most(values, min_height, config)
     is_apart = (values <= low) | (values >= high)
+    heights = {(length, sign): _run_heights(sign * padded, length) for length in lengths for sign in (1, -1)}
+    # Spikes, and the lines that stand in their place, have finer steps than the readout.
+    count = float(np.quantile(steps[steps > 0], config.readout_step)) if np.any(steps > 0) else 0.0
+    unusual = _unusual_heights(heights, count, config)
     hits: list[tuple[float, int, int]] = []
-    for length, height in enumerate(heights, 1):
+    for (length, sign), height in heights.items():
         is_all_apart = np.lib.stride_tricks.sliding_window_view(is_apart, length).all(axis=1)
-        is_high = height > max(config.spike_factor * usual, min_height)
+        is_high = height > unusual[sign]
         # A recording may start or end within a press.
         is_high[[0, -1]] = False
         # Where samples are missing, or come at a slower rate, a run lasts as long as a press.
         is_short = times_s[length + 1 :] - times_s[: -length - 1] <= (length + 1) * gap_s
-        starts = np.flatnonzero((is_high | ((height > min_height) & is_all_apart)) & is_short)
-        hits += [(-float(height[start]), length, int(start)) for start in starts]
+        starts = np.flatnonzero((is_high | is_all_apart) & (height > min_height) & is_short)
+        edges = (steps[:-length] + steps[length:]) / max(unusual[sign], min_height)
+        hits += [(-float(edges[start]), length, int(start)) for start in starts]
     is_spike = np.zeros(len(values), dtype=np.bool_)
-    # A spike makes runs beside it and around it high, too. The highest is the spike; the others are looked at again
-    # without it.
+    # A spike makes runs beside it and around it high, too. The one whose edges are the most unusual is the spike; the
+    # others are looked at again without it.
     for _, length, start in sorted(hits):
         if not is_spike[max(start - 1, 0) : start + length + 1].any():
             is_spike[start : start + length] = True
@@ -134,12 +138,35 @@ def _spike_rows(
 
 
 def _run_heights(values: Array, length: int) -> Array:
-    """Return by how much runs of samples lie beyond both neighbours, (n - length - 1,), 0 where not all do."""
+    """Return by how much runs of samples lie above both neighbours, (n - length - 1,), 0 where not all do."""
     runs = np.lib.stride_tricks.sliding_window_view(values[1:-1], length)
     before, after = values[: len(runs)], values[length + 1 :]
-    above = runs.min(axis=1) - np.maximum(before, after)
-    below = np.minimum(before, after) - runs.max(axis=1)
-    return np.asarray(np.maximum(np.maximum(above, below), 0.0))
+    return np.asarray(np.maximum(runs.min(axis=1) - np.maximum(before, after), 0.0))
+
+
+def _unusual_heights(
+    heights: Mapping[tuple[int, int], Array], count: float, config: InspectionConfig
+) -> dict[int, float]:
+    """Return the height that no usual excursion has, up (1) and down (-1).
+
+    Presses peak to one side: what falls to the other one is judged by the excursions of that side.
+
+    Args:
+        heights: (length, side) → height of each run.
+        count: step of the readout.
+    """
+    usual, rare = (
+        {side: max(float(np.quantile(heights[key], part)) for key in heights if key[1] == side) for side in (1, -1)}
+        for part in (config.usual_excursion, config.rare_excursion)
+    )
+    return {
+        side: max(
+            min(config.spike_factor * usual[side], config.rare_factor * rare[side]),
+            config.other_side_factor * usual[-side],
+            config.spike_counts * count,
+        )
+        for side in (1, -1)
+    }
 
 
 def _range_of_most(values: Array, least: float, config: InspectionConfig) -> tuple[float, float]:

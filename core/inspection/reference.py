@@ -73,7 +73,12 @@ def _lag(
         return unexplained_share(levels[early : len(output) - late], reference[late : len(reference) - early])
 
     shifts = list(range(-longest, longest + 1, stride))
-    best = min(shifts, key=scatter)
+    scatters = np.array([scatter(shift) for shift in shifts])
+    # Half a period later a programme that repeats itself explains the output as well, the other way round.
+    bound = scatters.min() + config.lag_tie * max(scatter(0) - scatters.min(), 0.0)
+    padded = np.concatenate([[np.inf], scatters, [np.inf]])
+    is_low = (scatters <= padded[:-2]) & (scatters <= padded[2:]) & (scatters <= bound)
+    best = min((shifts[k] for k in np.flatnonzero(is_low)), key=abs)
     best = min(range(best - stride + 1, best + stride), key=scatter)
     least, unshifted = scatter(best), scatter(0)
     gain = config.lag_gain if best > 0 else config.relaxed_gain

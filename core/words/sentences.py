@@ -11,7 +11,7 @@ UNIT_SENTENCES = sentences("""
 # The statement on an error, forecast or measured.
 statement: its {source} error is {relation} (RMSE {rmse:.3g} {unit}, 95 %: {lower:.3g} to
   {upper:.3g}, limit {limit:.3g} {unit}, {origin})
-no_limit: no limit was stated, so nothing passes; its {source} error is {rmse:.3g} {unit}, {share:.0%}
+no_limit: no limit was stated, so nothing passes; its {source} error is {rmse:.3g} {unit}, {share:.1%}
   of the range (95 %: {lower:.3g} to {upper:.3g})
 part.predicted: predicted
 part.measured: measured

@@ -145,6 +145,23 @@ def test_a_reason_whose_numbers_differ_is_said_once_with_their_range() -> None:
     assert "rows: 3 to 88, in all: 1500" in line
 
 
+def test_intervals_that_differ_are_one_that_holds_them_all() -> None:
+    def predicted(rmse: float) -> Reason:
+        return reason(
+            "no_limit",
+            source=Reason("part.predicted"),
+            rmse=rmse,
+            unit="N",
+            share=0.004,
+            lower=rmse / 2,
+            upper=2 * rmse,
+        )
+
+    units = [unit(f"A{rmse}", "conditional", predicted(rmse)) for rmse in (0.2, 0.4)]
+    ((_, (line,)),) = listed(units)
+    assert "0.2 to 0.4 N, 0.4% of the range (95 %: 0.1 to 0.8)" in line
+
+
 def test_what_is_to_be_done_next_comes_first_and_a_reason_of_some_names_them() -> None:
     some, other = Reason("forecast_only"), plain("pressed upside down")
     units = [

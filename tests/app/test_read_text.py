@@ -151,15 +151,24 @@ def test_what_leaves_a_doubt_is_refused_with_its_line_or_option(text: str, named
             table.numbers(name)
 
 
-def test_empty_cells_and_nan_are_missing_and_other_texts_only_if_declared(tmp_path: Path) -> None:
+def test_empty_cells_and_words_for_no_sample_are_missing_and_other_texts_only_if_declared(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("t_s,output\n0,1\n1,\n2,NaN\n3,1.#QNAN\n4,inf\n5,2\n")
     np.testing.assert_array_equal(read_table(path).numbers("output"), [1, np.nan, np.nan, np.nan, np.nan, 2])
-    path.write_text("t_s,output\n0,1\n1,OL\n2,-9999\n")
-    with pytest.raises(InputError, match="line 3.*'OL'.*--missing"):
+    path.write_text("t_s,output\n0,1\n1,OL\n2,#N/A\n3,<na>\n4,OL\n")
+    table = read_table(path)
+    np.testing.assert_array_equal(table.numbers("output"), [1, np.nan, np.nan, np.nan, np.nan])
+    assert table.remarks == (
+        "column 'output': 'OL' (rows: 2), '#N/A' (rows: 1), '<na>' (rows: 1) read as missing samples",
+    )
+    path.write_text('"t_s","output"\n"0","1"\n"1","OL"\n')
+    assert read_table(path).remarks == ("column 'output': 'OL' (rows: 1) read as missing samples",)
+    path.write_text("t_s,output\n0,1\n1,<broken>\n2,-9999\n")
+    with pytest.raises(InputError, match="line 3.*'<broken>'.*--missing '<broken>'"):
         read_table(path).numbers("output")
-    table = read_table(path, TableOptions(missing=("OL", "-9999")))
+    table = read_table(path, TableOptions(missing=("<broken>", "-9999")))
     np.testing.assert_array_equal(table.numbers("output"), [1, np.nan, np.nan])
+    assert not table.remarks
 
 
 def test_options_decide_where_two_readings_are_possible(tmp_path: Path) -> None:

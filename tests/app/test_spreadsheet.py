@@ -61,14 +61,27 @@ def test_a_table_below_a_preamble_keeps_its_rows_of_the_sheet(tmp_path: Path) ->
     assert table.layout == "header in line 3; units in line 4" and "'Max'" in table.remarks[0]
 
 
+def test_a_summary_below_the_samples_is_left_out_and_said(tmp_path: Path) -> None:
+    below = [(), ("Mean", 0.55), (None, "SD:")]
+    table = read_table(_workbook(tmp_path / "a.xlsx", Data=[*ROWS, *below]))
+    assert len(table) == 30 and "'Mean'" in table.remarks[0]
+
+
+def test_a_text_file_that_is_called_a_workbook_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "a.xls"
+    path.write_text("t_s\toutput\n0\t0.5\n0.02\t0.6\n")
+    with pytest.raises(InputError, match="a text file.*suffix .txt"):
+        read_table(path)
+
+
 def test_empty_cells_are_missing_and_texts_are_named_by_their_row(tmp_path: Path) -> None:
     rows = [*ROWS]
     rows[3] = (rows[3][0], None)
     path = _workbook(tmp_path / "a.xlsx", Data=rows)
     assert np.flatnonzero(np.isnan(read_table(path).numbers("output"))).tolist() == [2]
-    rows[4] = (rows[4][0], "overload")
+    rows[4] = (rows[4][0], "broken")
     path = _workbook(tmp_path / "b.xlsx", Data=rows)
-    with pytest.raises(InputError, match="line 5, column 'output': 'overload'"):
+    with pytest.raises(InputError, match="line 5, column 'output': 'broken'"):
         read_table(path).numbers("output")
 
 

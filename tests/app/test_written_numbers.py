@@ -52,7 +52,7 @@ def test_a_column_in_another_way_of_writing_is_read_and_said(write, expected, wo
         ([f'"{int(20000 * v):,}"' for v in OUTPUT], "thousands"),
         ([f"{v} V" if k % 2 else f"{1000 * v} mV" for k, v in enumerate(OUTPUT)], "line 2"),
         ([f'"{v}"'.replace(".", ",") if k == 50 else str(v) for k, v in enumerate(OUTPUT)], "line 52.*decimal point"),
-        (["--" if k == 50 else str(v) for k, v in enumerate(OUTPUT)], "line 52.*--missing"),
+        (["?" if k == 50 else str(v) for k, v in enumerate(OUTPUT)], "line 52.*--missing"),
     ],
 )
 def test_a_column_with_two_readings_is_asked_about(cells: list[str], word: str, tmp_path: Path) -> None:

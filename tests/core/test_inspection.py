@@ -1,5 +1,6 @@
 """One look at a recording finds what loggers and loose cables leave in it, and takes nothing good for a fault."""
 
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -93,6 +94,40 @@ def test_a_loose_cable_is_found_and_its_neighbours_stay(
         wrong, samples = wrong + len(masked - set(rows)), samples + len(output)
     assert found >= 0.99 * changed
     assert wrong <= 1e-4 * samples
+
+
+def test_a_halved_output_is_found_between_fast_presses_where_it_dips_deeper_than_they_do(
+    measured_data: Path, rng: np.random.Generator
+) -> None:
+    outputs = [output for name, output, _ in measured_outputs(measured_data) if name in ("left", "middle", "right")]
+    changed = found = wrong = samples = 0
+    for output, length, _ in itertools.product(outputs, (1, 2, 3), range(15)):
+        span = float(np.ptp(np.quantile(output, (0.01, 0.99))))
+        spoilt, rows = planted(output, "half", length, rng)
+        masked = masked_rows(inspected(spoilt), len(output))
+        for start in rows[::length]:
+            run = spoilt[start : start + length]
+            # Between their peaks measured presses dip by 9 % of the range themselves.
+            if min(spoilt[start - 1], spoilt[start + length]) - run.max() >= 0.12 * span:
+                changed, found = changed + 1, found + (set(range(start, start + length)) <= masked)
+        wrong, samples = wrong + len(masked - set(rows)), samples + len(output)
+    assert changed > 300
+    assert found >= 0.99 * changed
+    assert wrong <= 1e-4 * samples
+
+
+def test_spikes_of_a_coarse_converter_hide_no_good_sample_behind_their_finer_steps(
+    measured_data: Path, rng: np.random.Generator
+) -> None:
+    outputs = [output for name, output, _ in measured_outputs(measured_data) if name.startswith("calibration")]
+    found = changed = wrong = samples = 0
+    for output in outputs[::4]:
+        spoilt, rows = planted(output, "half", 3, rng)
+        usual, masked = masked_rows(inspected(output), len(output)), masked_rows(inspected(spoilt), len(output))
+        changed, found = changed + len(rows), found + len(masked & set(rows))
+        wrong, samples = wrong + len(masked - usual - set(rows)), samples + len(output)
+    assert found == changed
+    assert wrong <= 2e-5 * samples
 
 
 @pytest.mark.parametrize("length", [1, 2, 3])
@@ -199,6 +234,16 @@ def test_a_late_reference_is_told_from_relaxation(late_s: float, measured_data: 
         (lag,) = inspected(*pair).inspection.of_kind("lag")
         assert lag.value == pytest.approx(late_s, abs=0.05), name
         assert inspected(output, force_N).inspection.of_kind("lag", "tare", "held") == (), name
+
+
+@pytest.mark.parametrize("late_s", [0.5, -0.5])
+def test_a_lag_is_not_taken_for_half_a_period_of_a_programme_that_repeats_itself(late_s: float) -> None:
+    t_s = np.arange(1500) / RATE_HZ
+    force = 6 * np.abs(np.sin(2 * np.pi * t_s / 7)) ** 1.5
+    output = 0.5 + 0.05 * force + 0.006 * np.convolve(force, np.ones(15) / 15)[:1500]
+    shift = round(late_s * RATE_HZ)
+    (lag,) = inspected(output[100:-100], np.roll(force, shift)[100:-100]).inspection.of_kind("lag")
+    assert lag.value == pytest.approx(late_s, abs=0.06)
 
 
 @pytest.mark.parametrize("share", [0.3, -0.3])

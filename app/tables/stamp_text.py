@@ -1,0 +1,75 @@
+"""Texts of dates and times of day, as programs write them, in one way of writing."""
+
+import re
+
+CLOCK = r"\d{1,3}:\d{2}(?::\d{2}(?:[.,:]\d+)?)?(?: ?[AaPp][Mm])?"
+STAMP = re.compile(
+    rf"(?:\d{{4}}|\d{{1,2}})[-/.]\d{{1,2}}[-/.]\d{{1,4}}\.?(?:[ T]+{CLOCK}(?: ?(?:Z|UTC|[+-]\d{{2}}:?\d{{2}}))?)?"
+    rf"|\d{{8}}T\d{{4,6}}(?:[.,]\d+)?(?:Z|[+-]\d{{2}}:?\d{{2}})?|{CLOCK}|\d+ days? {CLOCK}"
+)
+"""Dates, times of day and both, as loggers write them."""
+
+ELAPSED_DAYS = re.compile(r"\d+ days? .*")
+CLOCK_TIME = re.compile(r"(\d{1,3}):(\d{2})(?::(\d{2}))?(?:[.,:](\d+))? ?([AaPp][Mm])?")
+YEAR_FIRST = re.compile(r"\d{4}-?\d{2}")
+ZONE = re.compile(r"(?:Z|[+-]\d{2}:?\d{2})$")
+DAY_MONTH = re.compile(
+    r"(\d{1,2})([-/.])(\d{1,2})[-/.](\d{4}|\d{2})(?:[ T]+(\d{1,2}:\d{2}(?::\d{2}(?:[.,:]\d+)?)?(?: ?[AaPp][Mm])?))?"
+)
+MONTHS = "jan feb mar apr may jun jul aug sep oct nov dec".split()
+MONTH = r"(?P<month>[A-Za-z]{3})[a-z]*\.?"
+CLOCK_BEHIND = rf"(?:[ T]+(?P<clock>{CLOCK}))?"
+NAMED_MONTH = (
+    re.compile(rf"(?P<day>\d{{1,2}})[- /]{MONTH}[- /](?P<year>\d{{4}}|\d{{2}}){CLOCK_BEHIND}"),
+    re.compile(rf"{MONTH} +(?P<day>\d{{1,2}}),? +(?P<year>\d{{4}}){CLOCK_BEHIND}"),
+    re.compile(rf"(?:[A-Z][a-z]{{2}} +)?{MONTH} +(?P<day>\d{{1,2}}) +(?P<clock>{CLOCK}) +(?P<year>\d{{4}})"),
+)
+"""`27-Oct-2024 02:59:56.000` (MATLAB), `Oct 27, 2024 02:59:56`, `Sun Oct 27 02:59:56 2024` (C)."""
+
+HALVES = {"오전": "AM", "오후": "PM", "上午": "AM", "下午": "PM", "午前": "AM", "午後": "PM"}
+"""Halves of a day, which stand before the hour."""
+
+HALF = re.compile(rf"(?P<half>{'|'.join(HALVES)}) ?(?P<clock>\d{{1,2}}:[\d:.,]+)")
+DOTTED = re.compile(r"(\d{4})\. ?(\d{1,2})\. ?(\d{1,2})\.?(?= |$)")
+TIME_SPAN = re.compile(r"(\d+)\.(\d{2}:\d{2}:\d{2}(?:\.\d+)?)")
+YEAR_AND_HALF = re.compile(r"(?P<date>\d{4}\S+ +)(?P<hour>\d{1,2})(?P<rest>:[\d:.,]+) ?(?P<half>[AaPp])[Mm]")
+
+
+def plain_stamp(text: str) -> str:
+    """Return a stamp in digits: no brackets around it, no name of a month, no half of a day behind a year."""
+    text = text.strip()
+    if text[:1] in "[(" and text[-1:] in "])":
+        text = text[1:-1].strip()
+    if text.isascii() and (text.isdigit() or not (text[:1].isalpha() or " " in text or "-" in text or "." in text)):
+        return text
+    text = HALF.sub(lambda m: f"{m['clock']} {HALVES[m['half']]}", text)
+    text = DOTTED.sub(r"\1-\2-\3", text)
+    if match := TIME_SPAN.fullmatch(text):
+        return f"{match[1]} days {match[2]}"
+    for pattern in NAMED_MONTH:
+        match = pattern.fullmatch(text)
+        if match is not None and match["month"].lower() in MONTHS:
+            month = MONTHS.index(match["month"].lower()) + 1
+            century = "20" if len(match["year"]) == 2 else ""
+            text = f"{century}{match['year']}-{month:02}-{int(match['day']):02} {match['clock'] or ''}".strip()
+    if match := YEAR_AND_HALF.fullmatch(text):
+        hour = int(match["hour"]) % 12 + (12 if match["half"] in "pP" else 0)
+        text = f"{match['date']}{hour:02}{match['rest']}"
+    return text
+
+
+def is_stamp(text: str) -> bool:
+    """Whether a text is a date, a time of day, or both."""
+    return STAMP.fullmatch(plain_stamp(text)) is not None
+
+
+def pointed(clock: str) -> str:
+    """Return a time of day with a point before the parts of its second."""
+    return re.sub(r"^(\d+:\d+:\d+)[:,]", r"\1.", clock)
+
+
+def iso_like(text: str) -> str:
+    """Return a stamp with dashes in its date, two digits a number, and a point before the parts of a second."""
+    text = re.sub(r"^(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})", lambda m: f"{m[1]}-{int(m[2]):02}-{int(m[3]):02}", text)
+    text = re.sub(r"(?<=[ T])(\d):", r"0\1:", text)
+    return re.sub(r",(\d+)", r".\1", text, count=1).replace(" +", "+").replace(" Z", "Z").replace(" UTC", "Z")

@@ -1,0 +1,237 @@
+"""Which lines of a text file are rows of data, and what becomes of the others."""
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from softcal.app.tables.arrays import refuse_large
+from softcal.app.tables.numbers import MAX_SUMMARY_ROWS, Kind, cell_kind, is_summary
+from softcal.app.tables.options import TableOptions
+from softcal.app.tables.text_layout import BLANKS, LVM_HEADER_END, LVM_SEGMENT, REMARKS, TextLayout, split
+from softcal.core.errors import InputError
+from softcal.core.recording import Indices
+
+
+@dataclass(frozen=True)
+class TextRows:
+    """Rows of data: their texts or, where cells are quoted, their cells; and their lines."""
+
+    texts: list[str]
+    cells: list[list[str]] | None
+    lines: Indices
+    remarks: tuple[str, ...]
+
+
+def data_of(
+    lines: Sequence[str],
+    layout: TextLayout,
+    path: Path,
+    options: TableOptions,
+    *,
+    is_last: bool,
+    is_open: bool = False,
+    offset: int | None = None,
+) -> TextRows:
+    """Return the rows of data among lines, all of one width.
+
+    Args:
+        is_last: whether the file ends with these lines.
+        is_open: whether it ends without the end of a line: its last row may be cut off.
+        offset: lines of the file before these.
+
+    Raises:
+        InputError: a row longer or shorter than the header.
+    """
+    texts, numbers = _filled(lines, layout.start if offset is None else offset)
+    delimiter, width = layout.delimiter, len(layout.heading.names)
+    whole = "\n".join(texts)
+    remarks = _drop_comments(texts, numbers, layout) if "#" in whole else []
+    remarks += _drop_segments(texts, numbers)
+    remarks += _drop_headers(texts, numbers, layout)
+    cells = None
+    if '"' in whole:
+        cells = [_unquoted(text, delimiter, number, path) for text, number in zip(texts, numbers, strict=True)]
+        widths = list(map(len, cells))
+    elif delimiter == BLANKS:
+        texts = ["\t".join(text.split()) for text in texts]
+        widths = [text.count("\t") + 1 for text in texts]
+    else:
+        widths = [1] * len(texts) if delimiter == "" else [text.count(delimiter) + 1 for text in texts]
+    refuse_large(path, sum(widths), options.max_cells)
+    at = "\t" if delimiter == BLANKS else delimiter
+    if is_open and len(texts) > 1 and _is_cut(texts[-1], widths[-1], layout, at, texts[:-1]):
+        remarks.append(f"line {numbers[-1]} is cut off ({texts[-1].strip()[:40]!r}): what it lacks is missing")
+        # The last number that was written may lack digits, too.
+        row = split(texts[-1], at)[: min(width, widths[-1]) - 1]
+        texts[-1], widths[-1] = at.join([*row, *[""] * (width - len(row))]), width
+        if cells is not None:
+            cells[-1] = split(texts[-1], at)
+        if not row:
+            del texts[-1], numbers[-1], widths[-1], (cells if cells is not None else [0])[-1]
+    stop = _end_of_data(texts, numbers, widths, layout, at) if is_last else len(texts)
+    rest = [k for k in range(stop, len(texts)) if texts[k].strip(f"{at} ")]
+    if rest:
+        where = f"line {numbers[rest[0]]}" if len(rest) == 1 else f"lines {numbers[rest[0]]} to {numbers[rest[-1]]}"
+        remarks.append(f"{where}: no row of data and left out ({texts[rest[0]].strip()[:40]!r})")
+    del texts[stop:], numbers[stop:], widths[stop:]
+    cells = None if cells is None else cells[:stop]
+    if widths.count(width) < len(widths):
+        _fit(texts, cells, numbers, widths, layout, path)
+    return TextRows(texts, cells, np.array(numbers, dtype=np.int64), tuple(remarks))
+
+
+def _filled(lines: Sequence[str], offset: int) -> tuple[list[str], list[int]]:
+    """Return the lines that are not empty, and their numbers."""
+    empty = {k for k, line in enumerate(lines) if not line or line.isspace()}
+    if not empty:
+        return list(lines), list(range(offset + 1, offset + 1 + len(lines)))
+    filled = [k for k in range(len(lines)) if k not in empty]
+    return [lines[k] for k in filled], [offset + 1 + k for k in filled]
+
+
+def _drop_comments(texts: list[str], numbers: list[int], layout: TextLayout) -> list[str]:
+    """Take lines that begin with # out, and return a remark on them.
+
+    A line of as many cells as the others is a broken row, whatever it begins with.
+    """
+    width = len(layout.heading.names)
+    comments = [k for k, text in enumerate(texts) if text[0] == "#" and len(split(text, layout.delimiter)) != width]
+    for k in reversed(comments):
+        del texts[k], numbers[k]
+    return [f"{len(comments)} lines that begin with # are comments"] if comments else []
+
+
+def _drop_segments(texts: list[str], numbers: list[int]) -> list[str]:
+    """Take out what LabVIEW writes above the names of each later segment of a file, and return a remark on each."""
+    remarks = []
+    for end in [k for k, text in enumerate(texts) if text.startswith(LVM_HEADER_END)][::-1]:
+        begin = max((k for k in range(end) if texts[k].startswith(LVM_SEGMENT)), default=0)
+        remarks.append(f"lines {numbers[begin]} to {numbers[end]}: the header of another segment, left out")
+        del texts[begin : end + 1], numbers[begin : end + 1]
+    return remarks[::-1]
+
+
+def _drop_headers(texts: list[str], numbers: list[int], layout: TextLayout) -> list[str]:
+    """Take lines that repeat the header out, and return a remark on each."""
+    names, at = layout.heading.names, layout.delimiter
+    if layout.heading.row is None or len(names) < 2:
+        return []
+    again = [k for k, text in enumerate(texts) if names[0] in text and tuple(split(text, at)) == names]
+    remarks = [f"line {numbers[k]} repeats the header and is left out" for k in again]
+    for k in reversed(again):
+        del texts[k], numbers[k]
+    return remarks
+
+
+def _fit(
+    texts: list[str],
+    cells: list[list[str]] | None,
+    numbers: Sequence[int],
+    widths: Sequence[int],
+    layout: TextLayout,
+    path: Path,
+) -> None:
+    """Give each row the cells of the header, where only empty ones are too many or missing.
+
+    Raises:
+        InputError: a row is longer or shorter.
+    """
+    width, at = len(layout.heading.names), "\t" if layout.delimiter == BLANKS else layout.delimiter
+    for k, count in enumerate(widths):
+        if count == width:
+            continue
+        row = _fitted(cells[k] if cells is not None else split(texts[k], at), width, layout)
+        if row is None:
+            raise InputError(_unequal(path, numbers[k], count, width, layout))
+        if cells is not None:
+            cells[k] = row
+        else:
+            texts[k] = at.join(row)
+
+
+def _unquoted(text: str, delimiter: str, line: int, path: Path) -> list[str]:
+    if '"' in text and delimiter not in (BLANKS, ""):
+        try:
+            next(csv.reader([text], delimiter=delimiter, skipinitialspace=True, strict=True))
+        except csv.Error as error:
+            raise InputError(
+                f"{path}: line {line}: a quote without its other end; repair or remove that line"
+            ) from error
+    return split(text, delimiter)
+
+
+def _is_cut(text: str, cells: int, layout: TextLayout, delimiter: str, others: Sequence[str]) -> bool:
+    """Whether the last row of a file was being written when the file ended; all `others` have a longer last number."""
+    row = split(text, delimiter)
+    if cells < len(layout.heading.names) and cell_kind(row[0], layout.decimal) in (Kind.NUMBER, Kind.STAMP):
+        return True
+    shortest = min((len(split(one, delimiter)[-1]) for one in others), default=0)
+    if cells == len(layout.heading.names) and 0 < len(row[-1]) < shortest:
+        return True
+    is_text_column = len(row) - 1 in layout.text_columns
+    return (
+        cells == len(layout.heading.names) and bool(re.fullmatch(r"[+-]|.*\d[eE][+-]?", row[-1])) and not is_text_column
+    )
+
+
+def _fitted(row: list[str], width: int, layout: TextLayout) -> list[str] | None:
+    """Return a row with the cells of the header, where only empty ones are too many or missing."""
+    while len(row) > width and not row[-1]:
+        row = row[:-1]
+    unnamed = [name == f"column_{k}" for k, name in enumerate(layout.heading.names, 1)]
+    while len(row) < width and unnamed[len(row)] and all(unnamed[len(row) :]) and layout.heading.row is not None:
+        row = [*row, ""]
+    if len(row) == width - 1 and layout.heading.names[-1].lower() in REMARKS:
+        row = [*row, ""]
+    return row if len(row) == width else None
+
+
+def _unequal(path: Path, line: int, cells: int, width: int, layout: TextLayout) -> str:
+    cure = "repair or remove that line"
+    if layout.delimiter == "," and cells > width:
+        cure += "; are there decimal commas? write the file with semicolons or tabs between cells then"
+    return f"{path}: line {line} has {cells} cells where the header has {width}; {cure}"
+
+
+def _end_of_data(
+    texts: Sequence[str], numbers: Sequence[int], widths: Sequence[int], layout: TextLayout, delimiter: str
+) -> int:
+    """Return the number of rows without what follows the last row of data: empty cells, a footer, a row cut off."""
+    stop = _before_summary(texts, len(texts), layout, delimiter)
+    width = len(layout.heading.names)
+    text_columns = layout.text_columns
+
+    def kinds(k: int) -> list[Kind]:
+        return [cell_kind(cell, layout.decimal) for cell in split(texts[k], delimiter)]
+
+    def is_footer(k: int) -> bool:
+        row = kinds(k)
+        stray = [n for n, kind in enumerate(row) if kind is Kind.TEXT and n not in text_columns]
+        has_numbers = Kind.NUMBER in row or Kind.STAMP in row
+        if not has_numbers:
+            return bool(stray) or all(kind is Kind.EMPTY for kind in row)
+        return bool(stray) and stray[0] == 0 and (widths[k] != width or numbers[k] - numbers[k - 1] > 1)
+
+    while stop and is_footer(stop - 1):
+        stop -= 1
+    # A block of lines below an empty one whose rows all begin with a text is a summary.
+    breaks = [k for k in range(max(1, stop - 50), stop) if numbers[k] - numbers[k - 1] > 1]
+    if breaks and all(
+        (row := kinds(k)) and row[0] is Kind.TEXT and 0 not in text_columns for k in range(breaks[0], stop)
+    ):
+        stop = breaks[0]
+    return stop
+
+
+def _before_summary(texts: Sequence[str], stop: int, layout: TextLayout, delimiter: str) -> int:
+    """Return the number of rows before those of a summary at the end: their first filled cell says of what."""
+    while stop and len(texts) - stop < MAX_SUMMARY_ROWS and 0 not in layout.text_columns:
+        cells = split(texts[stop - 1], delimiter)
+        if any(cells) and not is_summary(cells):
+            break
+        stop -= 1
+    return stop
