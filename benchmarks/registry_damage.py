@@ -71,7 +71,7 @@ def make(path: Path, units: int = UNITS) -> None:
         registry.adaptations.add(
             UnitKey("bench", "U001"), 1, [{"stream": "s", "sample": k, "gain": 1.0 + k} for k in range(3)]
         )
-        registry.stations.add_golden_run(GoldenRun("s1", "G1", datetime(2026, 5, 4, tzinfo=UTC), 0.01, "N", True))
+        registry.stations.add_golden_run(GoldenRun("s1", "L1", "G1", datetime(2026, 5, 4, tzinfo=UTC), 0.01, "N", True))
         registry.stations.add_certificate(
             CellCertificate("C1", "7", "lab", date(2026, 1, 1), date(2027, 1, 1), 50.0, 0.01, b"document")
         )

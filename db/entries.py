@@ -11,6 +11,7 @@ from softcal.core.quality.line_rules import LineRules
 from softcal.core.words.reason import Reason
 
 if TYPE_CHECKING:
+    from softcal.core.quality.audit_plan import AuditPlan
     from softcal.core.unit.state import UnitState
 
 Heads = dict[str, tuple[int, str]]
@@ -191,6 +192,18 @@ class LotDecisionEntry:
 
 
 @dataclass(frozen=True)
+class Draw:
+    """A sample of a lot, written down before it is measured: forecasts by serial, the limit of then, and when (UTC)."""
+
+    lot_id: str
+    plan: "AuditPlan"
+    forecasts: Mapping[str, float]
+    limit_rmse: float
+    limit_unit: str
+    made_at: datetime | None = None
+
+
+@dataclass(frozen=True)
 class LimitEntry:
     """One version (1, 2, 3 ... per lot) of its limit, the largest error in its unit; None is the source's own."""
 
@@ -271,9 +284,10 @@ class CellCertificate:
 
 @dataclass(frozen=True)
 class GoldenRun:
-    """One check of a station with a golden unit: what is charted, in `unit`, and whether it held the limits of then."""
+    """One check of a station with a golden unit of a lot: what is charted, in `unit`, and whether it passed."""
 
     station: str
+    lot_id: str
     serial: str
     made_at: datetime
     value: float

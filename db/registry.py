@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from softcal.db.queues.work_queue import WorkQueue
     from softcal.db.truth.adaptations import AdaptationTables
     from softcal.db.truth.calibrations import CalibrationTables
+    from softcal.db.truth.declarations import DeclarationTables
     from softcal.db.truth.lot_decisions import LotDecisionTable
     from softcal.db.truth.lot_pages import LotPages
     from softcal.db.truth.lots import LotTables
@@ -55,6 +56,7 @@ class Registry(RegistryBase):
     networks: NetworkTables = _part("truth.networks", "NetworkTables")
     calibrations: CalibrationTables = _part("truth.calibrations", "CalibrationTables")
     decisions: LotDecisionTable = _part("truth.lot_decisions", "LotDecisionTable")
+    declarations: DeclarationTables = _part("truth.declarations", "DeclarationTables")
     adaptations: AdaptationTables = _part("truth.adaptations", "AdaptationTables")
     stations: StationTables = _part("truth.stations", "StationTables")
     people: People = _part("access.people", "People")

@@ -1,7 +1,7 @@
 """Arguments as Python users give them, typed once: plain numbers, columns of float64, times in s. Text is no number."""
 
 import os
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from decimal import Decimal
 from numbers import Integral, Real
 from pathlib import Path
@@ -112,6 +112,19 @@ def times(name: str, values: Any) -> Array:
         raise InputError(f"{name} is too far from today to be counted in nanoseconds ({error})") from error
     start = ticks[0] if len(ticks) and isinstance(index, pd.DatetimeIndex) else 0
     return np.asarray((ticks - start) / NS_PER_S, dtype=np.float64)
+
+
+def first_instant(name: str, values: Any) -> datetime | None:
+    """Return the first of time stamps that are dates, UTC; without a zone they are local time. None of other stamps."""
+    import pandas as pd
+
+    index = _time_index(name, values)
+    if not isinstance(index, pd.DatetimeIndex) or not len(index):
+        return None
+    try:
+        return index[0].to_pydatetime(warn=False).astimezone(UTC)
+    except (ValueError, OverflowError):
+        return None
 
 
 def is_times(values: Any) -> bool:

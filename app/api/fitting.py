@@ -222,15 +222,15 @@ class _MapFit:
         return {"output_unit": source.unlabelled.output_unit, "reference_unit": source.reference_unit}
 
     def fit_unit(self, recording: Recording, anchors: Any, audit: Any) -> Unit:
-        measured = None
+        measured, measured_at = None, None
         if audit is not None:
-            measured = labelled_of(
-                recording_of(audit, "audit", self.rate_Hz, serial=recording.serial, **self.units), "audit", "fit_map"
-            )
+            given = recording_of(audit, "audit", self.rate_Hz, serial=recording.serial, **self.units)
+            measured = labelled_of(replace(given, serial=recording.serial), "audit", "fit_map")
+            measured_at = given.measured_at
         loads = None if anchors is None else _anchors(anchors)
         (problem,) = self.lot.problems(recording.unlabelled, UnitInputs(loads, audit=measured))
         model = self.lot.source
-        return Unit(model.network, calibrate(problem), model.source, recording.unlabelled)
+        return Unit(model.network, calibrate(problem), model.source, recording.unlabelled, measured, measured_at)
 
 
 def _is_many(target: Any) -> bool:

@@ -2,14 +2,16 @@
 
 from collections.abc import Hashable
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from softcal.app.api.arguments import column, file_path, is_times, number, shown, text, times
+from softcal.app.api.arguments import column, expect, file_path, first_instant, is_times, number, shown, text, times
 from softcal.app.api.display import html_table, plotting
+from softcal.app.files.measured_at import parse_instant
 from softcal.core.errors import InputError
 from softcal.core.inspection.build import InspectedRecording, build_recording
 from softcal.core.inspection.inspection import Inspection
@@ -51,6 +53,9 @@ class Recording:
         stage_mm: (n,) stage position in mm, positive when it compresses, where the station knows it. Source and units
             that carry it are compared at equal stage histories.
         lines: (n,) line of its file of each sample, which remarks then name; `read` sets them.
+        measured_at: when its first sample was taken: an ISO date or date and time, or a datetime; without a zone it is
+            local time. By default the first stamp, where stamps are dates. Of an audit it says whether a draw came
+            first.
 
     Raises:
         InputError: lengths differ, a value is no number, time goes back, or neither rate nor time is given.
@@ -65,6 +70,7 @@ class Recording:
     reference_unit: str = "N"
     stage_mm: Any = None
     lines: Any = None
+    measured_at: Any = None
 
     def __post_init__(self) -> None:
         # Whatever is wrong with it is reported here, not at the first use.
@@ -86,6 +92,13 @@ class Recording:
                 rate_Hz = float(f"{1 / np.median(steps[steps > 0]):.5g}")
         elif rate_Hz is not None:
             typed["t_s"] = np.arange(len(typed["output"])) / rate_Hz
+        if isinstance(self.measured_at, str):
+            typed["measured_at"] = parse_instant("measured_at", self.measured_at)
+        elif self.measured_at is not None:
+            expect("measured_at", self.measured_at, datetime, "an ISO date or date and time, or a datetime,")
+            typed["measured_at"] = self.measured_at.astimezone(UTC)
+        elif stamps is not None:
+            typed["measured_at"] = first_instant("t_s", stamps)
         if rate_Hz is None:
             raise InputError("neither sample_rate_Hz nor t_s says when samples were taken; give one of them")
         typed["sample_rate_Hz"] = rate_Hz
@@ -139,7 +152,10 @@ class Recording:
             raise InputError(f"a step of {step} would change the sample rate or the direction of time; leave it out")
         stop = max(start, stop)
         columns: dict[str, Any] = {name: values[start:stop] for name, values in self._columns.items()}
-        return replace(self, lines=None if self.lines is None else self.lines[start:stop], **columns)
+        columns["lines"] = None if self.lines is None else self.lines[start:stop]
+        if self.measured_at is not None and start < stop:
+            columns["measured_at"] = self.measured_at + timedelta(seconds=float(self.t_s[start] - self.t_s[0]))
+        return replace(self, **columns)
 
     def between(self, start_s: float, stop_s: float) -> "Recording":
         """Return the stretch between two time stamps in s, both included.
@@ -312,7 +328,8 @@ class Recording:
         rate_Hz = facts.get("sample_rate_Hz")
         rate_Hz = None if rate_Hz is None else number("sample_rate_Hz", rate_Hz, RATE)
         names = ColumnNames(output, time_s, reference or "reference", stage_mm or STAGE, rate_Hz, table)
-        columns = read_columns(file, names, with_reference=has_reference)
+        columns, start = read_columns(file, names, with_reference=has_reference)
+        facts = {"measured_at": None if start is None else start.at, **facts}
         with naming(file):
             return cls(**{"serial": file.stem, **facts, **columns})
 

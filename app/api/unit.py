@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ from softcal.app.api.display import html_table, plotting
 from softcal.app.api.recording import Recording, labelled_of, recording_of
 from softcal.app.api.registry import open_registry
 from softcal.app.files.atomic import write_bytes
+from softcal.app.registry.lot_recordings import audit_of
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.lot import Lot
 from softcal.core.metrics import rmse
@@ -47,6 +49,8 @@ class Unit:
         state: the unit's fit, what was done to it since, and what follows from both.
         source: recording of the source that f was trained on.
         recording: the one the unit was calibrated from.
+        audit: recording that measured its error; None without one.
+        audited_at: when that was measured, UTC; None where nobody says.
         kept: what the registry knows of it; None for a unit that was calibrated here.
     """
 
@@ -54,6 +58,8 @@ class Unit:
     state: UnitState
     source: LabelledRecording
     recording: OutputRecording
+    audit: LabelledRecording | None = None
+    audited_at: datetime | None = None
     kept: "CalibratedUnit | None" = None
 
     def __repr__(self) -> str:
@@ -303,6 +309,8 @@ class Unit:
             training = {"source_recording_sha256": registry.recordings.add(lot.id, source, "source")}
             registry.networks.add(lot.id, self.network, {}, training, self.network.id)
             registry.recordings.add(lot.id, self.recording, "unit")
+            if self.audit is not None:
+                registry.recordings.add(lot.id, self.audit, "audit", measured_at=self.audited_at)
             registry.calibrations.add(lot.id, self.state)
             yield registry
 
@@ -327,7 +335,11 @@ class Unit:
         from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 
         kept = UnitLoader(registry, ExportOptions(revision=revision, lot_id=lot)).load(serial)
-        return cls(kept.network, kept.state, kept.shared.source, kept.recording, kept)
+        scored = kept.state.audit
+        entries = registry.recordings.of_lot(kept.lot.id, serial, "audit")
+        entry = next((one for one in entries if scored is not None and one.sha256 == scored.recording_sha256), None)
+        audit, at = audit_of(registry, entry), None if entry is None else entry.observed_at
+        return cls(kept.network, kept.state, kept.shared.source, kept.recording, audit, at, kept)
 
 
 def unit_row(unit: Unit) -> dict[str, Any]:

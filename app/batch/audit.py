@@ -1,24 +1,19 @@
 """Audits of a lot: which units to check with the load cell, and what their results say."""
 
-import json
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime
-
-import msgspec
 
 from softcal.app.registry.limit import lot_limit
 from softcal.app.registry.lot_recordings import newest_audits
-from softcal.app.registry.stated import state, stated, statements
 from softcal.app.texts.reasons import Words
 from softcal.core.errors import InputError
 from softcal.core.quality.audit_plan import AuditConfig, AuditPlan, LotStatement, judge_lot, plan_audit
 from softcal.core.unit.verdict import Limit, Verdict
 from softcal.core.words.reason import DOUBT
-from softcal.db.entries import UnitEntry
+from softcal.db.entries import Draw, UnitEntry
 from softcal.db.registry import Registry
 
-PLAN, STATEMENT, CONFIRMED = "audit_plan", "audit_result", "audit_doubt"
 ACCEPTED = (Verdict.PASS, Verdict.CONDITIONAL)
 
 
@@ -53,13 +48,9 @@ class Sample:
         return words("paper.drawn.is", drawn=self.drawn, population=self.population, day=day, **numbers)
 
 
-def _drawn_at(registry: Registry, lot_id: str) -> dict[str, datetime]:
-    """Return when each unit of a lot was first drawn at random, UTC."""
-    drawn: dict[str, datetime] = {}
-    for row in registry.trail.of(PLAN, (lot_id,)):
-        for serial in AuditPlan.from_settings(json.loads(row.after or "{}")["plan"]).random:
-            drawn.setdefault(serial, row.at)
-    return drawn
+def _drawn_at(draws: Sequence[Draw]) -> dict[str, datetime]:
+    """Return when each unit was first drawn at random, UTC."""
+    return {serial: one.made_at for one in reversed(draws) if one.made_at for serial in one.plan.random}
 
 
 def drawn_first(registry: Registry, lot_id: str) -> frozenset[str]:
@@ -67,16 +58,16 @@ def drawn_first(registry: Registry, lot_id: str) -> frozenset[str]:
 
     A recording counts as measured by its own stamps or as stated, else when the registry first saw it.
     """
-    audits, drawn = newest_audits(registry, lot_id), _drawn_at(registry, lot_id)
+    audits, drawn = newest_audits(registry, lot_id), _drawn_at(registry.declarations.draws(lot_id))
     return frozenset(serial for serial, at in drawn.items() if serial in audits and audits[serial].observed_at > at)
 
 
 def audited_sample(registry: Registry, lot_id: str) -> Sample:
     """Return how the audits of a lot stand to its draws."""
-    audits, drawn = newest_audits(registry, lot_id), _drawn_at(registry, lot_id)
+    audits, draws = newest_audits(registry, lot_id), registry.declarations.draws(lot_id)
+    drawn = _drawn_at(draws)
     since, of_drawn = len(drawn_first(registry, lot_id)), len(audits.keys() & drawn.keys())
-    plan = stated(registry, PLAN, (lot_id,))
-    population = 0 if plan is None else AuditPlan.from_settings(plan["plan"]).population
+    population = draws[-1].plan.population if draws else 0
     at = max(drawn.values(), default=None)
     return Sample(len(drawn), population, at, since, of_drawn - since, len(audits) - of_drawn)
 
@@ -117,7 +108,7 @@ def draw_plan(
     Raises:
         InputError: no unit was accepted yet, or a plan stands and no reason was given.
     """
-    if stated(registry, PLAN, (lot_id,)) is not None and not reason.strip():
+    if registry.declarations.draws(lot_id) and not reason.strip():
         raise InputError(f"lot {lot_id!r} has an audit plan; a new draw needs a reason")
     # Forecasts of the units that audits can speak for; their forecast alone may speak against them
     units = {unit.serial: unit for unit in _targets(registry, lot_id) if unit.predicted_rmse is not None}
@@ -135,28 +126,24 @@ def draw_plan(
     if not accepted:
         raise InputError(f"lot {lot_id!r} has no accepted unit yet; calibrate its units first")
     plan = plan_audit(accepted, config)
-    facts = {
-        "plan": plan.settings(),
-        "config": asdict(config),
-        "forecasts": {serial: accepted[serial] for serial in plan.serials},
-        "limit": lot_limit(registry, lot_id).to_json(),
-    }
-    registry.trail.add("draw", PLAN, (lot_id,), facts, reason=reason, actor=actor)
-    return _standing(registry, lot_id, facts)
+    limit, forecasts = lot_limit(registry, lot_id), {serial: accepted[serial] for serial in plan.serials}
+    draw = Draw(lot_id, plan, forecasts, limit.maximum_rmse, limit.unit)
+    registry.declarations.add_draw(draw, config, actor=actor, reason=reason)
+    return _standing(registry, draw)
 
 
 def lot_audit(registry: Registry, lot_id: str) -> LotAudit | None:
     """Return the newest audit plan of a lot with what was measured since; None without one."""
-    drawn = stated(registry, PLAN, (lot_id,))
-    return None if drawn is None else _standing(registry, lot_id, drawn)
+    draws = registry.declarations.draws(lot_id)
+    return _standing(registry, draws[-1]) if draws else None
 
 
 def update_lot(registry: Registry, lot_id: str, actor: str | None = None) -> LotAudit | None:
     """Judge the lot by its audits as far as they are in, and keep a new statement."""
     audit = lot_audit(registry, lot_id)
     if audit is not None and audit.statement is not None:
-        facts = {"statement": _statement_json(audit.statement), "measured": dict(audit.measured)}
-        state(registry, STATEMENT, (lot_id,), facts, action="judge", actor=actor)
+        facts = {"lot_id": lot_id, **_statement_json(audit.statement), "measured": dict(audit.measured)}
+        registry.declarations.declare("lot_statements", facts, action="judge", actor=actor)
     return audit
 
 
@@ -201,18 +188,17 @@ def audit_line(audit: LotAudit) -> str:
     return f"audit: lot {audit.statement.word}: {audit.statement.text}"
 
 
-def _standing(registry: Registry, lot_id: str, facts: Mapping[str, object]) -> LotAudit:
-    settings = json.loads(json.dumps(facts))
-    plan, limit = AuditPlan.from_settings(settings["plan"]), msgspec.convert(settings["limit"], Limit)
+def _standing(registry: Registry, draw: Draw) -> LotAudit:
+    plan, limit = draw.plan, Limit(draw.limit_unit, draw.limit_rmse)
     errors = {
         unit.serial: unit.after_rmse
-        for unit in _targets(registry, lot_id)
+        for unit in _targets(registry, draw.lot_id)
         if not any(why.code.startswith(DOUBT) for why in unit.reasons)
     }
     measured = {s: float(e) for s in plan.serials if (e := errors.get(s)) is not None}
     is_complete = len(measured) == len(plan.serials)
-    statement = judge_lot(plan, settings["forecasts"], measured, limit) if is_complete else None
-    return LotAudit(plan, settings["forecasts"], limit, measured, statement)
+    statement = judge_lot(plan, draw.forecasts, measured, limit) if is_complete else None
+    return LotAudit(plan, draw.forecasts, limit, measured, statement)
 
 
 def _targets(registry: Registry, lot_id: str) -> list[UnitEntry]:
@@ -221,5 +207,5 @@ def _targets(registry: Registry, lot_id: str) -> list[UnitEntry]:
 
 def confirmed_audits(registry: Registry, lot_id: str) -> dict[str, str]:
     """Return the audits that a person confirmed: by serial, the hash of their output."""
-    rows = statements(registry, CONFIRMED, (lot_id,))
-    return {str(row["serial"]): str(row["output_sha256"]) for row in rows}
+    rows = registry.declarations.in_force("confirmed_audits", lot_id)
+    return {row["serial"]: row["output_sha256"] for row in rows}

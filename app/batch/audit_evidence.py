@@ -135,11 +135,13 @@ class AuditReader:
         """Return gains of golden units of this sensor model, one a day, each about its mean."""
         gains: list[float] = []
         since = now - timedelta(days=self._config.lasts_days)
-        for serial in sorted({run.serial for run in self._registry.stations.golden_runs(since=since)}):
-            for known in self._registry.calibrations.lots_of(serial):
-                if lot.sensor_model and self._registry.lots.get(known).sensor_model == lot.sensor_model:
-                    by_day = self._gains_by_day(known, serial, now)
-                    gains += [gain / float(np.mean(by_day)) for gain in by_day]
+        models = {one.id: one.sensor_model for one in self._registry.lots.all()}
+        for known, serial in sorted(
+            {(run.lot_id, run.serial) for run in self._registry.stations.golden_runs(since=since)}
+        ):
+            if lot.sensor_model and models.get(known) == lot.sensor_model:
+                by_day = self._gains_by_day(known, serial, now)
+                gains += [gain / float(np.mean(by_day)) for gain in by_day]
         return seen_gains(gains, self._config.min_others)
 
     def _gains_by_day(self, lot_id: str, serial: str, now: datetime) -> list[float]:
@@ -176,12 +178,9 @@ class AuditReader:
     def _golden_failed_at(self, lot: Lot) -> datetime | None:
         """Return when a golden unit last failed; one of another model says nothing here."""
         registry = self._registry
+        models = {one.id: one.sensor_model for one in registry.lots.all()}
         failed = [run for run in registry.stations.golden_runs() if not run.passed]
-        models = {
-            run.serial: {registry.lots.get(known).sensor_model for known in registry.calibrations.lots_of(run.serial)}
-            for run in failed
-        }
-        mine = (run.made_at for run in failed if not models[run.serial] or lot.sensor_model in models[run.serial])
+        mine = (run.made_at for run in failed if models.get(run.lot_id, lot.sensor_model) == lot.sensor_model)
         return max(mine, default=None)
 
     def _audited(self, lot: Lot) -> Audited:

@@ -1,10 +1,11 @@
 """What an act would change of the verdicts of a lot: the act itself, done in a transaction that is not kept."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from softcal.app.batch.judging import redecide
+from softcal.app.registry.given_files import Recall, list_recalls
 from softcal.core.unit.verdict import VERDICTS, Verdict
 from softcal.core.words.reason import Reason
 from softcal.db.registry import Registry
@@ -28,10 +29,12 @@ class Changes:
     Args:
         changed: every unit whose verdict another one replaces, the withdrawn first.
         counts: units of the lot by verdict after the act.
+        recalled: files that were given out and no longer hold after it.
     """
 
     changed: tuple[VerdictChange, ...]
     counts: dict[str, int]
+    recalled: tuple[Recall, ...] = ()
 
     @property
     def withdrawn(self) -> tuple[VerdictChange, ...]:
@@ -50,6 +53,7 @@ class Changes:
             "counts": self.counts,
             "withdrawn": len(self.withdrawn),
             "released": len(self.released),
+            "recalled": [one.to_json() for one in self.recalled],
         }
 
 
@@ -78,9 +82,11 @@ def carry_out(registry: Registry, lot_id: str, act: Callable[[], object]) -> Cha
     Raises:
         InputError: the act is refused, for its own reason.
     """
-    before = read_verdicts(registry, lot_id)
+    before, lots = read_verdicts(registry, lot_id), reached_lots(registry, lot_id)
+    old = set(list_recalls(registry, lots))
     act()
-    return compare_verdicts(lot_id, before, read_verdicts(registry, lot_id))
+    changes = compare_verdicts(lot_id, before, read_verdicts(registry, lot_id))
+    return replace(changes, recalled=tuple(one for one in list_recalls(registry, lots) if one not in old))
 
 
 def change_limit(
@@ -112,14 +118,18 @@ Verdicts = dict[tuple[str, str], tuple[str, Reason]]
 
 def read_verdicts(registry: Registry, lot_id: str) -> Verdicts:
     """Return the verdict and its first reason of every unit that an act on the lot may reach, by lot and serial."""
-    model = registry.lots.get(lot_id).sensor_model
-    lots = {lot_id, *(lot.id for lot in registry.lots.all() if model and lot.sensor_model == model)}
-    units = [unit for lot in sorted(lots) for unit in registry.lots.units(lot)]
+    units = [unit for lot in reached_lots(registry, lot_id) for unit in registry.lots.units(lot)]
     return {
         (unit.lot_id, unit.serial): (unit.verdict, unit.reasons[0])
         for unit in units
         if unit.role == "target" and unit.verdict is not None and unit.reasons
     }
+
+
+def reached_lots(registry: Registry, lot_id: str) -> list[str]:
+    """Return the lots that an act on one of them may reach: those of its sensor model."""
+    model = registry.lots.get(lot_id).sensor_model
+    return sorted({lot_id, *(lot.id for lot in registry.lots.all() if model and lot.sensor_model == model)})
 
 
 def compare_verdicts(lot_id: str, before: Verdicts, after: Verdicts) -> Changes:

@@ -5,7 +5,7 @@ Whoever sets a limit, confirms, brings audits or syncs calls `redecide` after it
 
 from collections.abc import Iterable
 
-from softcal.app.batch.audit import CONFIRMED, update_lot
+from softcal.app.batch.audit import update_lot
 from softcal.app.batch.release import decision_in_force, redecide_lot
 from softcal.core.errors import InputError
 from softcal.core.quality.qualification import EARLIER_LOTS
@@ -25,8 +25,9 @@ def confirm(registry: Registry, lot_id: str, serial: str, *, reason: str, actor:
         raise InputError(f"the audit of {serial} in lot {lot_id!r} is not in doubt; there is nothing to confirm")
     if not reason.strip():
         raise InputError(f"say why the audit of {serial} is right in spite of the doubt; a reason was expected")
-    facts = {"serial": serial, "output_sha256": state.audit.output_sha256, "doubt": state.suspect_audit.to_json()}
-    registry.trail.add("confirm", CONFIRMED, (lot_id,), facts, reason=reason, actor=actor)
+    facts = {"lot_id": lot_id, "serial": serial, "doubt": state.suspect_audit.to_json()}
+    facts |= {"output_sha256": state.audit.output_sha256}
+    registry.declarations.declare("confirmed_audits", facts, action="confirm", reason=reason, actor=actor)
     redecide(registry, [lot_id], actor)
 
 

@@ -9,7 +9,6 @@ from softcal.app.registry.golden import bridge_over, golden_of
 from softcal.app.registry.known_loads import known_loads
 from softcal.app.registry.lot_recordings import audit_of, newest_audits
 from softcal.app.registry.reference import lot_reference
-from softcal.app.registry.stated import state, stated
 from softcal.app.registry.trimmed import trim_kept
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
@@ -23,42 +22,44 @@ from softcal.core.unit.verdict import default_limit, stated_limit
 from softcal.db.entries import NetworkEntry
 from softcal.db.registry import Registry
 
-LINE, SOURCES, FAMILY = "line_spread", "lot_sources", "map_family"
+WITH_LOT = "stated with the lot"
 
 
 def state_line(registry: Registry, lot_id: str, line: LineSpread | None, actor: str | None = None) -> None:
     """Keep how differently a line presses units, where a lot folder states it anew."""
     if line is not None:
-        state(registry, LINE, (lot_id,), line.to_json(), reason="stated with the lot", actor=actor)
+        facts = {"lot_id": lot_id, **vars(line)}
+        registry.declarations.declare("line_spreads", facts, actor=actor, reason=WITH_LOT)
 
 
 def stated_line(registry: Registry, lot_id: str) -> LineSpread | None:
     """Return what was stated last for a lot; None where nothing was."""
-    facts = stated(registry, LINE, (lot_id,))
-    return None if facts is None else LineSpread.of(facts)
+    facts = registry.declarations.newest("line_spreads", lot_id)
+    return None if facts is None else LineSpread(facts["load"], facts["day"])
 
 
 def state_sources(registry: Registry, lot_id: str, networks: Sequence[str], actor: str | None = None) -> None:
     """Keep the networks of the further sources that a lot folder names."""
     if list(networks) != stated_sources(registry, lot_id):
-        registry.trail.add("state", SOURCES, (lot_id,), {"networks": list(networks)}, actor=actor)
+        registry.declarations.declare("lot_sources", {"lot_id": lot_id, "networks": list(networks)}, actor=actor)
 
 
 def stated_sources(registry: Registry, lot_id: str) -> list[str]:
     """Return the networks of a lot's further sources, in its order."""
-    facts = stated(registry, SOURCES, (lot_id,))
+    facts = registry.declarations.newest("lot_sources", lot_id)
     return [] if facts is None else list(facts["networks"])
 
 
 def state_family(registry: Registry, lot_id: str, family: str | None, actor: str | None = None) -> None:
     """Store the family of a lot's maps where somebody states it anew."""
     if family is not None and family != lot_method(registry, lot_id).map.family:
-        state(registry, FAMILY, (lot_id,), {"family": family}, reason="stated with the lot", actor=actor)
+        facts = {"lot_id": lot_id, "family": family}
+        registry.declarations.declare("map_families", facts, actor=actor, reason=WITH_LOT)
 
 
 def lot_method(registry: Registry, lot_id: str) -> Method:
     """Return this version's method with the map family that was stated last for a lot."""
-    facts = stated(registry, FAMILY, (lot_id,))
+    facts = registry.declarations.newest("map_families", lot_id)
     return Method() if facts is None else Method.with_family(facts["family"])
 
 

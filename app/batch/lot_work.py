@@ -340,7 +340,7 @@ def _settings_sha256(lot: Lot, facts: LotFacts, is_refit: bool) -> str:
         "method": facts.source.method.id,
         "own": None if facts.own is None else asdict(facts.own),
         "limit": None if facts.limit is None else facts.limit.to_json(),
-        "line": None if facts.line is None else facts.line.to_json(),
+        "line": None if facts.line is None else vars(facts.line),
         **({} if facts.reference is None else {"reference": facts.reference.to_json()}),
         **({} if facts.bridge is None else {"golden": facts.bridge.sha256}),
         **({"rules": sorted(facts.rules)} if facts.rules else {}),

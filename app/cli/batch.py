@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from softcal.app.cli.confirm import withdraw_files
 from softcal.app.cli.options import (
     COUNT,
     DIR,
@@ -150,6 +151,7 @@ def _write_files(registry: "Registry", report: "BatchReport", out: Path) -> None
     verdicts = {unit.serial: unit.verdict for unit in report.units}
     for serial in withdraw_units(out, report.lot_id, released, verdicts):
         say(f"{out}: files of {serial} were taken back; its verdict no longer releases them")
+    withdraw_files(registry, report.lot_id)
     export_units(registry, released, ("json",), out, ExportOptions(release=report.release, lot_id=report.lot_id))
     held = report.counts["conditional"] if report.release is Release.PASS else 0
     more = f"; {held} conditional units have theirs with --release conditional" if held else ""

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 from softcal.app.output import print_table, say
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from softcal.app.batch.changes import Changes
+    from softcal.app.registry.given_files import Recall
     from softcal.db.registry import Registry
 
 NOT_CONFIRMED = 2
@@ -31,20 +32,42 @@ def print_changes(changes: "Changes") -> None:
         print_table(("lot", "serial", "now", "then", "why"), rows[:MOST_TOLD])
         if len(rows) > MOST_TOLD:
             print(f"and {len(rows) - MOST_TOLD} more; --json has all")
+    if changes.recalled:
+        print_recalls(changes.recalled)
     counts = ", ".join(f"{count} {word}" for word, count in changes.counts.items() if count)
     withdrawn, released = len(changes.withdrawn), len(changes.released)
     print(f"withdraws {withdrawn} released units, releases {released}; then: {counts or 'no unit has a verdict'}")
 
 
+RECALL_HEADER = ("lot", "serial", "revision on the device", "files in", "computer", "now", "why")
+
+
+def print_recalls(recalls: "Sequence[Recall]") -> None:
+    """Print files that were given out and no longer hold, a row a unit and place."""
+    rows = [[one.lot, one.serial, one.revision, one.place, one.host, one.verdict, one.why] for one in recalls]
+    print_table(RECALL_HEADER, rows[:MOST_TOLD])
+    if len(rows) > MOST_TOLD:
+        print(f"and {len(rows) - MOST_TOLD} more; `softcal registry recall` lists all")
+
+
+def withdraw_files(registry: "Registry", lot_id: str) -> None:
+    """Take files that an act on a lot made untrue out of the folders of this computer, and say so."""
+    from softcal.app.batch.changes import reached_lots
+    from softcal.app.export.export import withdraw_given
+
+    if recalls := withdraw_given(registry, reached_lots(registry, lot_id)):
+        say(f"recall {len({(one.lot, one.serial) for one in recalls})} devices: softcal registry recall lists them")
+
+
 def may_do(registry: "Registry", lot_id: str, act: "Callable[[], object]", is_given: bool) -> bool:
-    """Return whether to go on with an act on a lot: it changes no released unit, or somebody says so.
+    """Return whether to go on with an act on a lot: no released unit and no file changes, or somebody says so.
 
     What it would change is printed first; nothing is done yet.
     """
     from softcal.app.batch.changes import preview
 
     changes = preview(registry, lot_id, act)
-    if not changes.withdrawn and not changes.released:
+    if not changes.withdrawn and not changes.released and not changes.recalled:
         return True
     print_changes(changes)
     return is_confirmed(is_given)

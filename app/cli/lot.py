@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from softcal.app.cli.confirm import NOT_CONFIRMED, add_yes, is_confirmed, may_do, print_changes
+from softcal.app.cli.confirm import NOT_CONFIRMED, add_yes, is_confirmed, may_do, print_changes, withdraw_files
 from softcal.app.cli.options import (
     COUNT,
     DIR,
@@ -182,6 +182,7 @@ def _release(options: argparse.Namespace) -> int:
                     f"lot {lot_id}: its audits or its limit changed, and nobody has judged it since; have somebody do "
                     f"this who may write ({error})"
                 ) from error
+            withdraw_files(registry, lot_id)
             standing = lot_standing(registry, lot_id)
         decided = standing.decided
         if decided is None:
@@ -288,6 +289,7 @@ def _limit(options: argparse.Namespace) -> int:
                 change_limit(
                     registry, options.lot, options.rmse, reason=options.reason, expected_version=options.expect
                 )
+                withdraw_files(registry, options.lot)
         versions = registry.lots.limit_versions(options.lot)
     entries = [vars(entry) | {"made_at": entry.made_at.isoformat()} for entry in versions]
     facts = {"unit": unit, "versions": entries, "changes": changes and changes.to_json(), "is_done": is_done}
@@ -358,6 +360,7 @@ def _audit(options: argparse.Namespace) -> int:
             if not may_do(registry, lot_id, act, options.yes):
                 return NOT_CONFIRMED
             act()
+            withdraw_files(registry, lot_id)
             standing = registry.pages.standings(lot_id, [options.confirm])[options.confirm]
         say(f"{options.confirm}: confirmed; its verdict is {standing.verdict}: {standing.reasons[0]}")
         facts = {"lot": lot_id, "serial": options.confirm, "verdict": standing.verdict}
@@ -405,6 +408,7 @@ def _bring(options: argparse.Namespace) -> int:
                 redecide(registry, [lot.id])
 
             changes = carry_out(registry, lot.id, take)
+            withdraw_files(registry, lot.id)
     for audit in looked:
         if audit.read is not None:
             say_layout(audit.file, audit.read.table.layout, audit.read.remarks)
@@ -422,7 +426,7 @@ def _bring(options: argparse.Namespace) -> int:
             [audit.file, audit.serial, "taken" if audit.recording else f"refused: {audit.refusal}"] for audit in looked
         ]
         print_table(("file", "serial", "result"), rows)
-        if changes is not None and changes.changed:
+        if changes is not None and (changes.changed or changes.recalled):
             print_changes(changes)
     if replaced:
         say(f"an older audit of {', '.join(replaced)} was replaced")

@@ -113,8 +113,10 @@ def _golden(options: argparse.Namespace) -> None:
 
     with registry_of(options) as registry:
         charts = golden_charts(registry, options.station, options.serial, options.baseline)
-    records = [{"station": key[0], "serial": key[1]} | chart_json(chart) for key, chart in charts.items()]
-    header = ["station", "unit", "checks", "centre", "lower", "upper", "newest", "state"]
+    records = [
+        dict(zip(("station", "lot", "serial"), key, strict=True)) | chart_json(chart) for key, chart in charts.items()
+    ]
+    header = ["station", "lot", "unit", "checks", "centre", "lower", "upper", "newest", "state"]
     rows = []
     for key, chart in charts.items():
         newest = chart.signals[-1] if chart.signals else None

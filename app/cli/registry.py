@@ -5,7 +5,7 @@ import time
 from functools import partial
 
 from softcal.app.bootstrap import registry_url
-from softcal.app.cli.confirm import NOT_CONFIRMED, add_yes, may_do
+from softcal.app.cli.confirm import NOT_CONFIRMED, RECALL_HEADER, add_yes, may_do, withdraw_files
 from softcal.app.cli.options import FILE, actions_of, add_shared, answer, registry_of, say_unused, say_written
 from softcal.app.output import print_table, say, shown
 from softcal.core.errors import RegistryError
@@ -52,6 +52,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     rollback.add_argument("--origin", metavar="REGISTRY", help="who made it, where two registries made this revision")
     rollback.add_argument("--reason", required=True, help="lands in the audit trail")
     add_yes(rollback)
+    recall = action("recall", "units whose files went out and no longer hold", _recall)
+    recall.add_argument("--lot", metavar="ID", help="only this lot")
+    add_shared(recall, "csv")
     sync = action("sync", "bring a station's registry and the line's together, both ways", _sync)
     sync.add_argument("--with", required=True, dest="other", metavar="URL", help="the other registry")
     grants = action("grants", "print the SQL that gives a PostgreSQL role what the line needs", _grants)
@@ -157,6 +160,7 @@ def _rollback(options: argparse.Namespace) -> int:
         if not may_do(registry, lot_id, act, options.yes):
             return NOT_CONFIRMED
         revision = act()
+        withdraw_files(registry, lot_id)
     line = f"{options.serial}: revision {revision} is in use, it repeats revision {options.to}"
     _done(options, "rollback", line, serial=options.serial, revision=revision, rolled_back_to=options.to)
     return 0
@@ -164,11 +168,13 @@ def _rollback(options: argparse.Namespace) -> int:
 
 def _sync(options: argparse.Namespace) -> None:
     from softcal.app.batch.judging import redecide_stale
+    from softcal.app.export.export import withdraw_given
     from softcal.app.registry.maintenance import synchronise_with
 
     with registry_of(options, create=True) as registry:
         report = synchronise_with(registry, options.other)
         redecide_stale(registry)
+        withdraw_given(registry, registry.lots.ids())
     if report.sent:
         say_written(options.other)
     for conflict in report.conflicts:
@@ -178,6 +184,18 @@ def _sync(options: argparse.Namespace) -> None:
     line = f"sent {report.sent}, received {report.received} changes, {len(report.conflicts)} conflicts"
     facts = {"conflicts": list(report.conflicts), "clocks": list(report.clocks)}
     _done(options, "sync", line, sent=report.sent, received=report.received, **facts)
+
+
+def _recall(options: argparse.Namespace) -> None:
+    from softcal.app.registry.given_files import list_recalls
+
+    with registry_of(options) as registry:
+        lots = registry.lots.ids() if options.lot is None else [registry.lots.get(options.lot).id]
+        units = [one.to_json() for one in list_recalls(registry, lots)]
+    if answer(options, "registry.recall/1", {"units": units}):
+        names = ("lot", "serial", "revision", "place", "host", "verdict", "why")
+        print_table(RECALL_HEADER, [[one[name] for name in names] for one in units])
+        print(f"{len(units)} to recall")
 
 
 def _grants(options: argparse.Namespace) -> None:

@@ -3,7 +3,7 @@
 import argparse
 from functools import partial
 
-from softcal.app.cli.confirm import NOT_CONFIRMED, add_yes, may_do
+from softcal.app.cli.confirm import NOT_CONFIRMED, add_yes, may_do, withdraw_files
 from softcal.app.cli.options import FILE, add_layout, add_shared, answer, registry_of, say_layout, table_options
 from softcal.app.output import say
 
@@ -37,6 +37,7 @@ def run(options: argparse.Namespace) -> int:
         if not may_do(registry, lot_id, act, options.yes):
             return NOT_CONFIRMED
         trimmed, revision = act()
+        withdraw_files(registry, lot_id)
     gain, offset = trimmed.gain, trimmed.offset
     facts = {"serial": options.serial, "revision": revision, "gain": gain, "offset": offset}
     facts["layout"] = layout

@@ -1,10 +1,10 @@
 """Writes into the audit trail when an alert begins and ends, so that each is an event."""
 
-import json
+from collections.abc import Mapping
 from datetime import datetime
 from typing import Any
 
-from softcal.app.connect.events import ABOUT, ALERTS, lots_judged_since
+from softcal.app.connect.events import ABOUT, ALERT_KEY, lots_judged_since
 from softcal.app.texts.catalogue import LANGUAGES, instant, text
 from softcal.app.views.alerts import Alert, lot_alerts, plant_alerts
 from softcal.app.views.lot import lot_view
@@ -40,21 +40,25 @@ class AlertWatch:
         with self._registry.transaction():
             known = open_alerts(self._registry)
             for key in found.keys() - known.keys():
-                self._registry.trail.add("raise", "alerts", key, told(*found[key]), actor=WATCHER)
+                put_alert(self._registry, key, told(*found[key]), is_open=True)
             for key in known.keys() - found.keys():
-                self._registry.trail.add("clear", "alerts", key, known[key], actor=WATCHER)
+                put_alert(self._registry, key, known[key], is_open=False)
         return len(found.keys() ^ known.keys())
 
 
 def open_alerts(registry: Registry) -> dict[AlertKey, dict[str, Any]]:
     """Return the alerts that were raised and not cleared, by key, as they were told."""
-    found: dict[AlertKey, dict[str, Any]] = {}
-    for row in registry.trail.of_kind(ALERTS):
-        kind, lot_id, about = json.loads(row.key)
-        found.pop((kind, lot_id, about), None)
-        if row.action == "raise":
-            found[kind, lot_id, about] = json.loads(row.after or "{}") | {"since": row.at.isoformat()}
-    return found
+    return {
+        (row["kind"], row["lot_id"], row["about"]): row["content"] | {"since": row["made_at"].isoformat()}
+        for row in registry.declarations.in_force("alerts")
+        if row["is_open"]
+    }
+
+
+def put_alert(registry: Registry, key: AlertKey, content: Mapping[str, Any], *, is_open: bool) -> None:
+    """Store that an alert began or is over."""
+    facts = dict(zip(ALERT_KEY, key, strict=True), is_open=is_open, content=dict(content))
+    registry.declarations.declare("alerts", facts, action="raise" if is_open else "clear", actor=WATCHER)
 
 
 def alert_key(alert: Alert, lot_id: str) -> AlertKey:

@@ -30,6 +30,8 @@ JUDGED = ("in_use", "refusals")
 ALERTS = "alerts"
 """What the audit trail calls the entity of an alert."""
 
+ALERT_KEY = ("kind", "lot_id", "about")
+
 ABOUT = ("station", "cell")
 """Values of an alert that say which one is meant, beside its kind and lot."""
 
@@ -107,7 +109,7 @@ def standing_events(registry: Registry, cursor: Cursor, kinds: Collection[str]) 
             if kind.partition(".")[0] not in kinds or row.seq > cursor.get(row.origin, 0):
                 continue
             content = json.loads(row.after or "{}")
-            key = (content["lot_id"], content["serial"]) if kind == VERDICT else tuple(json.loads(row.key))
+            key = tuple(content[name] for name in (("lot_id", "serial") if kind == VERDICT else ALERT_KEY))
             about = (kind.partition(".")[0], *key)
             if about not in newest or newest[about].at <= row.at:
                 newest[about] = row
@@ -148,7 +150,7 @@ def _event(registry: Registry, row: AuditRow, after: Cursor) -> RegistryEvent:
         data = {"action": row.action, "entity": row.entity, "key": key, "before": before, "after": content} | about
         subject = "/".join([row.entity, *(path_part(str(part)) for part in key)])
     else:
-        data, subject = dict(content), f"{ALERTS}/{path_part(str(content['kind']))}"
+        data, subject = content["content"], f"{ALERTS}/{path_part(content['kind'])}"
     return RegistryEvent(f"{row.origin}:{row.seq}", kind, row.at, subject, data, after)
 
 

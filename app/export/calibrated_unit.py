@@ -5,6 +5,7 @@ from datetime import date
 from functools import cached_property
 from pathlib import Path
 
+from softcal.app.export.certificates.laboratory import Laboratory, read_laboratory, registry_laboratory
 from softcal.app.export.signature import SigningKey
 from softcal.app.registry.lot_recordings import source_recording, source_sha256, unlabelled
 from softcal.app.registry.standing import standing_of
@@ -40,7 +41,7 @@ class ExportOptions:
         revision: an older calibration; None is the one in use.
         lot_id: lot of the units; needed where a serial stands in several.
         signing_key: opened key that signs the manifest and every certificate.
-        laboratory: TOML with laboratory, customer, person and load cell.
+        laboratory: TOML with laboratory, customer, person and load cell; None: what the registry keeps.
         issued_on: of certificates; None: as the laboratory file says, else today.
     """
 
@@ -99,6 +100,7 @@ class CalibratedUnit:
         stored: the calibration to export: the one in use, or one asked for.
         in_registry_since: UTC day its recording came into the registry.
         standing: how the unit stands now, whichever calibration that is.
+        laboratory: what its certificates say that no recording knows.
     """
 
     stored: StoredCalibration
@@ -108,6 +110,7 @@ class CalibratedUnit:
     in_registry_since: date
     options: ExportOptions
     standing: UnitStanding
+    laboratory: Laboratory
 
     @property
     def serial(self) -> str:
@@ -216,7 +219,13 @@ class UnitLoader:
             network = self.registry.networks.get(network_id)
             self._networks[network_id, anchors] = SharedNetwork(network, source, sha256, source_since, anchors)
         shared, standing = self._networks[network_id, anchors], standing_of(self.registry, stored)
-        return CalibratedUnit(stored, lot, shared, recording, since, self.options, standing)
+        return CalibratedUnit(stored, lot, shared, recording, since, self.options, standing, self._laboratory)
+
+    @cached_property
+    def _laboratory(self) -> Laboratory:
+        """Read what certificates say (`InputError`: the file cannot be used)."""
+        path = self.options.laboratory
+        return registry_laboratory(self.registry) if path is None else read_laboratory(path)
 
     def _since(self, lot_id: str, sha256: str) -> date | None:
         """Return the UTC day a recording came into the registry."""

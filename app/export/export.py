@@ -1,18 +1,20 @@
 """Calibration files of units: one folder with a manifest, and the same bytes every time."""
 
 import json
+import socket
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from softcal.app.export.calibrated_unit import CalibratedUnit, ExportOptions, UnitLoader
 from softcal.app.export.formats import Writer, device_summary, writer_of
-from softcal.app.export.manifest import FileEntry, Manifest, read_manifest, write_manifest
-from softcal.app.export.names import APART, AUDIT, DEVICE_FORMATS, SIGNED_APART
+from softcal.app.export.manifest import NAME, FileEntry, Manifest, read_manifest, withdraw_units, write_manifest
+from softcal.app.export.names import APART, AUDIT, DEVICE_FORMATS, PAPERS, SIGNED_APART
 from softcal.app.export.names import formats as known_formats
 from softcal.app.export.signature import SigningKey
 from softcal.app.files.atomic import write_bytes, write_text
 from softcal.app.registry.anchors import anchor_json, remember
+from softcal.app.registry.given_files import Recall, list_recalls, remember_files
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.export.blob import serial_field
 from softcal.db.registry import Registry
@@ -43,6 +45,7 @@ def export_units(
     out: Path,
     options: ExportOptions = ExportOptions(),  # noqa: B008
     on_unit: Callable[[ExportedUnit], object] = lambda _: None,
+    place: str | None = None,
 ) -> list[ExportedUnit]:
     """Write the calibration files of units and the manifest of the folder.
 
@@ -54,6 +57,7 @@ def export_units(
         formats: names of `softcal.app.export.names.formats`.
         out: folder; files of other units in it stay, and stay in its manifest.
         on_unit: told after each unit.
+        place: where the files go, as the registry remembers it; None: this folder.
 
     Raises:
         InputError: an unknown format or serial, serials a device could not tell apart, also one of another lot that
@@ -76,11 +80,15 @@ def export_units(
     manifest, loader = read_manifest(out), UnitLoader(registry, options)
     for serial in serials:
         manifest.check_lot(registry.calibrations.unit_key(serial, options.lot_id))
-    exported = []
+    exported, given = [], {}
     for serial in serials:
-        exported.append(_export(loader.load(serial), writers, out, manifest, key))
+        unit = loader.load(serial)
+        exported.append(_export(unit, writers, out, manifest, key))
+        if exported[-1].refusal is None and not PAPERS.issuperset(writers):
+            given[unit.stored.key] = given_facts(unit)
         on_unit(exported[-1])
     write_manifest(out, manifest, key)
+    remember_files(registry, given, str(out.absolute()) if place is None else place)
     remember(registry, f"export {out.absolute()}")
     write_text(out / AUDIT, json.dumps(anchor_json(registry, "export"), indent=2, sort_keys=True) + "\n")
     return exported
@@ -93,6 +101,24 @@ def lot_serials(registry: Registry, lot_id: str, options: ExportOptions) -> list
     if not serials:
         raise InputError(f"lot {lot_id!r} has no unit to export: {len(units)} are calibrated, none of them is released")
     return serials
+
+
+def given_facts(unit: CalibratedUnit) -> Mapping[str, object]:
+    """Return what the registry remembers of the files of a unit that were given out."""
+    return {"revision": unit.stored.revision, "map_sha256": unit.state.map_sha256, "verdict": unit.verdict}
+
+
+def withdraw_given(registry: Registry, lot_ids: Sequence[str]) -> list[Recall]:
+    """Take files that no longer hold out of the folders of this computer; return what is recalled."""
+    recalls, here = list_recalls(registry, lot_ids), socket.gethostname()
+    for place, lot_id in sorted({(one.place, one.lot) for one in recalls if one.host == here}):
+        if not (Path(place) / NAME).is_file():
+            continue
+        lost = {one.serial: one.verdict for one in recalls if (one.place, one.lot, one.host) == (place, lot_id, here)}
+        units = read_manifest(Path(place)).units
+        open_ = {serial: word for serial, word in lost.items() if not units.get(serial, {}).get("withdrawn")}
+        withdraw_units(Path(place), lot_id, (), open_)
+    return recalls
 
 
 def _export(

@@ -13,6 +13,9 @@ def formats() -> tuple[str, ...]:
     return (*FORMATS, *(point.name for point in installed(GROUP) if point.name not in FORMATS))
 
 
+PAPERS = frozenset({"pdf", "dcc"})
+"""Those that no device reads."""
+
 DEVICE_FORMATS = ("blob", "c", "hex")
 """Those that firmware reads."""
 

@@ -272,10 +272,10 @@ def build_from_table(
     return FileRecording(table, inspected, present, timed[inspected.rows], tuple(remarks))
 
 
-def read_columns(path: Path, names: ColumnNames, *, with_reference: bool) -> dict[str, Array]:
-    """Return `output`, `lines` and, where the table has them, `t_s`, `reference` and `stage_mm`, each (n,).
+def read_columns(path: Path, names: ColumnNames, *, with_reference: bool) -> tuple[dict[str, Array], Start | None]:
+    """Return `output`, `lines` and, where the table has them, `t_s`, `reference` and `stage_mm`, and when they begin.
 
-    NaN stands where a value is missing; rows without a time are left out.
+    Each column is (n,); NaN stands where a value is missing; rows without a time are left out.
 
     Raises:
         InputError: the file is no table, or lacks a column.
@@ -291,7 +291,7 @@ def read_columns(path: Path, names: ColumnNames, *, with_reference: bool) -> dic
     if names.stage is not None and (names.stage != STAGE or table.has(STAGE)):
         columns[STAGE] = table.numbers(names.stage)
     timed = np.isfinite(columns.get("t_s", np.zeros(len(table))))
-    return {name: values[timed] for name, values in columns.items()}
+    return {name: values[timed] for name, values in columns.items()}, None if clock is None else clock.start
 
 
 def read_recording(

@@ -271,7 +271,6 @@ def archive(registry: Registry, job: Job, tell: Teller) -> Outcome:
     `serials` None takes every calibrated unit; a unit whose device files are refused has its reports, and its reason.
     """
     from softcal.app.export.calibrated_unit import ExportOptions
-    from softcal.app.export.certificates.laboratory import kept_laboratory
     from softcal.app.export.export import ExportedUnit, export_units
     from softcal.core.unit.verdict import Release
 
@@ -284,7 +283,7 @@ def archive(registry: Registry, job: Job, tell: Teller) -> Outcome:
     for file in archives_folder().glob("*.zip"):
         if time.time() - file.stat().st_mtime > KEPT_S:
             file.unlink(missing_ok=True)
-    options = ExportOptions(release=Release(request["release"]), lot_id=lot_id, laboratory=kept_laboratory())
+    options = ExportOptions(release=Release(request["release"]), lot_id=lot_id)
     done = 0
 
     def on_unit(_: ExportedUnit) -> None:
@@ -295,7 +294,7 @@ def archive(registry: Registry, job: Job, tell: Teller) -> Outcome:
     tell.step(0.0, "files", done=0, total=len(serials))
     with tempfile.TemporaryDirectory(prefix="softcal-archive-") as place:
         folder = Path(place) / "files"
-        exported = export_units(registry, serials, request["formats"], folder, options, on_unit)
+        exported = export_units(registry, serials, request["formats"], folder, options, on_unit, place="archive")
         packed = Path(place) / "files.zip"
         with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as into:
             for file in sorted(folder.iterdir()):

@@ -124,19 +124,19 @@ def check_golden(
         InputError: the unit is no source and has no calibration in the registry.
     """
     unit, serial = recording.reference_unit, recording.serial
+    lot_id = registry.calibrations.unit_key(serial, lot_id).lot_id
     if source is None:
         stored = registry.calibrations.get(serial, lot_id=lot_id)
-        lot, network, calibration = calibrated_unit(registry, serial, lot_id=stored.lot_id)
+        lot, network, calibration = calibrated_unit(registry, serial, lot_id=lot_id)
         estimates = estimate(network, calibration, recording.unlabelled).estimate
         value = float(np.sqrt(np.nanmean((estimates - recording.reference) ** 2)))
         # Without a limit of its lot, the one that its own verdict was given by.
         widest = lot.limit_rmse or stored.state.limit.maximum_rmse
     else:
         value = rmse(source.network.evaluate(recording.windows), recording.window_reference)
-        limits = (lot.limit_rmse for lot in registry.lots.all() if lot.source == serial and lot.limit_rmse is not None)
         usual = default_limit(unit, source.held_out_rmse, source.full_range, source.method.decision).maximum_rmse
-        widest = next(limits, None) or usual
-    earlier = [run.value for run in registry.stations.golden_runs(station, serial) if run.passed]
+        widest = registry.lots.get(lot_id).limit_rmse or usual
+    earlier = [run.value for run in registry.stations.golden_runs(station, serial, lot_id=lot_id) if run.passed]
     is_known = len(earlier) >= FIRST_RUNS
     largest = control_chart(np.array(earlier)).upper if is_known else widest
     what = Reason("golden.own_limit" if is_known else "golden.lot_limit")
@@ -147,7 +147,9 @@ def check_golden(
             make_bridge(source, recording)
         except InputError as error:
             reasons = (*reasons, error.reason)
-    run = GoldenRun(station, serial, datetime.now(UTC), value, unit, not reasons, reasons, actor, recording_sha256)
+    run = GoldenRun(
+        station, lot_id, serial, datetime.now(UTC), value, unit, not reasons, reasons, actor, recording_sha256
+    )
     registry.stations.add_golden_run(run)
     return run
 

@@ -146,7 +146,9 @@ def _unit(registry: Registry, facts: LineFacts, scan: Scan) -> Place | Note:
             known = ", ".join(facts.lots[:NEWEST_LOTS]) or "–"
             return Note("unknown_lot", {"lot": scan.value[:40], "known": known})
         return replace(emptied, lot_id=lot_id)
-    if scan.kind == "golden" or scan.value in {run.serial for run in registry.stations.golden_runs(facts.station)}:
+    golden = {run.lot_id for run in registry.stations.golden_runs(facts.station, scan.value)}
+    is_here = facts.lot is not None and facts.lot.id not in golden and facts.lot.id in lots_of(registry, scan.value)
+    if scan.kind == "golden" or (golden and not is_here):
         return replace(emptied, serial=scan.value, is_golden=True)
     if facts.lot is None:
         return Note("no_lot", {"serial": scan.value[:40]})
@@ -183,7 +185,8 @@ def _start(facts: LineFacts, screen: Screen, who: str) -> Step:
         pressed, loaded = facts.newest[0], load_order(facts.load_step, facts.load)
         unit = (pressed.serial, pressed.lot_id, who, loaded)
         return Step(replace(facts.place, note=None), Order(uuid.uuid4().hex, facts.station, OrderKind.LOAD, *unit))
-    lot_id = facts.lot.id if facts.lot and not facts.is_golden else ""
+    is_of_lot = facts.lot is not None and (not facts.is_golden or facts.serial == facts.lot.lot.source)
+    lot_id = facts.lot.id if facts.lot and is_of_lot else ""
     kind = OrderKind.GOLDEN if facts.is_golden else OrderKind.UNIT
     reason = f"re-test after {facts.results[-1].verdict}" if facts.results and not facts.is_golden else ""
     order = Order(uuid.uuid4().hex, facts.station, kind, facts.serial, lot_id, who, reason)

@@ -77,7 +77,7 @@ class RunKeeper:
             return
         check_serial(order.serial)
         if order.kind is OrderKind.GOLDEN:
-            if golden_lot(self._registry, order.serial) is None:
+            if golden_lot(self._registry, order.serial, order.lot_id) is None:
                 self._registry.calibrations.get(order.serial, lot_id=order.lot_id or None)
             return
         if not order.lot_id:
@@ -147,7 +147,7 @@ class RunKeeper:
 
     def _keep_golden(self, order: Order, recording: StationRecording, done: Progress) -> Progress:
         labelled = recording.labelled_recording()
-        own_lot = golden_lot(self._registry, order.serial)
+        own_lot = golden_lot(self._registry, order.serial, order.lot_id)
         entry = None if own_lot is None else released_network(self._registry, own_lot)
         source = None if own_lot is None or entry is None else self._source(own_lot, entry.id)
         lot_id = own_lot or self._registry.calibrations.unit_key(order.serial, order.lot_id or None).lot_id
@@ -196,7 +196,7 @@ class RunKeeper:
         if entry is None:
             return sha256, None
         lot = registry.lots.get(order.lot_id)
-        golden = newest_golden(registry, self._station, lot.source, datetime.now(UTC) - self._sitting)
+        golden = newest_golden(registry, self._station, lot.id, datetime.now(UTC) - self._sitting)
         if golden is not None and sha256 not in golden_of(registry, lot.id, [unit.serial]):
             keep_golden_of(registry, lot.id, {sha256: (unit.serial, golden)}, actor=actor)
         kept = KeptFacts(registry, lot.id, [unit.serial])

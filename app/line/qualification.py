@@ -6,13 +6,10 @@ from datetime import date, datetime, timedelta
 from pathlib import Path
 
 from softcal.app.files.atomic import write_text
-from softcal.app.registry.stated import state, stated
 from softcal.core.quality.gate import QualificationAtGate
 from softcal.db.registry import Registry
 from softcal.station.devices.config import StationConfig
 from softcal.station.tasks.qualify import Qualification
-
-ENTITY = "station_qualification"
 
 HEAD = ("figure", "value", "unit", "at most", "is")
 
@@ -97,10 +94,13 @@ class QualificationPage:
 
 def keep_qualification(registry: Registry, page: QualificationPage, actor: str | None = None) -> None:
     """Keep a page for the gate of its station; the newest counts."""
-    state(registry, ENTITY, (page.station,), page.to_json(), action="qualify", actor=actor)
+    facts = {"station": page.station, "is_passed": page.qualification.is_passed, "due_on": page.due_on}
+    registry.declarations.declare(
+        "station_qualifications", facts | {"page": page.to_json()}, action="qualify", actor=actor
+    )
 
 
 def newest_qualification(registry: Registry, station: str) -> QualificationAtGate | None:
     """Return what the newest page of a station says; None where it was never qualified."""
-    kept = stated(registry, ENTITY, (station,))
-    return None if kept is None else QualificationAtGate(bool(kept["is_passed"]), date.fromisoformat(kept["due_on"]))
+    kept = registry.declarations.newest("station_qualifications", station)
+    return None if kept is None else QualificationAtGate(kept["is_passed"], kept["due_on"])

@@ -55,7 +55,7 @@ def newest_audits(registry: Registry, lot_id: str, serial: str | None = None) ->
     A golden unit's labelled runs check the station and its day; they are no audits of the lot. Of a run that does not
     say which recording it is, all of its unit's are.
     """
-    runs = registry.stations.golden_runs()
+    runs = registry.stations.golden_runs(lot_id=lot_id)
     checks = {run.recording_sha256 for run in runs}
     units = {run.serial for run in runs if run.recording_sha256 is None} | {registry.lots.get(lot_id).source}
     entries = registry.recordings.of_lot(lot_id, serial, "audit")

@@ -63,7 +63,7 @@ def lot_yields(registry: Registry, lot_id: str, *, conditional_is_good: bool = F
     runs: dict[str, list[UnitRun]] = {}
     for run in registry.lots.runs(lot_id):
         runs.setdefault(run.serial, []).append(UnitRun(run.verdict, run.reasons))
-    golden = {run.serial for run in registry.stations.golden_runs()}
+    golden = {run.serial for run in registry.stations.golden_runs(lot_id=lot_id)}
     asked = Release.CONDITIONAL if conditional_is_good else Release.PASS
     good = [verdict for verdict in Verdict if asked.releases(verdict)]
     return yields(runs, golden, good)
@@ -71,11 +71,11 @@ def lot_yields(registry: Registry, lot_id: str, *, conditional_is_good: bool = F
 
 def golden_charts(
     registry: Registry, station: str | None, serial: str | None, baseline: int | None
-) -> dict[tuple[str, str], ControlChart]:
-    """Return a control chart per station and golden unit that has enough checks."""
-    values: dict[tuple[str, str], list[float]] = {}
+) -> dict[tuple[str, str, str], ControlChart]:
+    """Return a control chart per station, lot and golden unit that has enough checks."""
+    values: dict[tuple[str, str, str], list[float]] = {}
     for run in registry.stations.golden_runs(station, serial):
-        values.setdefault((run.station, run.serial), []).append(run.value)
+        values.setdefault((run.station, run.lot_id, run.serial), []).append(run.value)
     if not values:
         raise InputError("the registry holds no checks with golden units that fit")
     return {key: control_chart(np.array(found), baseline) for key, found in values.items()}

@@ -1,16 +1,13 @@
 """What the source of a lot was compared with: stated once, completed from the registry."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from datetime import UTC, datetime
 
 import numpy as np
 
-from softcal.app.registry.stated import state, stated
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.budget import Reference
 from softcal.db.registry import Registry
-
-ENTITY = "lot_reference"
 
 
 def state_reference(
@@ -26,23 +23,21 @@ def state_reference(
     if reference is None:
         return lot_reference(registry, lot_id)
     completed = reference if reference.is_simulated else _completed(registry, lot_id, reference)
-    facts = {"reference": completed.to_json(), "source_rms": float(np.sqrt(np.mean(source.reference**2)))}
-    state(registry, ENTITY, (lot_id,), facts, actor=actor)
+    facts = {"lot_id": lot_id, **vars(completed), "source_rms": float(np.sqrt(np.mean(source.reference**2)))}
+    registry.declarations.declare("lot_references", facts, actor=actor)
     return completed
 
 
 def lot_reference(registry: Registry, lot_id: str) -> Reference | None:
     """Return what was stated last; None where nobody said."""
-    facts = stated(registry, ENTITY, (lot_id,))
-    return None if facts is None else Reference.of(facts["reference"])
+    facts = registry.declarations.newest("lot_references", lot_id)
+    return None if facts is None else Reference(**{one.name: facts[one.name] for one in fields(Reference)})
 
 
 def reference_expanded(registry: Registry, lot_id: str) -> float | None:
     """Return U of a lot's reference, in the reference unit; None where nobody stated it."""
-    facts = stated(registry, ENTITY, (lot_id,))
-    if facts is None:
-        return None
-    return Reference.of(facts["reference"]).expanded(facts["source_rms"])
+    reference, facts = lot_reference(registry, lot_id), registry.declarations.newest("lot_references", lot_id)
+    return None if reference is None or facts is None else reference.expanded(facts["source_rms"])
 
 
 def _completed(registry: Registry, lot_id: str, given: Reference) -> Reference:

@@ -19,9 +19,11 @@ from softcal.app.connect.alert_watch import open_alerts
 from softcal.app.connect.events import CHANGE, KINDS, events_after
 from softcal.app.connect.stations import order_json, stations_json
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
-from softcal.app.export.certificates.laboratory import kept_laboratory
+from softcal.app.export.export import given_facts
 from softcal.app.export.formats import writer_of
+from softcal.app.export.names import PAPERS
 from softcal.app.jobs.runner import JobRunner
+from softcal.app.registry.given_files import remember_files
 from softcal.app.registry.listing import history_json, unit_json
 from softcal.app.rest import v1 as answers
 from softcal.app.texts.catalogue import text
@@ -211,8 +213,11 @@ def files(
     """Export the files of a unit, which the audit trail keeps; a unit that is not released is refused (409)."""
     _unit(registry, lot, serial)
     release = Release.CONDITIONAL if conditional else Release.PASS
-    options = ExportOptions(release=release, lot_id=lot, laboratory=kept_laboratory())
-    contents = writer_of(format)(UnitLoader(registry, options).load(serial))
+    options = ExportOptions(release=release, lot_id=lot)
+    unit = UnitLoader(registry, options).load(serial)
+    contents = writer_of(format)(unit)
+    if format not in PAPERS:
+        remember_files(registry, {unit.stored.key: given_facts(unit)}, "REST")
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in contents.items():

@@ -8,11 +8,13 @@ from typing import Any, Literal
 import streamlit as st
 
 from softcal.app.files.spreadsheet import csv_text, excel_bytes
+from softcal.app.registry.given_files import remember_files
 from softcal.app.ui.account import actor, allows, permit, person
 from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.desk import in_words, say
 from softcal.app.ui.server_memory import registry
 from softcal.core.errors import InputError
+from softcal.core.lot import UnitKey
 
 SHORTEST_REASON = 5
 MIMES = {
@@ -120,3 +122,6 @@ def excel_of(rows: Sequence[Mapping[str, object]]) -> bytes:
 @in_one_piece
 def _tell_export(entity: str, key: tuple[str, ...], facts: Mapping[str, object]) -> None:
     registry().trail.add("export", entity, key, facts, actor=actor())
+    if "map_sha256" in facts:
+        given = {name: facts[name] for name in ("revision", "map_sha256", "verdict")}
+        remember_files(registry(), {UnitKey(*key): given}, "page")

@@ -11,13 +11,14 @@ from softcal.app.views.common import percent
 from softcal.db.entries import ROLES, AuditRow
 
 _ENTITIES = {
-    "results": "calibrations refusals in_use adaptations unit fits lot_decisions audit_plan audit_result",
+    "results": "calibrations refusals in_use adaptations unit fits lot_decisions draws drawn_units "
+    "lot_statements confirmed_audits",
     "rules": "limits line_rules",
     "networks": "networks network_releases",
     "people": "users tokens",
-    "station": "certificates golden_runs station station_gate station_qualification alerts",
-    "papers": "laboratory",
-    "lots": "lots units recordings known_loads golden_of map_family",
+    "station": "certificates golden_runs station station_gate station_qualifications alerts",
+    "papers": "laboratories exports",
+    "lots": "lots units recordings known_loads unit_golden_runs map_families lot_references line_spreads lot_sources",
     "registry": "",
 }
 SECTIONS = {entity: heading for heading, entities in _ENTITIES.items() for entity in entities.split()}

@@ -158,7 +158,7 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
     placed_runs = [run for run in every if wanted.takes(run)]
     runs = [one.run for one in placed_runs]
     chosen = None if wanted.is_open else tuple(sorted({run.serial for run in runs}))
-    golden = {run.serial for run in registry.stations.golden_runs()}
+    golden = {run.serial for run in registry.stations.golden_runs(lot_id=lot_id)}
     by_unit: dict[str, list[UnitRun]] = {}
     for run in runs:
         by_unit.setdefault(run.serial, []).append(UnitRun(run.verdict, run.reasons))

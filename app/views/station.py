@@ -19,6 +19,7 @@ class GoldenUnit:
     """The checks of a station with a golden unit, oldest first, and the chart of those passed."""
 
     station: str
+    lot_id: str
     serial: str
     runs: tuple[GoldenRun, ...]
     chart: ControlChart | None
@@ -26,18 +27,18 @@ class GoldenUnit:
 
 
 def golden_units(registry: Registry) -> list[GoldenUnit]:
-    """Return the checks by station and golden unit."""
-    by_unit: dict[tuple[str, str], list[GoldenRun]] = {}
+    """Return the checks by station, lot and golden unit."""
+    by_unit: dict[tuple[str, str, str], list[GoldenRun]] = {}
     for run in registry.stations.golden_runs():
-        by_unit.setdefault((run.station, run.serial), []).append(run)
+        by_unit.setdefault((run.station, run.lot_id, run.serial), []).append(run)
     found = []
-    for (station, serial), runs in sorted(by_unit.items()):
+    for key, runs in sorted(by_unit.items()):
         chart, note = None, None
         try:
             chart = control_chart(np.array([run.value for run in runs if run.passed]))
         except InputError as error:
             note = error.reason
-        found.append(GoldenUnit(station, serial, tuple(runs), chart, note))
+        found.append(GoldenUnit(*key, tuple(runs), chart, note))
     return found
 
 

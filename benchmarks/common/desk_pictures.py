@@ -129,7 +129,7 @@ def add_golden_runs(registry: Registry) -> None:
         at = datetime.now(UTC) - timedelta(hours=12 * (16 - k))
         above = reason("golden.error", error=value, unit="N", what=reason("golden.own_limit"), limit=0.0742)
         reasons = () if is_good else (above,)
-        registry.stations.add_golden_run(GoldenRun("line-1", "U001", at, value, "N", is_good, reasons, "Oh"))
+        registry.stations.add_golden_run(GoldenRun("line-1", LOT, "U001", at, value, "N", is_good, reasons, "Oh"))
 
 
 def add_course(registry: Registry) -> None:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -46,11 +45,6 @@ class AuditPlan:
 
     def settings(self) -> dict[str, object]:
         return {**vars(self), "doubtful": list(self.doubtful), "random": list(self.random)}
-
-    @classmethod
-    def from_settings(cls, settings: Mapping[str, Any]) -> "AuditPlan":
-        doubtful, drawn = (tuple(str(serial) for serial in settings[name]) for name in ("doubtful", "random"))
-        return cls(doubtful, drawn, int(settings["population"]), float(settings["allowed_share"]))
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """What an estimate is traced to and how uncertain it is (GUM, JCGM 100:2008): reference, f, map, quantisation."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from datetime import date
 from enum import StrEnum
 
@@ -137,13 +137,6 @@ class Reference:
 
     def to_json(self) -> dict[str, object]:
         return {key: value.isoformat() if isinstance(value, date) else value for key, value in vars(self).items()}
-
-    @classmethod
-    def of(cls, kept: Mapping[str, object]) -> "Reference":
-        """Read what `to_json` wrote."""
-        days = {name: date.fromisoformat(str(kept[name])) for name in DAYS if kept.get(name)}
-        known = {field.name for field in fields(cls)}
-        return replace(cls(**{key: value for key, value in kept.items() if key in known - DAYS}), **days)  # type: ignore[arg-type]
 
 
 DAYS = {"issued_on", "due_on", "used_on"}

@@ -4,7 +4,7 @@ A load that is 5 % smaller and a sensor that is 5 % less sensitive are one outpu
 line: stated for it, estimated from audits and golden runs, or the default of the method. It is never zero.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,14 +42,6 @@ class LineSpread:
     def share(self) -> float:
         """Both together, as a share of the load."""
         return float(np.hypot(self.load, self.day))
-
-    def to_json(self) -> dict[str, float]:
-        return {"load": self.load, "day": self.day}
-
-    @classmethod
-    def of(cls, kept: Mapping[str, object]) -> "LineSpread":
-        """Read what `to_json` wrote."""
-        return cls(float(str(kept["load"])), float(str(kept["day"])))
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ class UnitProblem:
                 "network": self.source.network.id,
                 "method": self.source.method.id,
                 "anchors": None if anchors is None else [anchors.output.tolist(), anchors.reference.tolist()],
-                "line": self.line and self.line.to_json(),
+                "line": self.line and vars(self.line),
                 "golden": self.bridge and self.bridge.sha256,
                 "reference": self.reference and self.reference.to_json(),
                 "other_networks": sorted(self.beside),

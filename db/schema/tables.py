@@ -1,7 +1,9 @@
 """The tables of the registry."""
 
 import json
+from collections.abc import Sequence
 from datetime import UTC, datetime
+from itertools import chain
 from typing import Any
 
 import sqlalchemy as sa
@@ -121,6 +123,18 @@ def optional(**kinds: Any) -> list[Column[Any]]:
     return [Column(name, kind) for name, kind in kinds.items()]
 
 
+OF_LOT: dict[str, Any] = {"lot_id": NAME}
+OF_UNIT = OF_LOT | {"serial": NAME}
+OF_RECORDING = OF_UNIT | {"recording_sha256": SHA256}
+
+
+def declared(name: str, key: dict[str, Any], *values: Sequence[Column[Any]]) -> Table:
+    """Return a table of declarations under a key: the newest row is in force."""
+    made = (*keys(**key, made_at=UtcTime, origin=ORIGIN), *needed(actor=Text, reason=Text))
+    lot = (sa.ForeignKeyConstraint(["lot_id"], ["lots.id"]),) if next(iter(key)) == "lot_id" else ()
+    return table(name, *made, *chain.from_iterable(values), *lot)
+
+
 registry_info = table("registry_info", *keys(key=NAME), *needed(value=Text))
 
 blobs = Table("blobs", metadata, *keys(sha256=SHA256), *needed(kind=String(16), size=Integer, data=sa.LargeBinary))
@@ -233,6 +247,49 @@ lot_decisions = table(
 )
 """What was decided on a lot as a whole: its correction, and the statement on the units that nobody measured."""
 
+declared("line_spreads", OF_LOT, needed(load=Double, day=Double))
+declared("map_families", OF_LOT, needed(family=Text))
+declared("lot_sources", OF_LOT, needed(networks=CanonicalJson))
+declared(
+    "lot_references",
+    OF_LOT,
+    needed(cell=Text, certificate=Text, laboratory=Text, is_simulated=sa.Boolean, coverage_factor=Double),
+    optional(issued_on=sa.Date, due_on=sa.Date, used_on=sa.Date, uncertainty=Double, capacity=Double, drift=Double),
+    optional(temperature_per_K=Double, temperature_K=Double, contact=Double, repeatability=Double, bandwidth=Double),
+    needed(source_rms=Double),
+)
+declared("known_loads", OF_RECORDING, needed(output=CanonicalJson, reference=CanonicalJson, brought_by=String(8)))
+declared("unit_golden_runs", OF_RECORDING, needed(golden_sha256=SHA256))
+declared(
+    "exports",
+    OF_UNIT | {"host": Text, "place": Text},
+    needed(revision=Integer, map_sha256=SHA256, verdict=String(16)),
+)
+declared("confirmed_audits", OF_UNIT, needed(output_sha256=SHA256, doubt=CanonicalJson))
+declared(
+    "lot_statements",
+    OF_LOT,
+    needed(word=String(16), failed=CanonicalJson, nonconforming_upper=Integer, process_upper=Double),
+    needed(error_ratio=Double, text=Text, measured=CanonicalJson),
+)
+declared("laboratories", {"section": NAME}, needed(statements=CanonicalJson))
+declared("station_qualifications", {"station": NAME}, needed(is_passed=sa.Boolean, due_on=sa.Date, page=CanonicalJson))
+declared(
+    "alerts", {"kind": String(32), "lot_id": NAME, "about": NAME}, needed(is_open=sa.Boolean, content=CanonicalJson)
+)
+
+draws = declared(
+    "draws",
+    OF_LOT,
+    needed(population=Integer, allowed_share=Double, seed=Integer, limit_rmse=Double, limit_unit=Text),
+)
+drawn_units = table(
+    "drawn_units",
+    *keys(lot_id=NAME, made_at=UtcTime, origin=ORIGIN, serial=NAME),
+    *needed(is_random=sa.Boolean, predicted_rmse=Double),
+    sa.ForeignKeyConstraint(["lot_id", "made_at", "origin"], ["draws.lot_id", "draws.made_at", "draws.origin"]),
+)
+
 in_use = table(
     "in_use",
     *keys(lot_id=NAME, serial=NAME, origin=ORIGIN, number=Integer),
@@ -293,7 +350,7 @@ certificates = table(
 
 golden_runs = table(
     "golden_runs",
-    *keys(station=NAME, serial=NAME, made_at=UtcTime, origin=ORIGIN),
+    *keys(station=NAME, lot_id=NAME, serial=NAME, made_at=UtcTime, origin=ORIGIN),
     *needed(value=Double, unit=Text, passed=sa.Boolean, reasons=CanonicalJson, actor=Text),
     *optional(recording_sha256=SHA256),
 )
@@ -376,7 +433,8 @@ deliveries = table(
 AUDITED = tuple(
     "lots limits line_rules units recordings networks network_releases methods fits calibrations lot_decisions "
     "refusals in_use adaptations "
-    "certificates golden_runs".split()
+    "certificates golden_runs line_spreads map_families lot_sources lot_references known_loads unit_golden_runs "
+    "exports confirmed_audits draws drawn_units lot_statements station_qualifications laboratories alerts".split()
 )
 """Tables whose every row stands in the audit trail, too, in the order rows may be copied."""
 

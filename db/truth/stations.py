@@ -58,13 +58,18 @@ class StationTables(RegistryBase):
             self._store(golden_runs, values, "golden_run", run.actor)
 
     def golden_runs(
-        self, station: str | None = None, serial: str | None = None, since: datetime | None = None
+        self,
+        station: str | None = None,
+        serial: str | None = None,
+        since: datetime | None = None,
+        *,
+        lot_id: str | None = None,
     ) -> list[GoldenRun]:
-        """Return checks with golden units, oldest first, of one station or unit, or all."""
+        """Return checks with golden units, oldest first, of one station, lot or serial, or all."""
         c = golden_runs.c
-        query = select(golden_runs).where(*given((c.station, station), (c.serial, serial)))
+        query = select(golden_runs).where(*given((c.station, station), (c.serial, serial), (c.lot_id, lot_id)))
         query = query if since is None else query.where(c.made_at >= since)
-        rows = self.database.rows(query.order_by(c.made_at, c.station, c.serial))
+        rows = self.database.rows(query.order_by(c.made_at, c.station, c.lot_id, c.serial))
         return [of_row(GoldenRun, row, reasons=tuple(row["reasons"])) for row in rows]
 
 

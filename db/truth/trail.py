@@ -1,11 +1,10 @@
 """The audit trail: who did what and when, readable by kind, by entity and by its end."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
-from sqlalchemy import RowMapping, select
+from sqlalchemy import ColumnElement, RowMapping, select
 
 from softcal.db.entries import AuditRow, Heads
-from softcal.db.schema.database import parts
 from softcal.db.schema.tables import audit, canonical_json
 from softcal.db.truth import history
 from softcal.db.truth.registry_base import RegistryBase
@@ -30,20 +29,14 @@ class AuditTrail(RegistryBase):
 
     def of(self, entity: str, key: tuple[str | int, ...]) -> list[AuditRow]:
         """Return what the audit trail tells of one entity, in time order."""
-        return self.of_several(entity, [key])
-
-    def of_several(self, entity: str, keys: Sequence[tuple[str | int, ...]]) -> list[AuditRow]:
-        """Return what the audit trail tells of several entities of a kind, in time order."""
-        rows: list[RowMapping] = []
-        with self.database.reading():
-            for part in parts(keys):
-                names = [canonical_json(key) for key in part]
-                rows += self.database.rows(select(audit).where(audit.c.entity == entity, audit.c.key.in_(names)))
-        return sorted((AuditRow(**row) for row in rows), key=lambda row: (row.at, row.origin, row.seq))
+        return self._of(audit.c.entity == entity, audit.c.key == canonical_json(key))
 
     def of_kind(self, entity: str) -> list[AuditRow]:
         """Return what the audit trail tells of all entities of a kind, in time order."""
-        query = select(audit).where(audit.c.entity == entity).order_by(audit.c.at, audit.c.origin, audit.c.seq)
+        return self._of(audit.c.entity == entity)
+
+    def _of(self, *conditions: ColumnElement[bool]) -> list[AuditRow]:
+        query = select(audit).where(*conditions).order_by(audit.c.at, audit.c.origin, audit.c.seq)
         return [AuditRow(**row) for row in self.database.rows(query)]
 
     def rows(self, origin: str | None = None) -> list[AuditRow]:

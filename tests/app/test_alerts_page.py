@@ -53,7 +53,7 @@ def test_chance_alone_seldom_tells_of_a_drop(rng) -> None:
 
 
 def test_a_station_that_failed_with_its_golden_unit_is_told_until_it_passes() -> None:
-    bad = GoldenRun("line-1", "G1", NOW - timedelta(hours=2), 0.3, "N", False)
+    bad = GoldenRun("line-1", "small", "G1", NOW - timedelta(hours=2), 0.3, "N", False)
     assert [alert.kind for alert in found(golden=[bad])] == ["golden"]
     assert found(golden=[bad, replace(bad, made_at=NOW - timedelta(hours=1), passed=True)]) == []
 
@@ -104,7 +104,7 @@ def test_the_lot_page_shows_its_alerts(calibrated: str, open_page) -> None:
     with open_registry(calibrated) as registry:
         registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC) - timedelta(minutes=5)))
         registry.stations.add_golden_run(
-            GoldenRun("line-1", "G1", datetime.now(UTC), 0.3, "N", False, ("too large",), "Oh")
+            GoldenRun("line-1", "small", "G1", datetime.now(UTC), 0.3, "N", False, ("too large",), "Oh")
         )
     screen = open_page(calibrated, page, lot="small")
     assert "line-1" in screen.error[0].value and "line-1" in screen.warning[0].value

@@ -37,7 +37,7 @@ def test_a_plan_is_drawn_once_and_again_only_with_a_reason(calibrated: str, show
     button(screen, "audit.draw.do").click().run()
     assert screen.warning[0].value == say("reason.missing")
     with open_registry(calibrated) as registry:
-        assert len(registry.trail.of("audit_plan", ("small",))) == 1
+        assert len(registry.declarations.draws("small")) == 1
     assert [row.iloc[0] for _, row in screen.table[0].value.iterrows()] == list(first.plan.serials)
 
 
@@ -116,12 +116,12 @@ def test_every_audited_unit_is_listed_and_one_in_doubt_is_confirmed_with_a_reaso
     submit = next(one for one in screen.button if one.label == say("audit.confirm", serial=audited[0]))
     submit.click().run()
     with open_registry(calibrated) as registry:
-        assert not registry.trail.of("audit_doubt", ("small",)), "a reason is needed"
+        assert not registry.declarations.in_force("confirmed_audits", "small"), "a reason is needed"
     screen.text_input(key=key).set_value("pressed again by hand")
     next(one for one in screen.button if one.label == say("audit.confirm", serial=audited[0])).click().run()
     assert not screen.exception and not screen.error
     with open_registry(calibrated) as registry:
-        assert len(registry.trail.of("audit_doubt", ("small",))) == 1
+        assert len(registry.declarations.in_force("confirmed_audits", "small")) == 1
         standing = registry.pages.standings("small", audited)[audited[0]]
         assert standing.verdict == state.verdict and standing.summary is not None
         assert standing.summary.state.decision.is_audited

@@ -35,7 +35,7 @@ def busy(calibrated: str) -> str:
         registry.people.set("Lee", "engineer", "2580", actor="Quinn", reason="new colleague")
         cell = CellCertificate("LC-9", "K-1", "KRISS", date(2026, 1, 2), date(2027, 1, 2), 50.0, 1.0)
         registry.stations.add_certificate(cell, actor="Erin")
-        registry.stations.add_golden_run(GoldenRun("line-1", "G1", NOW, 0.3, "N", False, ("too large",), "Oh"))
+        registry.stations.add_golden_run(GoldenRun("line-1", "small", "G1", NOW, 0.3, "N", False, ("too large",), "Oh"))
         registry.trail.add("export", "units", ("A1",), {"revision": 1, "file": "unit-A1.pdf"}, actor="Erin")
         first = registry.calibrations.history("A1")[0].state
         registry.calibrations.refuse("small", "A2", "retest", ("again",), actor="Erin")
@@ -70,16 +70,14 @@ def stated_events() -> set[tuple[str, str]]:
             is_tuple = isinstance(call, ast.Assign) and isinstance(call.value, ast.Tuple)
             if is_tuple and ast.unparse(call.targets[0]) == "exported":
                 found |= {("export", entity) for entity in _words(call.value.elts[0], known)}
-            if path.name in ("actions.py", "stated.py") or not isinstance(call, ast.Call):
+            if path.name == "actions.py" or not isinstance(call, ast.Call):
                 continue
             if ast.unparse(call.func).endswith("trail.add"):
                 actions, entities = (_words(part, known) for part in call.args[:2])
-            elif ast.unparse(call.func) == "state":
+            elif ast.unparse(call.func).endswith("declarations.declare"):
                 given = {word.arg: word.value for word in call.keywords}
-                actions, entities = (
-                    _words(given.get("action", ast.Constant("state")), known),
-                    _words(call.args[1], known),
-                )
+                actions = _words(given.get("action", ast.Constant("declare")), known)
+                entities = _words(call.args[0], known)
             else:
                 continue
             found |= {(action, entity) for action in actions for entity in entities}

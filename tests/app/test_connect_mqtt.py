@@ -14,6 +14,7 @@ import paho.mqtt.client as paho
 import pytest
 from paho.mqtt.enums import CallbackAPIVersion
 
+from softcal.app.connect.alert_watch import put_alert
 from softcal.app.connect.events import events_after
 from softcal.app.connect.forwarder import Destination, Forwarder, NotDelivered
 from softcal.app.connect.mqtt import estimate_json, open_mqtt, publish_estimates, standing_messages, state_messages
@@ -187,8 +188,8 @@ def test_a_destination_that_is_new_finds_the_verdicts_and_alerts_from_before_and
     registry.calibrations.refuse("lot 1+", "U1", "retest", (plain("press again"),))
     for alert in ("line-1", "line-2"):
         told["values"] = {"station": alert}
-        registry.trail.add("raise", "alerts", ("golden", "", alert), told)
-    registry.trail.add("clear", "alerts", ("golden", "", "line-2"), told)
+        put_alert(registry, ("golden", "", alert), told, is_open=True)
+    put_alert(registry, ("golden", "", "line-2"), told, is_open=False)
     early = Subscriber(broker, "softcal/events")
     for number in range(2):  # The second time it is not new, and what happened meanwhile is not overwritten.
         with publisher(registry, settings_of(broker, begin="now")) as forwarder:
@@ -229,9 +230,9 @@ def test_the_state_of_a_station_is_kept_and_changes_are_published_once(registry,
 def test_an_alert_is_kept_until_it_is_over(registry, broker, subscriber):
     told = {"kind": "golden", "lot": None, "values": {"station": "line-1"}, "is_urgent": True, "text": {"en": "x"}}
     with publisher(registry, settings_of(broker)) as forwarder:
-        registry.trail.add("raise", "alerts", ("golden", "", "line-1"), told)
+        put_alert(registry, ("golden", "", "line-1"), told, is_open=True)
         forwarder.step()
-        registry.trail.add("clear", "alerts", ("golden", "", "line-1"), told)
+        put_alert(registry, ("golden", "", "line-1"), told, is_open=False)
         forwarder.step()
     topic = "softcal/alerts/golden/-/line-1"
     wait_until(lambda: len(subscriber.of(topic)) == 2, "raised and cleared")

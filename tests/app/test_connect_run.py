@@ -166,7 +166,7 @@ def test_a_secret_is_written_once_for_its_owner_alone(tmp_path, capsys):
 
 
 def test_an_alert_is_an_event_when_it_begins_and_when_it_is_over(url):
-    bad = GoldenRun("line-1", "G1", NOW, 0.3, "N", False)
+    bad = GoldenRun("line-1", "L1", "G1", NOW, 0.3, "N", False)
     with open_registry(url) as registry:
         watch = AlertWatch(registry)
         assert watch.look(NOW) == 0
@@ -186,7 +186,7 @@ def test_an_alert_is_an_event_when_it_begins_and_when_it_is_over(url):
 def test_an_alert_that_two_processes_see_at_once_is_told_once(url, monkeypatch):
     with open_registry(url) as registry, open_registry(url) as elsewhere:
         first, second = AlertWatch(registry), AlertWatch(elsewhere)
-        registry.stations.add_golden_run(GoldenRun("line-1", "G1", NOW, 0.3, "N", False))
+        registry.stations.add_golden_run(GoldenRun("line-1", "L1", "G1", NOW, 0.3, "N", False))
         monkeypatch.setattr(alert_watch, "open_alerts", lambda seen: _meanwhile(seen, monkeypatch, second))
         assert first.look(NOW) == 0
         assert [event.kind for event in events_after(registry, {}, 99, ["alert"]).events] == ["alert.raised"]

@@ -16,6 +16,7 @@ from aiosmtpd.controller import Controller
 from aiosmtpd.smtp import AuthResult, LoginPassword
 from standardwebhooks.webhooks import Webhook, WebhookVerificationError
 
+from softcal.app.connect.alert_watch import put_alert
 from softcal.app.connect.events import events_after
 from softcal.app.connect.forwarder import LEASE_S, Destination, Forwarder, status_json
 from softcal.app.connect.mail import line_of, mail_of, open_mail
@@ -287,7 +288,7 @@ def test_a_destination_that_is_new_begins_with_what_happens_from_now_on(registry
 
 def test_a_destination_gets_the_kinds_it_asked_for(registry, receiver, webhook):
     judge(registry, 0, 2)
-    registry.trail.add("raise", "alerts", ("yield", "L1", ""), {"kind": "yield", "lot": "L1", "text": {"en": "x"}})
+    put_alert(registry, ("yield", "L1", ""), {"kind": "yield", "lot": "L1", "text": {"en": "x"}}, is_open=True)
     deliver(registry, Destination(replace(webhook.settings, events=("alert",)), webhook.open_sender))
     assert [json.loads(body)["type"] for _, body in receiver.got] == ["softcal.alert.raised"]
 
@@ -358,7 +359,7 @@ def test_alerts_arrive_by_mail_in_the_language_of_the_reader_and_none_is_lost(re
     box, port = mailbox
     settings = mail_settings(port, language="ko")
     people, clock = Destination(settings, lambda: open_mail(settings)), Clock()
-    registry.trail.add("raise", "alerts", ("golden", "", "line-1"), ALERT)
+    put_alert(registry, ("golden", "", "line-1"), ALERT, is_open=True)
     judge(registry, 0, 5)
     box.refused = 2
     for _ in range(4):

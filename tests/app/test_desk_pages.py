@@ -169,7 +169,9 @@ def test_golden_units_are_charted_with_their_failures(calibrated: str, show) -> 
         for k in range(10):
             at = datetime(2026, 5, 4, tzinfo=UTC) + timedelta(hours=8 * k)
             reasons = () if k != 9 else ("0.2 N is too much",)
-            registry.stations.add_golden_run(GoldenRun("line-1", "A1", at, 0.1 + 0.01 * (k % 3), "N", k != 9, reasons))
+            registry.stations.add_golden_run(
+                GoldenRun("line-1", "small", "A1", at, 0.1 + 0.01 * (k % 3), "N", k != 9, reasons)
+            )
     screen = show(calibrated, "load_cells")
     assert any("A1" in line.value and text("en", "golden.failed") in line.value for line in screen.markdown)
     assert any("0.2 N is too much" in line.value for line in screen.caption)

@@ -290,7 +290,9 @@ def test_a_golden_unit_is_known_by_its_label_and_later_by_its_serial(line):
     line.scan("CMD:START")
     assert line.orders()[0][:2] == (OrderKind.GOLDEN, "G1")
     line.end(verdict="pass")
-    line.registry.stations.add_golden_run(GoldenRun("line-1", "G1", datetime.now(UTC), 0.1, "N", True, (), "kim"))
+    line.registry.stations.add_golden_run(
+        GoldenRun("line-1", "small", "G1", datetime.now(UTC), 0.1, "N", True, (), "kim")
+    )
     line.scan("G1")
     assert line.facts.is_golden
 

@@ -75,7 +75,7 @@ def test_a_plan_is_not_drawn_again_without_a_reason(lot_folder, registry_url, tm
     assert main([*plan, "--new"]) == 2
     assert main([*plan, "--new", "--reason", "unit lost", "--random", "2"]) in (0, 1)
     with open_registry(registry_url) as registry:
-        rows = registry.trail.of("audit_plan", ("small",))
+        rows = registry.trail.of_kind("draws")
     assert [row.reason for row in rows] == ["", "unit lost"]
 
 

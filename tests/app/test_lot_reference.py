@@ -55,7 +55,7 @@ def test_a_reference_without_a_certificate_that_held_lets_no_unit_pass(lot_folde
     with open_registry(registry_url) as registry:
         fit = registry.calibrations.get("A1").state.fit
         assert fit.reference == lot_reference(registry, "small")
-        assert len(registry.trail.of("lot_reference", ("small",))) == 5
+        assert len(registry.trail.of_kind("lot_references")) == 5
 
 
 def test_what_is_stated_is_kept_and_completed_from_the_registry(lot_folder: Path, registry_url: str) -> None:
@@ -73,7 +73,7 @@ def test_what_is_stated_is_kept_and_completed_from_the_registry(lot_folder: Path
         state_reference(registry, "small", Reference(cell="LC-7"), recording)
         load = float(np.sqrt(np.mean(recording.reference**2)))
         assert reference_expanded(registry, "small") == pytest.approx(late.expanded(load))
-        assert len(registry.trail.of("lot_reference", ("small",))) == 3
+        assert len(registry.trail.of_kind("lot_references")) == 3
         assert lot_reference(registry, "small") == late
 
 

@@ -378,9 +378,9 @@ def test_a_golden_unit_of_another_sensor_model_withdraws_nothing(make_lot, batch
     batch(make_lot("fourteenth", audits=0))
     now = datetime.now(UTC)
     method = registry.pages.standings("one", ["one-00"])["one-00"].summary.state.fit.method
-    registry.stations.add_golden_run(GoldenRun("line", "other-00", now, 9.0, "N", False))
+    registry.stations.add_golden_run(GoldenRun("line", "other", "other-00", now, 9.0, "N", False))
     assert AuditReader(registry, method).evidence("fourteenth", now).qualification.is_given
-    registry.stations.add_golden_run(GoldenRun("line", "seventh-05", now, 9.0, "N", False))
+    registry.stations.add_golden_run(GoldenRun("line", "seventh", "seventh-05", now, 9.0, "N", False))
     assert not AuditReader(registry, method).evidence("fourteenth", now).qualification.is_given
 
 
@@ -413,7 +413,7 @@ def test_golden_runs_of_several_days_are_kept_from_the_limit(make_lot, batch, re
             t_s, output, force_N = (pressed[name].to_numpy() for name in ("t_s", "output", "reference"))
             golden = LabelledRecording(OutputRecording(serial, t_s, output, 50.0), force_N)
             registry.recordings.add("large", golden, "audit")
-            registry.stations.add_golden_run(GoldenRun("line", serial, at, 0.1, "N", True))
+            registry.stations.add_golden_run(GoldenRun("line", "large", serial, at, 0.1, "N", True))
     decided = decide_lot(registry, "large", now=start + timedelta(days=5))
     assert decided is not None and decided.released == () and min(decided.days.values()) > 0
     assert registry.calibrations.get(serial).state.decision.reasons[0].code == "sampled.day"
@@ -604,7 +604,7 @@ def test_an_audit_that_fails_takes_back_what_other_lots_released_on_it(make_lot,
     late = make_lot("fourteenth", audits=0)
     released = set(batch(late)["release"]["released"])
     assert released
-    golden = GoldenRun("line", "A0", datetime.now(UTC), 9.0, "N", False)
+    golden = GoldenRun("line", "one", "A0", datetime.now(UTC), 9.0, "N", False)
     registry.stations.add_golden_run(golden)
     redecide(registry, ["one"])
     standings = registry.pages.standings("fourteenth", sorted(released))

@@ -103,7 +103,7 @@ class History:
 
     def golden_fails(self) -> None:
         with open_registry(self.url) as registry:
-            registry.stations.add_golden_run(GoldenRun("line", "A0", datetime.now(UTC), 9.0, "N", False))
+            registry.stations.add_golden_run(GoldenRun("line", LOT, "A0", datetime.now(UTC), 9.0, "N", False))
 
     def confirm(self) -> None:
         with open_registry(self.url) as registry:

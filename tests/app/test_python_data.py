@@ -20,6 +20,7 @@ import torch
 
 import softcal
 from softcal.app.api import network as network_module
+from softcal.app.registry.lot_recordings import newest_audits
 from softcal.core.network.config import NetworkConfig
 
 SMALL = {"hidden": (8,)}
@@ -530,6 +531,28 @@ def test_audits_and_known_loads_of_many_units_are_given_by_serial(network, units
         softcal.fit_map(network, units, audit=units["S2"])
     # A bad audit is a matter of its unit.
     assert softcal.fit_map(network, units, audit={"S2": [1, 2]}).to_frame()["verdict"][0] == "retest"
+
+
+def test_an_audit_keeps_when_it_was_measured_through_every_file(network, units, tmp_path):
+    at = datetime(2026, 5, 4, 9, 30, tzinfo=UTC)
+    stamps = pd.date_range(at, periods=len(units["S2"]), freq="20ms")
+    dated = units["S2"].drop(columns="t_s", errors="ignore").set_index(stamps)
+    for audit in (dated, softcal.Recording.from_frame(units["S2"], serial="run-7", measured_at=at)):
+        unit = softcal.fit_map(network, units["S2"], audit=audit, serial="S2", limit_rmse=2)
+        unit.save(tmp_path / "S2.db")
+        softcal.Unit.load(tmp_path / "S2.db").save(tmp_path / "again.db")
+        for file in ("S2.db", "again.db"):
+            with softcal.open_registry(f"sqlite:///{tmp_path / file}") as registry:
+                (entry,) = registry.recordings.of_lot("python", "S2", "audit")
+                assert (entry.observed_at, entry.sha256) == (at, unit.state.audit.recording_sha256)
+                assert newest_audits(registry, "python") == {"S2": entry}
+        assert softcal.Unit.load(tmp_path / "again.db").audited_at == at
+    assert softcal.Recording.from_frame(dated)[100:200].measured_at == at + timedelta(seconds=2)
+    dated.rename_axis("time").to_csv(tmp_path / "S2.csv")
+    read = softcal.Recording.read(tmp_path / "S2.csv", time_s="time")
+    assert read.measured_at == at and softcal.Recording(read.output, sample_rate_Hz=50).measured_at is None
+    with pytest.raises(softcal.InputError, match="measured_at is.*yesterday"):
+        softcal.Recording(read.output, sample_rate_Hz=50, measured_at="yesterday")
 
 
 def test_a_wrong_argument_of_the_call_is_refused_before_any_unit(network, units):

@@ -27,7 +27,7 @@ def registry(tmp_path):
 
 
 def golden(registry, passed, at=NOW):
-    registry.stations.add_golden_run(GoldenRun("s1", "G1", at, 0.1, "N", passed, () if passed else ("off",)))
+    registry.stations.add_golden_run(GoldenRun("s1", "L1", "G1", at, 0.1, "N", passed, () if passed else ("off",)))
 
 
 def certify(registry):

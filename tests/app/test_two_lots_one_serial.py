@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
@@ -9,18 +10,24 @@ from streamlit.testing.v1 import AppTest
 
 from softcal.app.cli.main import main
 from softcal.app.line.gate_facts import check_golden
+from softcal.app.registry.golden import golden_lot, newest_golden
+from softcal.app.registry.lot_recordings import newest_audits
+from softcal.app.registry.quality import golden_charts, lot_yields
 from softcal.app.registry.unit import calibrated_unit
 from softcal.app.texts.catalogue import text
+from softcal.app.views.station import golden_units
 from softcal.core.errors import AmbiguousUnit
 from softcal.core.lot import UnitKey
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.estimate import estimate
 from softcal.db.connection import open_registry
+from softcal.db.entries import GoldenRun
 from tests.unit_states import audit_of, state_of
 
 pytestmark = pytest.mark.usefixtures("own_data")
 SERIAL = "A1"
 SMALL, OTHER = UnitKey("small", SERIAL), UnitKey("other", SERIAL)
+LOTS = ("small", "other")
 PASS, FAIL = (text("en", f"verdict.{word}") for word in ("pass", "fail"))
 
 
@@ -229,3 +236,57 @@ def test_a_golden_unit_is_checked_with_the_map_of_its_lot(twins):
             error = estimate(*unit, pressed.unlabelled).estimate - pressed.reference
             assert run.value == pytest.approx(float(np.sqrt(np.nanmean(error**2))))
     assert runs[SMALL].value != pytest.approx(runs[OTHER].value)
+
+
+NOW = datetime.now(UTC)
+
+
+def checked(lot_id: str, serial: str = SERIAL, passed: bool = True, **more) -> GoldenRun:
+    return GoldenRun("line-1", lot_id, serial, NOW, 0.1, "N", passed, **more)
+
+
+def test_a_golden_unit_of_one_lot_takes_no_unit_of_another_out(twins):
+    with open_registry(twins) as registry:
+        pressed = registry.recordings.get(registry.recordings.of_lot("small", kind="source")[0].sha256)
+        pressed = replace(pressed, unlabelled=replace(pressed.unlabelled, serial=SERIAL))
+        registry.recordings.add("other", pressed, "audit")
+        registry.stations.add_golden_run(checked("small"))
+        assert set(newest_audits(registry, "other")) == {SERIAL} and SERIAL not in newest_audits(registry, "small")
+        units = {lot: len({run.serial for run in registry.lots.runs(lot)}) for lot in LOTS}
+        counted = {lot: lot_yields(registry, lot).last_pass.of for lot in LOTS}
+        assert counted == {"small": units["small"] - 1, "other": units["other"]}
+
+
+def test_units_are_pressed_beside_the_golden_run_of_their_own_source(twins):
+    with open_registry(twins) as registry:
+        source = registry.recordings.get(registry.recordings.of_lot("small", kind="source")[0].sha256)
+        other = replace(source, unlabelled=replace(source.unlabelled, output=source.unlabelled.output + 0.3))
+        registry.lots.add(replace(registry.lots.get("small"), id="same"))
+        registry.recordings.add("same", source, "source")
+        registry.recordings.add("other", other, "source")
+        registry.stations.add_golden_run(checked("small", "A0", recording_sha256="f" * 64))
+        beside = {lot: newest_golden(registry, "line-1", lot, NOW - timedelta(hours=1)) for lot in registry.lots.ids()}
+    assert beside == {"small": "f" * 64, "same": "f" * 64, "other": None}
+
+
+def test_a_golden_order_that_two_sources_fit_asks_for_the_lot(twins):
+    with open_registry(twins) as registry:
+        source = registry.recordings.get(registry.recordings.of_lot("small", kind="source")[0].sha256)
+        other = replace(source, unlabelled=replace(source.unlabelled, output=source.unlabelled.output + 0.3))
+        network = registry.networks.released("small").network.id
+        registry.recordings.add("other", other, "source")
+        another = replace(registry.networks.get(network), output_mean=0.7)
+        trained_on = {"source_recording_sha256": other.sha256}
+        registry.networks.add("other", another, {}, trained_on, "e" * 64)
+        assert golden_lot(registry, "A0", "small") == "small" and golden_lot(registry, "A0", "other") == "other"
+        with pytest.raises(AmbiguousUnit, match="name the lot"):
+            golden_lot(registry, "A0")
+
+
+def test_golden_units_of_two_lots_have_a_chart_each(twins):
+    with open_registry(twins) as registry:
+        for number in range(8):
+            for lot in ("small", "other"):
+                registry.stations.add_golden_run(replace(checked(lot), made_at=NOW + timedelta(hours=number)))
+        assert set(golden_charts(registry, "line-1", SERIAL, None)) == {("line-1", lot, SERIAL) for lot in LOTS}
+        assert [(unit.lot_id, len(unit.runs)) for unit in golden_units(registry)] == [("other", 8), ("small", 8)]

@@ -138,7 +138,6 @@ def test_a_named_cell_without_a_certificate_that_held_bars_and_what_nobody_state
     assert reference.standing is standing
     is_named = bool(reference.cell) and not reference.certificate
     assert bool(reference.bars(5.0)) == (standing is Standing.EXPIRED or is_named)
-    assert Reference.of(reference.to_json()) == reference
     assert [why.code for why in CELL.bars(10.1)] == ["reference_range"]
 
 

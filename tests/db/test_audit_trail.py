@@ -17,6 +17,7 @@ from softcal.db.care.sync import synchronise
 from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.db.schema.arrays import get_arrays, parts_of, put_arrays
 from softcal.db.schema.tables import APPEND_ONLY, audit, blobs, calibrations, fits, metadata, units
+from tests.declarations import declare_all
 
 
 @pytest.fixture
@@ -38,7 +39,8 @@ def past_the_triggers(registry):
 
 
 @pytest.fixture
-def filled(factory, recording_of):
+def filled(factory, recording_of, labelled_of):
+    declare_all(factory, labelled_of("S0"))
     factory.registry.recordings.add("L1", recording_of("A1"), "unit")
     factory.calibrate("A1", 1)
     factory.calibrate("A1", 2)
@@ -46,7 +48,7 @@ def filled(factory, recording_of):
     factory.registry.lots.set_line_rules("L1", LineRules(), reason="first lot")
     factory.registry.adaptations.add(UnitKey("L1", "A1"), 1, [{"stream": "s", "sample": 3, "gain": 1.5}])
     factory.registry.stations.add_golden_run(
-        GoldenRun("s1", "G1", datetime(2026, 5, 4, 6, tzinfo=UTC), 0.01, "N", True)
+        GoldenRun("s1", "L1", "G1", datetime(2026, 5, 4, 6, tzinfo=UTC), 0.01, "N", True)
     )
     factory.registry.decisions.add("L1", {"released": []}, action="withhold")
     factory.registry.networks.withdraw(factory.registry.networks.all()[0].id, reason="to be trained again")

@@ -65,7 +65,7 @@ def test_the_errors_are_those_of_the_newest_maps(lot):
 
 
 def test_the_marker_changes_with_whatever_is_added_to_a_lot(lot, factory, recording_of):
-    golden = GoldenRun("line-1", "G1", datetime.now(UTC), 0.1, "N", True, (), "Oh")
+    golden = GoldenRun("line-1", "L1", "G1", datetime.now(UTC), 0.1, "N", True, (), "Oh")
     changes = (
         lambda: factory.calibrate("A1", 12),
         lambda: lot.calibrations.refuse("L1", "A1", "retest", (plain("dead"),)),

@@ -37,7 +37,7 @@ def test_a_senseless_certificate_cannot_be_made(change):
 
 def test_golden_runs_come_back_in_order(registry):
     runs = [
-        GoldenRun("s1", "G1", datetime(2026, 5, day, tzinfo=UTC), 0.01 * day, "N", day < 3, ("drift",), "kim")
+        GoldenRun("s1", "L1", "G1", datetime(2026, 5, day, tzinfo=UTC), 0.01 * day, "N", day < 3, ("drift",), "kim")
         for day in (1, 2, 3)
     ]
     for run in reversed(runs):

@@ -190,7 +190,9 @@ def test_a_value_in_other_words_is_found(file_registry, make_factory, statement,
     factory = make_factory(file_registry)
     factory.calibrate("A1", 1)
     file_registry.calibrations.refuse("L1", "A1", "fail", (plain("constant"),))
-    file_registry.stations.add_golden_run(GoldenRun("s1", "G1", datetime(2026, 5, 4, tzinfo=UTC), 0.01, "N", True))
+    file_registry.stations.add_golden_run(
+        GoldenRun("s1", "L1", "G1", datetime(2026, 5, 4, tzinfo=UTC), 0.01, "N", True)
+    )
     table = statement.split()[1]
     behind(file_registry, f"DROP TRIGGER {table}_no_update", statement)
     lines = [line for line in file_registry.verify() if not line.startswith("trigger ")]

@@ -8,7 +8,7 @@ from importlib.metadata import version
 import numpy as np
 
 from softcal.app.export.calibrated_unit import CalibratedUnit
-from softcal.app.export.certificates.laboratory import NOT_STATED, Laboratory, read_laboratory
+from softcal.app.export.certificates.laboratory import NOT_STATED, Laboratory
 from softcal.core.errors import InputError
 from softcal.core.lot import escape_serial
 from softcal.core.maps.anchors import AnchoredMap
@@ -352,7 +352,7 @@ class Certificate:
 
 
 def certificate_of(unit: CalibratedUnit) -> Certificate:
-    """Gather the facts (`InputError`: no usable laboratory file, or it names another instrument)."""
+    """Gather the facts (`InputError`: the laboratory names another instrument)."""
     state, lot = unit.state, unit.lot
     fit, scores = state.fit, state.scores
     found, share = estimate(unit.network, unit.calibration, unit.recording), COVERAGE / NORMAL_90
@@ -363,7 +363,7 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
     output = np.linspace(float(unit.recording.output.min()), float(unit.recording.output.max()), 60)
     windows = np.repeat(output[:, None], unit.recording.windows.shape[1], axis=1)
     source, reference = unit.shared.source.reference, fit.reference
-    laboratory = read_laboratory(unit.options.laboratory)
+    laboratory = unit.laboratory
     _check_cell(laboratory, reference)
     # The part of the source's range that the unit's recording reaches; all where none.
     low, high = float(source.min()), float(source.max())

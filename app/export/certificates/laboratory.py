@@ -1,19 +1,17 @@
-"""Who calibrates, for whom, where and how: a TOML file people keep beside their station."""
+"""Who calibrates, for whom, where and how: a TOML file, or what the registry keeps."""
 
 from dataclasses import dataclass, fields
 from datetime import date
 from pathlib import Path
 from typing import Any
 
-import tomlkit
+import msgspec
 
-from softcal.app.bootstrap import data_folder
-from softcal.app.files.atomic import write_text
 from softcal.app.files.toml_file import check_known, read_section, read_toml
 from softcal.core.errors import InputError
+from softcal.db.registry import Registry
 
 NOT_STATED = "not stated"
-LABORATORY = "laboratory.toml"
 NO_COUNTRY = "ZZ"
 """ISO 3166-1: no country, by agreement of its users."""
 
@@ -127,19 +125,14 @@ def read_laboratory(path: Path | None) -> Laboratory:
     return Laboratory(**sections)
 
 
-def kept_laboratory() -> Path | None:
-    """Return the file of what this machine puts on every certificate; None before."""
-    file = data_folder() / LABORATORY
-    return file if file.is_file() else None
+def registry_laboratory(registry: Registry) -> Laboratory:
+    """Return what the registry keeps for every certificate; "not stated" before."""
+    rows = registry.declarations.in_force("laboratories")
+    return msgspec.convert({row["section"]: row["statements"] for row in rows}, Laboratory)
 
 
-def keep_laboratory(stated: Laboratory) -> Path:
-    """Keep what every certificate is to say, for all later ones; what is not stated is left out."""
-    document = tomlkit.document()
-    for section in fields(Laboratory):
-        values, usual = getattr(stated, section.name), section.default
-        table = {f.name: getattr(values, f.name) for f in fields(values)}
-        document[section.name] = {name: v for name, v in table.items() if v != getattr(usual, name)}
-    path = data_folder() / LABORATORY
-    write_text(path, tomlkit.dumps(document))
-    return path
+def keep_laboratory(registry: Registry, stated: Laboratory, actor: str | None = None) -> None:
+    """Keep what every later certificate is to say."""
+    with registry.transaction():
+        for section, values in msgspec.to_builtins(stated).items():
+            registry.declarations.declare("laboratories", {"section": section, "statements": values}, actor=actor)

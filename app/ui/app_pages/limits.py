@@ -4,8 +4,9 @@ from collections.abc import Mapping, Sequence
 
 import streamlit as st
 
-from softcal.app.batch.changes import change_limit
+from softcal.app.batch.changes import change_limit, reached_lots
 from softcal.app.charts import lot as charts_lot
+from softcal.app.export.export import withdraw_given
 from softcal.app.line.load_readings import check_stated
 from softcal.app.registry.lot_recordings import source_recording
 from softcal.app.texts.reasons import all_said
@@ -48,6 +49,7 @@ def render(lot_id: str) -> None:
             st.session_state.pop(looked_at)
             with refusals_in_words():
                 change_limit(registry(), lot_id, rmse, reason=reason, actor=actor(), expected_version=version)
+                withdraw_given(registry(), reached_lots(registry(), lot_id))
                 finish("limit", say("limits.done", limit=automatic if rmse is None else f"{rmse:g}"))
     if not rest_may_follow():
         return

@@ -57,8 +57,10 @@ def render() -> None:
     for unit in golden_units(registry()):
         last = unit.runs[-1]
         word = say("golden.passed" if last.passed else "golden.failed")
-        st.markdown(f"**{unit.serial}** · {unit.station} · {word}")
-        show_figure(golden_figure(unit.runs, unit.chart, colours(), say), f"golden-{unit.station}-{unit.serial}")
+        st.markdown(f"**{unit.serial}** · {unit.lot_id} · {unit.station} · {word}")
+        show_figure(
+            golden_figure(unit.runs, unit.chart, colours(), say), f"golden-{unit.station}-{unit.lot_id}-{unit.serial}"
+        )
         for line in (*last.reasons, unit.note):
             if line:
                 st.caption(in_words(line))

@@ -6,9 +6,11 @@ from typing import Any
 
 import streamlit as st
 
+from softcal.app.batch.changes import reached_lots
 from softcal.app.batch.release import decide_lot, lot_standing
 from softcal.app.export.certificates import laboratory
 from softcal.app.export.certificates.lot_statement import lot_statement_facts, lot_statement_pdf
+from softcal.app.export.export import withdraw_given
 from softcal.app.export.names import FORMATS
 from softcal.app.jobs.jobs import archive_path
 from softcal.app.ui.account import actor, permit
@@ -79,6 +81,7 @@ def _statement(standing: LotStanding) -> None:
     if st.button(say("release.do"), type="primary", icon=":material/verified:", key="release-do"):
         permit("release")
         made = decide_lot(registry(), lot_id, actor())
+        withdraw_given(registry(), reached_lots(registry(), lot_id))
         released = len(made.released) if made is not None else 0
         finish("release", say("release.done", count=released, lot=lot_id))
     make = partial(lot_statement_pdf, lot_statement_facts(registry(), standing, decided), words())
@@ -119,7 +122,7 @@ PARTS = {"laboratory": laboratory.Party, "customer": laboratory.Party, "person":
 def _laboratory() -> None:
     """Draw the form, filled with what is kept, of what every later certificate says."""
     st.caption(say("laboratory.how"))
-    kept = laboratory.read_laboratory(laboratory.kept_laboratory())
+    kept = laboratory.registry_laboratory(registry())
     if not role_allows("set_up"):
         return
     cells = {entry.cell_serial: entry for entry in registry().stations.certificates()}
@@ -163,6 +166,5 @@ def _laboratory() -> None:
             same = ("laboratory", "issued_on", "due_on", "uncertainty_N")
             facts = {name: getattr(entry, name) for name in same}
             changed["load_cell"] = laboratory.LoadCell(serial=entry.cell_serial, certificate=entry.number, **facts)
-        laboratory.keep_laboratory(replace(kept, **changed))
-        registry().trail.add("change", "laboratory", ("certificates",), {**given, "load_cell": chosen}, actor=actor())
+        laboratory.keep_laboratory(registry(), replace(kept, **changed), actor())
         finish("release", say("laboratory.saved"))

@@ -4,11 +4,12 @@ from collections.abc import Sequence
 
 import streamlit as st
 
+from softcal.app.batch.changes import reached_lots
 from softcal.app.batch.release import roll_back
 from softcal.app.charts import unit as charts_unit
 from softcal.app.charts.why import HEIGHT, why_figure
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
-from softcal.app.export.certificates.laboratory import kept_laboratory
+from softcal.app.export.export import given_facts, withdraw_given
 from softcal.app.export.formats import writer_of
 from softcal.app.export.names import FORMATS
 from softcal.app.registry.standing import standing_of
@@ -115,16 +116,17 @@ def _files(key: UnitKey, revision: int, is_in_use: bool) -> None:
         st.caption(say("unit.files.how"))
         return
     wanted = None if is_in_use else revision
-    options = ExportOptions(revision=wanted, lot_id=key.lot_id, laboratory=kept_laboratory())
+    options = ExportOptions(revision=wanted, lot_id=key.lot_id)
     try:
-        files = writer_of(chosen)(UnitLoader(registry(), options).load(key.serial))
+        unit = UnitLoader(registry(), options).load(key.serial)
+        files = writer_of(chosen)(unit)
     except UnitRefused as error:
         st.warning(in_words(error), icon=":material/block:")
         return
     with st.container(horizontal=True):
         for name, content in files.items():
             size = f"{len(content)} B" if len(content) < 4096 else f"{len(content) / 1024:.0f} KiB"
-            exported = ("units", (key.lot_id, key.serial), {"revision": revision, "file": name})
+            exported = ("units", (key.lot_id, key.serial), {**given_facts(unit), "file": name})
             download(f"{name}  ({size})", name, content, f"file-{key}-{revision}-{name}", exported=exported)
 
 
@@ -160,6 +162,7 @@ def _history(key: UnitKey, history: Sequence[StoredCalibration], lot: Lot) -> No
             return
         with refusals_in_words():
             roll_back(registry(), key.serial, revision, reason=reason, actor=actor(), lot_id=key.lot_id)
+            withdraw_given(registry(), reached_lots(registry(), key.lot_id))
             finish("unit", say("unit.rollback.done", revision=revision))
 
 

@@ -1,0 +1,74 @@
+"""Files of units that were given out: where they went, and which of them no longer hold."""
+
+import socket
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from softcal.core.errors import RegistryReadOnly
+from softcal.core.lot import UnitKey
+from softcal.core.unit.verdict import VERDICTS
+from softcal.core.words.reason import Reason, plain
+from softcal.db.entries import UNDECIDED, UnitStanding
+from softcal.db.registry import Registry
+
+
+@dataclass(frozen=True)
+class Recall:
+    """A unit whose files no longer hold; `revision` is on its device.
+
+    Args:
+        host, place: computer, and folder or way by which the files went.
+        verdict, why: of the unit now.
+    """
+
+    lot: str
+    serial: str
+    revision: int
+    host: str
+    place: str
+    verdict: str
+    why: Reason
+
+    def to_json(self) -> dict[str, object]:
+        return vars(self) | {"why": str(self.why)}
+
+
+def remember_files(registry: Registry, units: Mapping[UnitKey, Mapping[str, object]], place: str) -> None:
+    """Store that files of units with these revisions, maps and verdicts were given out; each goes to one place once."""
+    rows = [{**vars(key), "host": socket.gethostname(), "place": place, **facts} for key, facts in units.items()]
+    try:
+        with registry.transaction():
+            for lot_id in sorted({key.lot_id for key in units}):
+                of_lot = [row for row in rows if row["lot_id"] == lot_id]
+                registry.declarations.declare("exports", *of_lot, action="give_out")
+    except RegistryReadOnly:
+        # Who may only read can still export; nothing of it is recalled.
+        return
+
+
+def list_recalls(registry: Registry, lot_ids: Sequence[str]) -> list[Recall]:
+    """Return what was given out of lots and no longer holds, the newest files of each unit and place.
+
+    A unit's verdict is worse than it was, or another map is in use.
+    """
+    found = []
+    for lot_id in lot_ids:
+        rows = registry.declarations.in_force("exports", lot_id)
+        standings = registry.pages.standings(lot_id, sorted({row["serial"] for row in rows}), has_stale=True)
+        for row in rows:
+            now = standings.get(row["serial"])
+            if (why := _why_not(row, now)) is not None:
+                facts = (row["serial"], row["revision"], row["host"], row["place"])
+                found.append(Recall(lot_id, *facts, UNDECIDED if now is None else now.verdict, why))
+    return found
+
+
+def _why_not(row: Mapping[str, object], now: UnitStanding | None) -> Reason | None:
+    """Return why files no longer hold; None where they do."""
+    if now is None:
+        return plain("none of its calibrations is in use")
+    if VERDICTS.index(now.verdict) > VERDICTS.index(str(row["verdict"])):
+        return now.reasons[0]
+    if now.summary is not None and now.summary.map_sha256 == row["map_sha256"]:
+        return None
+    return plain("another map is in use" + ("" if now.summary is None else f", of revision {now.summary.revision}"))

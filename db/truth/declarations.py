@@ -1,0 +1,99 @@
+"""What people and files declare of lots, their units and stations: a table a kind, the newest row of a key in force."""
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+from sqlalchemy import RowMapping, Table, select
+
+from softcal.core.quality.audit_plan import AuditConfig, AuditPlan
+from softcal.db.entries import Draw
+from softcal.db.schema.database import given, parts
+from softcal.db.schema.tables import canonical_json, drawn_units, draws, metadata
+from softcal.db.truth.history import plain
+from softcal.db.truth.registry_base import RegistryBase
+
+MADE = {"made_at", "origin", "actor", "reason"}
+
+
+class DeclarationTables(RegistryBase):
+    """Declarations of every kind, and the draws of samples."""
+
+    def declare(
+        self,
+        name: str,
+        *rows: Mapping[str, Any],
+        action: str = "declare",
+        actor: str | None = None,
+        reason: str = "",
+    ) -> int:
+        """Store rows of one owner that say something new of their key, all or none; return how many."""
+        if not rows:
+            return 0
+        table = metadata.tables[name]
+        owner = rows[0][next(iter(table.c)).name]
+        serials = {row["serial"] for row in rows} if "serial" in rows[0] else None
+        with self.database.writing():
+            before = {_key(table, row): row for row in self.in_force(name, owner, serials)}
+            new = [row for row in rows if _values(before.get(_key(table, row), {})) != _values(row)]
+            for row in new:
+                newest = before.get(_key(table, row), {})
+                made = {"made_at": self._after(newest.get("made_at")), "origin": self.origin}
+                made |= {"actor": self._actor(actor), "reason": reason}
+                self._store(table, {**row, **made}, action, actor, reason)
+            return len(new)
+
+    def in_force(
+        self, name: str, owner: str | None = None, serials: Collection[str] | None = None
+    ) -> list[dict[str, Any]]:
+        """Return the newest row of each key, in time order: of one lot or station, of some of its units, or of all."""
+        table, rows = metadata.tables[name], list[dict[str, Any]]()
+        of_owner = select(table).where(*given((next(iter(table.c)), owner)))
+        with self.database.reading():
+            for part in [None] if serials is None else parts(sorted(serials)):
+                query = of_owner if part is None else of_owner.where(table.c.serial.in_(part))
+                rows += map(dict, self.database.rows(query))
+        rows.sort(key=lambda row: (row["made_at"], row["origin"]))
+        newest = {_key(table, row): row for row in rows}
+        return [row for row in rows if newest[_key(table, row)] is row]
+
+    def newest(self, name: str, owner: str) -> dict[str, Any] | None:
+        """Return what is in force of one lot or station; None where nothing is."""
+        return next(iter(self.in_force(name, owner)), None)
+
+    def add_draw(self, draw: Draw, config: AuditConfig, *, actor: str | None = None, reason: str = "") -> None:
+        """Store a draw with its units; its time is the registry's."""
+        newest = self.newest("draws", draw.lot_id) or {}
+        with self.database.writing():
+            key = {"lot_id": draw.lot_id, "made_at": self._after(newest.get("made_at")), "origin": self.origin}
+            values: dict[str, Any] = {"population": draw.plan.population, "allowed_share": draw.plan.allowed_share}
+            values |= {"seed": config.seed, "limit_rmse": draw.limit_rmse, "limit_unit": draw.limit_unit}
+            made = {"actor": self._actor(actor), "reason": reason}
+            self._store(draws, {**key, **made, **values}, "draw", actor, reason)
+            for serial in draw.plan.serials:
+                unit = {"serial": serial, "is_random": serial in draw.plan.random}
+                unit["predicted_rmse"] = draw.forecasts[serial]
+                self._store(drawn_units, {**key, **unit}, "draw", actor, reason)
+
+    def draws(self, lot_id: str) -> list[Draw]:
+        """Return every draw of a lot, oldest first."""
+        with self.database.reading():
+            query = select(draws).where(draws.c.lot_id == lot_id).order_by(draws.c.made_at, draws.c.origin)
+            units = self.database.rows(select(drawn_units).where(drawn_units.c.lot_id == lot_id))
+            return [_draw(row, units) for row in self.database.rows(query)]
+
+
+def _draw(row: RowMapping, units: Collection[RowMapping]) -> Draw:
+    drawn = [one for one in units if (one["made_at"], one["origin"]) == (row["made_at"], row["origin"])]
+    doubtful = sorted((-one["predicted_rmse"], one["serial"]) for one in drawn if not one["is_random"])
+    random = tuple(sorted(one["serial"] for one in drawn if one["is_random"]))
+    plan = AuditPlan(tuple(serial for _, serial in doubtful), random, row["population"], row["allowed_share"])
+    forecasts = {one["serial"]: one["predicted_rmse"] for one in drawn}
+    return Draw(row["lot_id"], plan, forecasts, row["limit_rmse"], row["limit_unit"], row["made_at"])
+
+
+def _key(table: Table, row: Mapping[str, Any]) -> tuple[Any, ...]:
+    return tuple(row[column.name] for column in table.primary_key if column.name not in MADE)
+
+
+def _values(row: Mapping[str, Any]) -> str:
+    return canonical_json(plain({name: value for name, value in row.items() if name not in MADE}))
