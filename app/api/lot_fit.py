@@ -10,7 +10,7 @@ from softcal.app.api.fitting import named_recordings
 from softcal.app.api.network import SourceNetwork
 from softcal.app.api.recording import recording_of
 from softcal.core.errors import InputError, UnitRefused
-from softcal.core.maps import shared_load
+from softcal.core.maps import shared_load, source_bias
 from softcal.core.maps.interface import mapped_segments
 from softcal.core.recording import Array
 
@@ -159,6 +159,6 @@ def compare_sources(lots: Iterable[LotMaps]) -> "pd.DataFrame":
     fits = {lot.network.model.source.serial: lot.fit for lot in lots}
     rows = [
         {"source": serial, **vars(one), "is_bad": one.is_bad}
-        for serial, one in shared_load.compare_sources(fits).items()
+        for serial, one in source_bias.compare_sources(fits).items()
     ]
     return pd.DataFrame(rows, columns=["source", "bias", "uncertainty", "others", "is_bad"])

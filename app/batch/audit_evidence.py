@@ -194,7 +194,8 @@ class AuditReader:
             if state.trim_in_force is not None and state.audit.map_id == state.map_id:
                 # What a trimmed map shows says nothing of units without a trim.
                 continue
-            unit = AuditedUnit(serial, state.fit.forecast.rmse, state.audit.scores.after.rmse, lot.id)
+            part, after = state.fit.lot_fit, state.audit.scores.after.rmse
+            unit = AuditedUnit(serial, state.fit.forecast.rmse, after, lot.id, part.sitting if part else "")
             audited[serial] = unit, at[serial], state
         return audited
 

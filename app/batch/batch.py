@@ -7,6 +7,7 @@ from softcal.app.batch.audit import update_lot
 from softcal.app.batch.changes import compare_verdicts, read_verdicts
 from softcal.app.batch.judging import redecide_dependent_lots
 from softcal.app.batch.known import KeptFacts, lot_facts, lot_method, state_family, state_line, state_sources
+from softcal.app.batch.lot_fit import plan_lot_fit, store_lot_fit
 from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
 from softcal.app.batch.release import decide_lot
 from softcal.app.batch.report import BatchReport, unused_audits
@@ -68,7 +69,10 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     if isinstance(run, LabelledRecording):
         golden = registry.recordings.add(lot_id, run, "audit", actor=actor)
         pressed = {sha256: (serial, golden) for serial, sha256 in work.recordings(list(folder.unit_paths)).items()}
+        pressed[golden] = run.serial, golden
         keep_golden_of(registry, lot_id, pressed, actor=actor)
+    plan = plan_lot_fit(registry, lot_id)
+    store_lot_fit(registry, plan.for_batch(), actor, "batch")
     decided = decide_lot(registry, lot_id, actor)
     audit = update_lot(registry, lot_id, actor)
     redecide_dependent_lots(registry, lot_id, actor)
@@ -88,5 +92,16 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     not_used = (*folder.not_used, *unread, *unused_audits(folder.audit_paths, units))
     seconds = time.perf_counter() - start_s
     return BatchReport(
-        lot_id, trained[0], units, seconds, audit, config.release, decided, not_used, tuple(remarks), layouts, changes
+        lot_id,
+        trained[0],
+        units,
+        seconds,
+        audit,
+        config.release,
+        decided,
+        not_used,
+        tuple(remarks),
+        layouts,
+        changes,
+        plan,
     )

@@ -6,7 +6,8 @@ Whoever sets a limit, confirms, brings audits or syncs calls `redecide` after it
 from collections.abc import Iterable
 
 from softcal.app.batch.audit import update_lot
-from softcal.app.batch.release import decision_in_force, redecide_lot
+from softcal.app.batch.lot_decision import decision_in_force
+from softcal.app.batch.release import redecide_lot
 from softcal.core.errors import InputError
 from softcal.core.quality.qualification import EARLIER_LOTS
 from softcal.db.registry import Registry

@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 
 from softcal.app.batch.audit_evidence import RELEASABLE, AuditEvidence, AuditReader
+from softcal.app.batch.lot_decision import decision_in_force, next_number
 from softcal.app.registry.limit import limit_or_none, lot_limit
 from softcal.app.registry.lot_recordings import audit_of, newest_audits, source_recording, target_serials, unlabelled
 from softcal.core.quality.lot_release import LotRelease, release_lot
@@ -21,44 +22,11 @@ from softcal.core.quality.release import min_passing
 from softcal.core.unit.audit import measure, measure_again
 from softcal.core.unit.lot_correction import LotCorrection
 from softcal.core.unit.state import SampleRelease, UnitState
-from softcal.core.words.reason import Reason, reason
+from softcal.core.words.reason import reason
 from softcal.db.entries import CalibrationSummary, UnitStanding
 from softcal.db.registry import Registry
 
 WHY = "decided on the audits of the lot"
-
-
-@dataclass(frozen=True)
-class LotDecision:
-    """What was decided on a lot as a whole.
-
-    Args:
-        correction: what audited units misread alike, taken off the maps of the lot.
-        next_unit: what the statement says of a unit that is to come; None where none is released by sample.
-        released: units released by sample.
-        source: which audits the statement rests on.
-        statement: the statement itself.
-    """
-
-    correction: LotCorrection = LotCorrection(0)
-    next_unit: SampleRelease | None = None
-    released: tuple[str, ...] = ()
-    source: str = ""
-    statement: Reason | None = None
-
-    def is_as(self, other: "LotDecision") -> bool:
-        """Whether another decision says the same, whatever its number."""
-        return self._without_numbers() == other._without_numbers()
-
-    def _without_numbers(self) -> "LotDecision":
-        following = self.next_unit and replace(self.next_unit, number=0)
-        return replace(self, correction=replace(self.correction, number=0), next_unit=following)
-
-
-def decision_in_force(registry: Registry, lot_id: str) -> LotDecision:
-    """Return the newest decision on a lot; an empty one before the first."""
-    entry = registry.decisions.in_force(lot_id)
-    return LotDecision() if entry is None else msgspec.convert(dict(entry.decision), LotDecision)
 
 
 def decide_lot(
@@ -72,7 +40,7 @@ def decide_lot(
         lot = _Lot.read(registry, lot_id, actor, now)
         if not lot.states:
             return None
-        before, number = decision_in_force(registry, lot_id), _next_number(registry, lot_id)
+        before, number = decision_in_force(registry, lot_id), next_number(registry, lot_id)
         correction = LotCorrection(number, lot.evidence().lines)
         if correction.lines == before.correction.lines:
             correction = before.correction
@@ -80,7 +48,14 @@ def decide_lot(
         evidence = lot.evidence()
         decided = lot.decided(evidence, correction)
         following = decided.next_unit(number)
-        said = LotDecision(correction, following, decided.released, evidence.qualification.source, decided.statement)
+        said = replace(
+            before,
+            correction=correction,
+            next_unit=following,
+            released=decided.released,
+            source=evidence.qualification.source,
+            statement=decided.statement,
+        )
         if said.is_as(before):
             number = before.next_unit.number if before.next_unit else number
         elif said.next_unit or before.next_unit or correction is not before.correction:
@@ -110,10 +85,14 @@ def redecide_lot(registry: Registry, lot_id: str, actor: str | None = None, now:
         lost = {serial for serial in in_force.released if serial in decided.forecasts} - released
         if not lost and not is_new_limit and evidence.qualification.is_given:
             return
-        number = _next_number(registry, lot_id)
+        number = next_number(registry, lot_id)
         following = decided.next_unit(number) if released else None
-        said = LotDecision(
-            in_force.correction, following, tuple(sorted(released)), evidence.qualification.source, decided.statement
+        said = replace(
+            in_force,
+            next_unit=following,
+            released=tuple(sorted(released)),
+            source=evidence.qualification.source,
+            statement=decided.statement,
         )
         registry.decisions.add(lot_id, msgspec.to_builtins(said), action="withhold", actor=actor, reason=WHY)
         for serial, state in lot.open().items():
@@ -137,7 +116,9 @@ def decide_unit(registry: Registry, lot_id: str, serial: str, actor: str | None 
         state = lot.open().get(serial)
         if state is None or in_force.next_unit is None:
             return
-        says, limit = in_force.next_unit, state.limit
+        says, limit, part = in_force.next_unit, state.limit, state.fit.lot_fit
+        if says.sitting not in ("", part and part.sitting):
+            return
         evidence = AuditReader(registry, state.fit.method).evidence(lot_id, datetime.now(UTC))
         day = evidence.day_rmse(state.fit.load_rms)
         error = float("inf") if says.factor is None else float(np.hypot(state.fit.forecast.rmse * says.factor, day))
@@ -249,6 +230,7 @@ class _Lot:
             seen=evidence.seen,
             days=days,
             doubts=evidence.suspects,
+            sittings={serial: one.fit.lot_fit.sitting for serial, one in units.items() if one.fit.lot_fit is not None},
             corrected_by=len(correction.lines) if any(one.correction for one in self.states.values()) else 0,
         )
 
@@ -331,8 +313,3 @@ def _says(decided: LotRelease, state: UnitState, number: int) -> SampleRelease |
 def _states(standings: Mapping[str, UnitStanding]) -> dict[str, UnitState]:
     found: dict[str, CalibrationSummary | None] = {serial: one.summary for serial, one in standings.items()}
     return {serial: summary.state for serial, summary in found.items() if summary is not None}
-
-
-def _next_number(registry: Registry, lot_id: str) -> int:
-    decisions = registry.decisions.of_lot(lot_id)
-    return max((one.number for one in decisions), default=0) + 1

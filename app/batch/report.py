@@ -6,6 +6,7 @@ from pathlib import Path
 
 from softcal.app.batch.audit import LotAudit, audit_json, audit_line
 from softcal.app.batch.changes import Changes
+from softcal.app.batch.lot_fit import LotFitPlan
 from softcal.app.batch.train import TrainedOrFound
 from softcal.app.files.not_used import NotUsed
 from softcal.core.quality.lot_release import LotRelease
@@ -53,7 +54,8 @@ class BatchReport:
     """What a batch did: `audit` is where a planned audit of the lot stands, `release` which
     verdicts release files, `decided` what audits say about the lot's other units, `not_used` what of
     the folder was not used, `remarks` what is odd and no error, `layouts` how each file that was read
-    now is laid out, "" where it has the plain form, `changes` the verdicts that it replaced.
+    now is laid out, "" where it has the plain form, `changes` the verdicts that it replaced, `lot_fit` which units are
+    mapped together now, and which could be.
     """
 
     lot_id: str
@@ -67,6 +69,7 @@ class BatchReport:
     remarks: tuple[Reason | str, ...] = ()
     layouts: Mapping[str, str] = field(default_factory=dict)
     changes: Changes = Changes((), {})  # noqa: RUF009 - frozen
+    lot_fit: LotFitPlan | None = None
 
     @property
     def counts(self) -> dict[str, int]:
@@ -104,6 +107,7 @@ def report_json(report: BatchReport) -> dict[str, object]:
             "family": summary.state.fit.family,
             "revision": summary.revision,
             "sha256": summary.map_sha256,
+            "lot_fit": summary.state.fit.lot_fit and vars(summary.state.fit.lot_fit),
         }
         units.append(
             {
@@ -140,6 +144,7 @@ def report_json(report: BatchReport) -> dict[str, object]:
         "not_used": [item.to_json() for item in report.not_used],
         "remarks": [str(remark) for remark in report.remarks],
         "changes": report.changes.to_json(),
+        "lot_fit": report.lot_fit and report.lot_fit.to_json(),
         "layouts": dict(report.layouts),
     }
 
@@ -225,6 +230,8 @@ def audit_lines(report: BatchReport) -> list[str]:
     if withdrawn := [f"{one.serial} of {one.lot_id}" for one in report.changes.withdrawn]:
         more = f" and {len(withdrawn) - MAX_NAMES} more" if len(withdrawn) > MAX_NAMES else ""
         lines.append(f"withdrawn: {', '.join(withdrawn[:MAX_NAMES])}{more}: released before, and no more")
+    if report.lot_fit is not None:
+        lines += map(str, report.lot_fit.batch_messages)
     if report.decided is not None:
         lines.append(f"release: {report.decided.statement}")
     return lines if report.audit is None else [*lines, audit_line(report.audit)]

@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from softcal.app.cli.confirm import NOT_CONFIRMED, add_yes, is_confirmed, may_do, print_changes, withdraw_files
+from softcal.app.cli.lot_fit import add_fit
 from softcal.app.cli.options import (
     COUNT,
     DIR,
@@ -41,6 +42,8 @@ EXAMPLES = """examples:
   softcal lot limit lot-1 --rmse 0.15 --reason "customer drawing, revision C"    says what changes, and asks
   softcal lot limit lot-1                        every version of the limit, who set it and why
   softcal lot limit lot-1 --withdraw --reason "the drawing was withdrawn" --yes
+  softcal lot fit lot-1                          map units pressed by one load at once together: says what changes, asks
+  softcal lot fit lot-1 --withdraw --reason "the press was not the same" --yes
   softcal lot network lot-1                      networks of the lot, and which of them the line uses
   softcal lot network lot-1 --release 3f2a9c0b --reason "trained on the new source"
   softcal lot rules lot-1 --serial-pattern 'EG-[0-9]{4}' --letters upper --target 500 --reason "order 4711"
@@ -83,6 +86,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     folder.add_argument("lot", metavar="ID", help="lot in the registry")
     folder.add_argument("--out", required=True, **DIR, help="lot folder to make; not there yet")
     add_shared(folder, "registry", "json")
+    add_fit(action)
     limit = action("limit", "show or set the largest acceptable error of a lot's units", _limit)
     limit.add_argument("lot", metavar="ID", help="lot in the registry")
     add_shared(limit, "registry", "json", "csv")

@@ -73,7 +73,8 @@ class LotFolder:
         audit_paths: labelled recordings of target units; no map is fitted to them.
         line: how differently the line presses units, where `lot.toml` states it.
         reference: what the source was compared with; None where `lot.toml` does not say.
-        golden_path: the source pressed again in the units' sitting; None without.
+        golden_path, golden_serial: the source pressed again in the units' sitting, or one of the units under the load
+            cell; None without.
         anchors_path: known loads of units (`serial, output, reference`); None without.
         names: columns and layout of the recordings, where `lot.toml` states them.
         family: of every unit's map, or `auto`; None where `lot.toml` states none.
@@ -91,6 +92,7 @@ class LotFolder:
     line: LineSpread | None = None
     reference: Reference | None = None
     golden_path: Path | None = None
+    golden_serial: str = ""
     anchors_path: Path | None = None
     more_source_paths: Mapping[str, Path] = field(default_factory=dict)
     problems: Mapping[str, Reason] = field(default_factory=dict)
@@ -141,14 +143,16 @@ class LotFolder:
                 yield self._labelled(path, serial)
 
     def read_golden(self) -> OutputRecording | LabelledRecording | None:
-        """Read the source's run in the units' sitting, with its reference if it has one."""
+        """Read the golden run, with its reference if it has one."""
         path = self.golden_path
         if path is None:
             return None
         content = read_regular(path, self.root)
         if self.names.reference in read_table(path, self.names.table, content=content).names:
-            return self._labelled(path, self.lot.source)
-        return read_recording(path, self.lot.source, self.lot.sample_rate_Hz, self.lot.output_unit, content, self.names)
+            return self._labelled(path, self.golden_serial)
+        return read_recording(
+            path, self.golden_serial, self.lot.sample_rate_Hz, self.lot.output_unit, content, self.names
+        )
 
     @property
     def _units(self) -> tuple[str, str]:
@@ -167,7 +171,7 @@ def open_lot_folder(folder: Path) -> LotFolder:
 
     Raises:
         InputError: no such folder, no or a wrong `lot.toml`, no source recording, a serial given twice, or a golden run
-            of another unit than the source.
+            that is not of the source or one of the units.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such lot folder; make one with `softcal import`")
@@ -187,14 +191,14 @@ def open_lot_folder(folder: Path) -> LotFolder:
     )
     remarks = (*remarks, *(line for name in ("source", "audit", GOLDEN) for line in listed[name].remarks(name)))
     golden = listed[GOLDEN].usable
-    if others := sorted(set(golden) - {lot.source}):
+    if len(golden) > 1 or set(golden) - {lot.source, *units}:
         raise InputError(
-            f"{folder / GOLDEN}: golden run of {', '.join(others[:5])}; the golden unit of this lot is its source "
-            f"{lot.source}: press that in the units' sitting; nothing was fitted"
+            f"{folder / GOLDEN}: golden run of {', '.join(sorted(golden)[:5])}; one run was expected, of the source "
+            f"{lot.source} or of one of the units; nothing was fitted"
         )
     loads = next((path for path in map(folder.joinpath, ANCHOR_FILES) if path.is_file()), None)
     further, source = {serial: sources[serial] for serial in more}, sources[lot.source]
-    run = golden.get(lot.source)
+    golden_serial = next(iter(golden), "")
     not_used = unused_of_lot(folder, {lot.source: source, **further}, units)
     return LotFolder(
         folder,
@@ -206,7 +210,8 @@ def open_lot_folder(folder: Path) -> LotFolder:
         not_used,
         line,
         reference,
-        run,
+        golden.get(golden_serial),
+        golden_serial,
         loads,
         further,
         problems,

@@ -11,6 +11,7 @@ from functools import lru_cache, partial
 from softcal.app.batch.calibrating import Refusal, calibrate_unit
 from softcal.app.batch.judging import redecide
 from softcal.app.batch.known import KeptFacts, config_of, keep_result, lot_facts, lot_method, stated_sources
+from softcal.app.batch.lot_fit import open_lot_fit
 from softcal.app.batch.release import decide_unit
 from softcal.app.batch.train import train_or_find
 from softcal.app.line.gate_facts import SHIFT, check_golden, quarantine
@@ -210,7 +211,8 @@ class RunKeeper:
         if not isinstance(made, Refusal):
             decide_unit(registry, lot.id, unit.serial, actor)
         standing = registry.pages.standings(lot.id, [unit.serial])[unit.serial]
-        return sha256, (standing.verdict, standing.reasons)
+        would = open_lot_fit(registry, lot.id, unit)
+        return sha256, (standing.verdict, standing.reasons if would is None else (*standing.reasons, would))
 
     def _source(self, lot_id: str, network: str) -> SourceModel:
         return self._source_model(network, lot_method(self._registry, lot_id))

@@ -1,5 +1,6 @@
 """Recordings of a lot that the registry keeps: sources of networks, and audits."""
 
+from softcal.app.registry.golden import golden_of
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.recording import LabelledRecording, OutputRecording
@@ -53,12 +54,14 @@ def newest_audits(registry: Registry, lot_id: str, serial: str | None = None) ->
     """Return the newest audit of each unit of a lot, or of one of them, by serial.
 
     A golden unit's labelled runs check the station and its day; they are no audits of the lot. Of a run that does not
-    say which recording it is, all of its unit's are.
+    say which recording it is, all of its unit's are. Neither is what gave the loads of a sitting.
     """
     runs = registry.stations.golden_runs(lot_id=lot_id)
     checks = {run.recording_sha256 for run in runs}
     units = {run.serial for run in runs if run.recording_sha256 is None} | {registry.lots.get(lot_id).source}
     entries = registry.recordings.of_lot(lot_id, serial, "audit")
+    given = golden_of(registry, lot_id, {one.serial for one in entries})
+    checks |= {golden for _, golden in given.values()}
     return {one.serial: one for one in entries if one.serial not in units and one.sha256 not in checks}
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from softcal.core.quality.qualification import Qualification
 from softcal.core.quality.release import AuditedUnit, PromisedRelease, release
+from softcal.core.quality.sittings import SampledUnits, sampled_units
 from softcal.core.unit.line_spread import SeenGains
 from softcal.core.unit.method import ReleaseConfig
 from softcal.core.unit.state import SampleRelease
@@ -25,6 +26,7 @@ class LotRelease:
         seen: gains that audited units of this lot read their loads with; None where too few were audited.
         days: by serial, the error that another day adds as golden runs show it; empty without them.
         corrected_by: number of audited units behind the correction of the lot's maps; 0 where there is none.
+        sampled: for which units the audits speak, where units of one sitting share an error.
     """
 
     qualification: Qualification
@@ -37,6 +39,7 @@ class LotRelease:
     days: Mapping[str, float] = field(default_factory=dict)
     doubts: Mapping[str, Reason] = field(default_factory=dict)
     corrected_by: int = 0
+    sampled: SampledUnits | None = None
 
     @property
     def audits(self) -> tuple[AuditedUnit, ...]:
@@ -59,6 +62,8 @@ class LotRelease:
         said, unit = [self._promised()], self.limit.unit
         if self.seen is not None:
             said.append(reason("release.gains", centre=self.seen.centre, spread=self.seen.spread))
+        if self.sampled is not None and self.sampled.reason is not None:
+            said.append(self.sampled.reason)
         if self.days:
             said.append(reason("release.days", day=max(self.days.values()), unit=unit))
         if self.corrected_by:
@@ -100,7 +105,7 @@ class LotRelease:
         Args:
             number: of the statement.
         """
-        if self.found is None:
+        if self.found is None or serial not in self.forecasts:
             return None
         return self._sample_release(number, self.found, serial in self.released, self.days.get(serial, 0.0))
 
@@ -120,6 +125,7 @@ class LotRelease:
             audits=self._audits(found),
             risk=self.config.risk,
             confidence=self.config.confidence,
+            sitting="" if self.sampled is None else self.sampled.sitting,
         )
 
     def _audits(self, promised: PromisedRelease) -> Reason:
@@ -169,6 +175,7 @@ def release_lot(
     days: Mapping[str, float] | None = None,
     doubts: Mapping[str, Reason] | None = None,
     corrected_by: int = 0,
+    sittings: Mapping[str, str] | None = None,
 ) -> LotRelease:
     """Decide on the units of a lot that nobody measured.
 
@@ -176,11 +183,18 @@ def release_lot(
         forecasts: forecast RMSE by serial of the units no finding stands against.
         least: number of units that must pass, or none is released.
         days: by serial, the error that another day adds as golden runs show it, in the forecasts' unit.
+        sittings: by serial, of the units that share an error with those of their sitting.
     """
+    sampled = sampled_units(
+        qualification.audits, {serial: (sittings or {}).get(serial, "") for serial in forecasts}, config
+    )
+    forecasts = {serial: rmse for serial, rmse in forecasts.items() if serial in sampled.serials}
     may_release = qualification.is_given and limit.is_stated
-    decided = release(forecasts, qualification.audits, limit, config, least, days) if may_release else None
+    decided = release(forecasts, sampled.audits, limit, config, least, days) if may_release else None
     days, doubts = days or {}, doubts or {}
-    return LotRelease(qualification, limit, config, forecasts, decided, widening, seen, days, doubts, corrected_by)
+    return LotRelease(
+        qualification, limit, config, forecasts, decided, widening, seen, days, doubts, corrected_by, sampled
+    )
 
 
 def _audited(audits: Sequence[AuditedUnit], which: Reason, bound: Mapping[str, Value]) -> Reason:

@@ -22,6 +22,7 @@ class AuditedUnit:
 
     Args:
         forecast_rmse: forecast before it was measured, in the reference unit.
+        sitting: of units whose maps share one error, as they were fitted together; empty where its error is its own.
 
     Raises:
         InputError: an error is not a positive number.
@@ -31,6 +32,7 @@ class AuditedUnit:
     forecast_rmse: float
     measured_rmse: float
     lot_id: str = ""
+    sitting: str = ""
 
     def __post_init__(self) -> None:
         for name, value in (("forecast", self.forecast_rmse), ("measured", self.measured_rmse)):
@@ -48,7 +50,7 @@ class Ratios:
     """What audited units show of log(measured / forecast error), for a unit nobody measured.
 
     Args:
-        audits, lots: number of audited units, and of the lots they come from.
+        audits, lots: number of audited units, and of the lots and sittings they come from.
         centre: mean of the logarithm, over lots where there are several.
         spread: standard deviation of one more unit about it, with the spread between lots.
         count, degrees: observations behind the centre, degrees of freedom behind the spread.
@@ -98,7 +100,7 @@ class PromisedRelease:
 
 
 def audited_ratios(audits: Sequence[AuditedUnit], config: ReleaseConfig) -> Ratios:
-    """Return what the audited units show; units of several lots show how lots differ as well.
+    """Return what the audited units show; units of several lots or sittings show how these differ as well.
 
     Over lots the variance of one more unit is that of the lots' means and what one unit adds to it (one-way random
     effects, unweighted means), its degrees of freedom after Satterthwaite 1946.
@@ -111,7 +113,8 @@ def audited_ratios(audits: Sequence[AuditedUnit], config: ReleaseConfig) -> Rati
         raise InputError(
             f"unit {twice[0][1]} was audited twice; an audit counts once: keep the newer, nothing was released"
         )
-    groups = [np.log([a.ratio for a in audits if a.lot_id == lot]) for lot in dict.fromkeys(a.lot_id for a in audits)]
+    keys = dict.fromkeys((a.lot_id, a.sitting) for a in audits)
+    groups = [np.log([a.ratio for a in audits if (a.lot_id, a.sitting) == key]) for key in keys]
     if len(audits) < 2:
         centre = float(groups[0][0]) if groups else 0.0
         return Ratios(len(audits), len(groups), centre, 0.0, centre, 0.0, 0.0)

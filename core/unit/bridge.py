@@ -3,6 +3,9 @@
 A unit and the golden unit that met one load at one time differ by what the units differ by, and by nothing that the day
 or the programme does to both. The map of the unit is therefore fitted to the golden run in place of the source's
 recording. What the day does to the golden unit itself is a gain and a zero, fitted where a load cell was under it.
+
+A unit of the lot that was pressed under the load cell gives its sitting's loads as well: what the source would show of
+them is read off f.
 """
 
 from dataclasses import dataclass, replace
@@ -12,12 +15,13 @@ import numpy as np
 from softcal.core.errors import InputError
 from softcal.core.inspection.comparison import compare_recordings
 from softcal.core.maps.affine_map import AffineMap
+from softcal.core.maps.synchrony import find_synchrony
 from softcal.core.metrics import rmse
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, Indices, LabelledRecording, OutputRecording
-from softcal.core.unit.method import Method
+from softcal.core.unit.method import LEVELS, Method
 from softcal.core.unit.source_model import SourceModel
-from softcal.core.windows import evenly
+from softcal.core.windows import evenly, resting
 
 SAME_DAY = AffineMap(1.0, 0.0, "identity")
 
@@ -27,8 +31,8 @@ class Bridge:
     """A golden run as units of its sitting are compared with it.
 
     Args:
-        golden: the source unit's run, its output carried to the source's day, with its reference: measured, or what f
-            reads where no load cell was under it.
+        golden: the run, as the source would show it on its own day, with its reference: measured, or what f reads where
+            no load cell was under it.
         day_map: gain and zero of that day's output on the source's.
         day_rmse: RMS change of the estimates that the day makes, in the reference unit; 0 where it was not measured.
         floor: RMS error of `golden`'s reference, in the same.
@@ -39,6 +43,7 @@ class Bridge:
     day_rmse: float
     floor: float
     is_measured: bool
+    run_sha256: str
 
     @property
     def sha256(self) -> str:
@@ -50,17 +55,20 @@ def make_bridge(model: SourceModel, run: OutputRecording | LabelledRecording) ->
     """Look at a golden run through f.
 
     Args:
-        run: the source unit pressed in the units' sitting, with a reference where a load cell was under it.
+        run: the source unit pressed in the units' sitting, with a reference where a load cell was under it; or a unit
+            of the lot with its reference.
 
     Raises:
-        InputError: it is of another unit, is the source's own recording, or f cannot read it.
+        InputError: it is of another unit and has no reference, is the source's own recording, or f cannot read it.
     """
     recording = run.unlabelled if isinstance(run, LabelledRecording) else run
     source, method = model.source, model.method
+    if recording.serial != source.serial and isinstance(run, LabelledRecording):
+        return _bridge_over_unit(model, run)
     if recording.serial != source.serial:
         raise InputError(
-            f"golden run of {recording.serial}: the golden unit of this lot is its source {source.serial}; nothing was "
-            "fitted: press the source unit in the units' sitting"
+            f"golden run of {recording.serial}: without a reference it says nothing of the loads; nothing was fitted: "
+            f"press it under the load cell, or the source {source.serial} without"
         )
     if np.array_equal(recording.output, source.unlabelled.output):
         raise InputError(
@@ -71,7 +79,7 @@ def make_bridge(model: SourceModel, run: OutputRecording | LabelledRecording) ->
         # One value a sample: before the first full window of a stretch, that of the nearest one.
         read = np.interp(np.arange(len(recording)), recording.window_rows, model.network.evaluate(recording.windows))
         golden = LabelledRecording(recording, read, source.reference_unit)
-        return Bridge(golden, SAME_DAY, 0.0, model.held_out_rmse, is_measured=False)
+        return Bridge(golden, SAME_DAY, 0.0, model.held_out_rmse, is_measured=False, run_sha256=run.sha256)
     day_map = _fit_day(model.network, run, method)
     corrected = replace(recording, output=day_map.gain * recording.output + day_map.offset)
     before, after = (model.network.evaluate(r.windows) for r in (recording, corrected))
@@ -86,7 +94,29 @@ def make_bridge(model: SourceModel, run: OutputRecording | LabelledRecording) ->
             f"{error:.3g} {unit} RMS; {compared or f'is it another unit, or its reference not in {unit}?'}; nothing "
             "was fitted"
         )
-    return Bridge(replace(run, unlabelled=corrected), day_map, rmse(before, after), 0.0, is_measured=True)
+    golden = replace(run, unlabelled=corrected)
+    return Bridge(golden, day_map, rmse(before, after), 0.0, is_measured=True, run_sha256=run.sha256)
+
+
+def _bridge_over_unit(model: SourceModel, run: LabelledRecording) -> Bridge:
+    """Return the loads of a unit's labelled run with the output that the source would show under them at rest."""
+    network, known, recording = model.network, model.source.unlabelled, run.unlabelled
+    levels = np.linspace(known.output.min(), known.output.max(), LEVELS)
+    loads = network.evaluate(resting(levels))
+    is_rising = model.interval.slope_limit > 0
+    levels, loads = (levels, loads) if is_rising else (levels[::-1], loads[::-1])
+    carried = np.interp(run.reference, np.maximum.accumulate(loads), levels)
+    golden = replace(run, unlabelled=replace(recording, output=carried))
+    load = golden.window_reference
+    error = rmse(network.evaluate(golden.windows), load)
+    is_of_it = find_synchrony(golden.unlabelled, recording, model.method.map).is_synchronous
+    if not is_of_it or error > model.method.bridge.most_misread * float(np.std(load)):
+        raise InputError(
+            f"golden run of {run.serial}: its output does not follow its reference, or f misreads these loads "
+            f"({error:.3g} {run.reference_unit} RMS at the best); is the reference of this run, and in "
+            f"{model.source.reference_unit}? nothing was fitted"
+        )
+    return Bridge(golden, SAME_DAY, 0.0, error, is_measured=True, run_sha256=run.sha256)
 
 
 def _fit_day(network: Network, run: LabelledRecording, method: Method) -> AffineMap:

@@ -58,7 +58,8 @@ def fit_unit(problem: UnitProblem) -> tuple[Fit, Array]:
     check_alive(target, known, method.health)
     limits = output_limits(target, known, is_rising=model.interval.slope_limit > 0, method=method)
     fit, bridge = problem.fit, problem.crossed
-    chosen = choose_map(fit)
+    lot_map = problem.lot_map
+    chosen = choose_map(fit) if lot_map is None else lot_map.chosen
     evidence = gather_evidence(
         model,
         target,
@@ -68,6 +69,7 @@ def fit_unit(problem: UnitProblem) -> tuple[Fit, Array]:
         is_anchored=problem.anchors is not None,
         line=problem.line,
         day_rmse=0.0 if bridge is None else bridge.day_rmse,
+        lot_fit=None if lot_map is None else lot_map.part,
     )
     lag = find_readout_lag(fit.source.unlabelled, target, fit.synchrony, method.map)
     # What a logger did comes first: the rest may be a consequence.
@@ -96,7 +98,7 @@ def fit_unit(problem: UnitProblem) -> tuple[Fit, Array]:
         own_rmse=forecast_own(own, evidence.knowledge),
         diagnostics=chosen.evidence,
         findings=findings,
-        remarks=(*problem.bridge_reasons(), problem.line_reason(evidence.load_rms)),
+        remarks=(*problem.lot_fit_reasons(), *problem.bridge_reasons(), problem.line_reason(evidence.load_rms)),
         blocking_reasons=problem.blocking_reasons(),
         rules=problem.rules,
         reference=problem.reference,
@@ -104,6 +106,7 @@ def fit_unit(problem: UnitProblem) -> tuple[Fit, Array]:
         missing=missing_samples(target, method.inspection).shares,
         load_rms=evidence.load_rms,
         correction_rms=evidence.correction_rms,
+        lot_fit=None if lot_map is None else lot_map.part,
         readout_lag_s=None if lag is None else lag.time_constant_s,
         fitted=FittedMap(chosen.unit_map, interval, limits),
     )

@@ -16,13 +16,14 @@ from softcal.core.maps.choose import ChosenMap, fit_family
 from softcal.core.maps.crossing import CACHED
 from softcal.core.maps.interface import FitProblem, UnitMap, mapped_segments
 from softcal.core.maps.monotone import AVERAGED
-from softcal.core.maps.paired import STAGE_MATCHED, SYNCHRONOUS, fit_pairs
+from softcal.core.maps.paired import SHARED_LOAD, STAGE_MATCHED, SYNCHRONOUS, fit_pairs
 from softcal.core.maps.synchrony import paired_rows
 from softcal.core.metrics import rms
 from softcal.core.recording import Array, Indices, LabelledRecording, Mask, OutputRecording
 from softcal.core.unit.health import OutputLimits, clipped_share
-from softcal.core.unit.knowledge import LoadKnowledge, known_by
+from softcal.core.unit.knowledge import SHARED, LoadKnowledge, known_by
 from softcal.core.unit.line_spread import LineSpread
+from softcal.core.unit.lot_fit import LotFitPart
 from softcal.core.unit.method import ForecastConfig, Method
 from softcal.core.unit.source_model import SourceModel, unit_difference
 from softcal.core.unit.uncertainty import WindowShape
@@ -47,7 +48,8 @@ class MapEvidence:
         speed: how fast the unit's fast movements are, over the source's.
         budget: standard uncertainties in the reference unit: `model` and the terms of every kind of knowledge
             (`knowledge.py`). `stage` and `slow` are there where source and unit carry the stage position, `line` where
-            the spread of the line was stated, `day` where a golden run measured its day.
+            the spread of the line was stated, `day` where a golden run measured its day, `shared` and `own_part` where
+            the lot was fitted together.
     """
 
     rows: Indices
@@ -115,7 +117,7 @@ def other_maps(fit: FitProblem, chosen: ChosenMap, method: Method, floor: float)
     """Return what the chosen map is tried by; `floor` is the RMS error of the reference beside paired windows."""
     trials = _trials(fit, chosen, method.map.pairs.every, floor) if chosen.family == SYNCHRONOUS else []
     # Where the stage position or a common load is known, that tells more than leaving shares out.
-    is_measured = bool(trials) or chosen.family == STAGE_MATCHED
+    is_measured = bool(trials) or chosen.family in (STAGE_MATCHED, SHARED_LOAD)
     gain_error = float(chosen.evidence.get("gain_error", 0.0))
     log_gain = float(np.log(float(chosen.evidence.get("gain", 1.0))))
     # A gain far from the source's is itself a doubt unless loads were given.
@@ -126,7 +128,7 @@ def other_maps(fit: FitProblem, chosen: ChosenMap, method: Method, floor: float)
         resampled=[] if is_measured else _refitted(fit, chosen, method),
         trials=trials,
         gain_error=gain_error,
-        straight=chosen.alternatives.get(TWO_POINT) if chosen.family == AVERAGED else None,
+        straight=chosen.alternatives.get(TWO_POINT) if chosen.family in (AVERAGED, SHARED_LOAD) else None,
     )
 
 
@@ -172,6 +174,7 @@ def gather_evidence(
     is_anchored: bool = False,
     line: LineSpread | None = None,
     day_rmse: float = 0.0,
+    lot_fit: LotFitPart | None = None,
 ) -> MapEvidence:
     """Collect the budget of one unit from its map and from other maps that fit its recording too.
 
@@ -220,6 +223,8 @@ def gather_evidence(
         budget[LINE] = line.share * load_rms
     if day_rmse:
         budget[DAY] = day_rmse
+    if lot_fit is not None:
+        budget |= {SHARED: lot_fit.common_rmse, "own_part": lot_fit.unit_rmse}
     if others.trials:
         misread = rms(np.concatenate([_misread(model, target, trial) for trial in others.trials]))
         budget["paired"] = float(np.hypot(misread, max(trial.floor for trial in others.trials)))

@@ -13,6 +13,7 @@ from softcal.core.recording import RATE_TOLERANCE, Array, OutputRecording
 from softcal.core.unit.evidence import MapEvidence, rest_rows
 from softcal.core.unit.forecast import map_variance
 from softcal.core.unit.health import OutputLimits
+from softcal.core.unit.knowledge import BLIND
 from softcal.core.unit.method import FindingConfig, Method
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.verdict import Finding, Verdict
@@ -270,7 +271,7 @@ def _not_better(model: SourceModel, evidence: MapEvidence) -> Finding | None:
     doubt, correction = float(np.sqrt(map_variance(evidence.budget, evidence.knowledge))), evidence.correction_rms
     # A correction by half of what f itself misreads does no harm either way.
     harmless = 0.5 * evidence.budget["model"]
-    is_blind = not evidence.knowledge.is_placed and correction > harmless
+    is_blind = evidence.knowledge.kind == BLIND and correction > harmless
     gained = evidence.overlap - evidence.unmapped_overlap
     if doubt > max(correction, harmless):
         why = reason("part.uncertain", doubt=doubt, unit=unit)

@@ -17,7 +17,7 @@ from softcal.core.metrics import rms
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.unit.evidence import DAY, LINE, MapEvidence, beyond
-from softcal.core.unit.knowledge import LoadKnowledge
+from softcal.core.unit.knowledge import SHARED, LoadKnowledge
 from softcal.core.unit.method import LEVELS
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.uncertainty import DIRECTIONS, ErrorForecast
@@ -59,7 +59,7 @@ def variance_table(model: SourceModel, evidence: MapEvidence) -> Array:
     budget, knowledge = evidence.budget, evidence.knowledge
     unseen = knowledge.sensitivity["extrapolation"]
     pattern = 0.5 + 0.5 * _disagreement_pattern(model, evidence)
-    if not knowledge.is_placed and budget["gain"]:
+    if not knowledge.is_placed and (budget["gain"] or budget.get(SHARED)):
         pattern = 0.5 * pattern + 0.5 * _load_pattern(model, evidence)
     reach = model.method.map.ends.reach
     unshown = unseen * beyond(model.interval.levels, evidence.estimate, reach)

@@ -12,6 +12,7 @@ GOOD_UNITS = "2.5 % and 97.5 % quantiles of log(true / forecast RMSE) over good 
 FITTED_COVERAGE = "benchmarks/interval_coverage.py --fit (simulated lots; tested on seeds 0-24)"
 
 
+SHARED, BLIND = "shared", "blind"
 ANCHORED = "anchored"
 """Said behind the kind of a unit some loads of which are known."""
 
@@ -116,11 +117,39 @@ class BlindConfig(KnowledgeConfig):
 
 
 @dataclass(frozen=True)
+class SharedConfig(KnowledgeConfig):
+    """Units of the lot were pressed by one load at once: they agree on its course, and its level stays a guess.
+
+    `shared` is the uncertainty of the load that is common to all, `own_part` that of the unit's map beside it.
+    """
+
+    other_use: ClassVar[str] = "conditional"
+    is_placed: ClassVar[bool] = False
+    sensitivity: tuple[tuple[str, float], ...] = table(
+        {
+            "shared": 1.0,
+            "own_part": 1.0,
+            "support": 0.78,
+            "shift": 0.16,
+            "rest": 0.80,
+            "clipping": 1.5,
+            "extrapolation": 0.16,
+            "overlap": 0.25,
+        },
+        f"{SET}: both parts of a lot fit are what they say; the others, of f on another day, as without it",
+    )
+    log_error: tuple[float, float] = setting((-1.75, 0.78), f"{SET}: that of units whose loads are unknown")
+    interval_share: float = setting(1.0)
+    own: tuple[tuple[str, float], ...] = table({"floor": 1.31, "clipping": 2.0, "rest": 0.37}, FITTED_OWN)
+
+
+@dataclass(frozen=True)
 class KnowledgeTable:
     """The kinds, best first. A new kind is one class above, one field here and one condition in `known_by`."""
 
     paired: KnowledgeConfig = field(default_factory=PairedConfig)
     stage: KnowledgeConfig = field(default_factory=StageKnowledge)
+    shared: KnowledgeConfig = field(default_factory=SharedConfig)
     blind: KnowledgeConfig = field(default_factory=BlindConfig)
 
 
@@ -129,7 +158,8 @@ class LoadKnowledge:
     """How the loads on one unit are known.
 
     Args:
-        kind: `paired` (pressed by the source's load at the same time), `stage` (equal stage positions) or `blind`.
+        kind: `paired` (pressed by the source's load at the same time), `stage` (equal stage positions),
+            `shared` (the load of other units of the lot, whose level is a guess) or `blind`. Reports call both blind.
         is_anchored: some known loads were given beside it.
         config: what this kind is worth.
     """
@@ -154,14 +184,15 @@ class LoadKnowledge:
         return dict(self.config.own)
 
     def __str__(self) -> str:
-        return f"{self.kind}, {ANCHORED}" if self.is_anchored else self.kind
+        kind = BLIND if self.kind == SHARED else self.kind
+        return f"{kind}, {ANCHORED}" if self.is_anchored else kind
 
 
 def known_by(budget: Mapping[str, float], kinds: KnowledgeTable, is_anchored: bool = False) -> LoadKnowledge:
     """Return how the loads are known, by what could be measured.
 
     `paired` stands in the budget where unit and source were pressed by one load at once, `stage` where both carry the
-    stage position.
+    stage position, `shared` where the lot was fitted together.
     """
-    kind = next((name for name in ("paired", "stage") if name in budget), "blind")
+    kind = next((name for name in ("paired", "stage", SHARED) if name in budget), BLIND)
     return LoadKnowledge(kind, getattr(kinds, kind), is_anchored)

@@ -19,6 +19,7 @@ from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.health import OutputLimits
 from softcal.core.unit.knowledge import LoadKnowledge
+from softcal.core.unit.lot_fit import LotFitPart
 from softcal.core.unit.measured_error import Scores
 from softcal.core.unit.method import Method
 from softcal.core.unit.missing import MissingShares
@@ -64,6 +65,7 @@ class Fit:
         reference: what the source is traced to; None where nobody said.
         missing: shares of samples and windows that are missing; None where nothing is.
         load_rms, correction_rms: RMS load above rest of the recording; RMS change that the map makes.
+        lot_fit: its part in the fit of the lot; None where it was mapped by itself.
         fit_s: how long map and forecast took, in s.
         fitted: its arrays; None where units are listed without them.
     """
@@ -92,6 +94,7 @@ class Fit:
     load_rms: float | None = None
     correction_rms: float | None = None
     readout_lag_s: float | None = None
+    lot_fit: LotFitPart | None = None
     fit_s: float | None = None
     fitted: FittedMap | None = None
 
@@ -190,6 +193,7 @@ class SampleRelease:
         day_rmse: error that another day adds to this unit, as golden runs show it.
         audits: which audits it rests on.
         risk, confidence: of the promise.
+        sitting: whose units it speaks for alone; empty where it speaks for any.
         withdrawn: why the statement holds no more; None while it does.
     """
 
@@ -203,6 +207,7 @@ class SampleRelease:
     audits: Reason
     risk: float
     confidence: float
+    sitting: str = ""
     withdrawn: Reason | None = None
 
     def judgement(self, rmse: float, limit: Limit) -> Judgement:

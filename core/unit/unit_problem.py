@@ -14,10 +14,14 @@ from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.bridge import Bridge
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.line_spread import LineSpread
+from softcal.core.unit.lot_fit import LotMap
+from softcal.core.unit.measured_error import MeasuredError
 from softcal.core.unit.rules import rules_in_force
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.verdict import Limit, default_limit
 from softcal.core.words.reason import Reason, reason
+
+LOT_FIT_NUMBERS = ("number", "units", "common_rmse", "unit_rmse")
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,13 +32,15 @@ class UnitProblem:
         source: what `make_source_model` made of the lot's source with the method in force.
         limit: tolerance limit of the lot; None derives one from the source's own error and says so.
         audit: labelled recording of the unit, which decides and fits nothing; None where there is none.
-        own: how the unit's own calibration is trained on its audit, for comparison; None trains none.
+        own: how the unit's own calibration is trained on its audit, for comparison, or the error of one that was; None
+            trains none.
         line: how differently the line presses units, where somebody stated it.
         reference: what the source was compared with; None where nobody said, and nothing is traced to it.
         bridge: the source unit pressed again in the sitting of this unit, where somebody did.
         beside: networks of the lot's other sources, which the unit was compared with (`nearest`).
         rules: identities of the rules of other packages that may hold the unit back; those installed here by default.
         unread_audit: why a file that was brought as its audit cannot be read; "" where none was or it can.
+        lot_map: what the fit of its lot gives it; None where it is mapped by itself.
     """
 
     source: SourceModel
@@ -42,13 +48,14 @@ class UnitProblem:
     limit: Limit | None = None
     anchors: Anchors | None = None
     audit: LabelledRecording | None = None
-    own: NetworkConfig | None = None
+    own: NetworkConfig | MeasuredError | None = None
     line: LineSpread | None = None
     reference: Reference | None = None
     bridge: Bridge | None = None
     beside: tuple[str, ...] = ()
     rules: tuple[str, ...] = field(default_factory=rules_in_force)
     unread_audit: str = ""
+    lot_map: LotMap | None = None
 
     @cached_property
     def fit_id(self) -> str:
@@ -65,6 +72,7 @@ class UnitProblem:
                 "golden": self.bridge and self.bridge.sha256,
                 "reference": self.reference and self.reference.to_json(),
                 "other_networks": sorted(self.beside),
+                "lot_fit": self.lot_map and [self.lot_map.sha256, vars(self.lot_map.part)],
                 # Rules look at the limit and at what was measured.
                 "rules": [*sorted(self.rules), *self._decided_by] if self.rules else [],
             },
@@ -140,12 +148,21 @@ class UnitProblem:
         code = "line.open" if self.line is None else "line.stated"
         return reason(code, share=share, rmse=share * load_rms, unit=self.source.source.reference_unit)
 
+    def lot_fit_reasons(self) -> tuple[Reason, ...]:
+        """Say which fit of the lot the map comes from; nothing where the unit is mapped by itself."""
+        if self.lot_map is None:
+            return ()
+        part, unit = vars(self.lot_map.part), self.source.source.reference_unit
+        return (reason("lot_fit.member", unit=unit, **{name: part[name] for name in LOT_FIT_NUMBERS}),)
+
     def bridge_reasons(self) -> tuple[Reason, ...]:
         """Say what the golden run is worth to the unit; nothing where there is none."""
         if self.bridge is None or self._bridged is None:
             return ()
         if self.crossed is None:
             return (reason("bridge.unused", correlation=self._bridged.synchrony.rank_correlation),)
+        if self.bridge.golden.serial != self.source.source.serial:
+            return (reason("bridge.unit", serial=self.bridge.golden.serial),)
         if not self.bridge.is_measured:
             return (reason("bridge.read"),)
         return (reason("bridge.measured", day=self.bridge.day_rmse, unit=self.bridge.golden.reference_unit),)

@@ -101,6 +101,10 @@ release.promised: units released by sample: {released}; at most {risk:.0%} of th
   {seen}); {any_form}
 release.gains: on average the audited units read {centre:.1%} of the true load; from unit to unit
   this differs by {spread:.1%} (standard deviation)
+release.sitting: units of one sitting share the error of their common load: the audits measure it once, and speak for
+  that sitting alone (audits: {audits}, units of other sittings: {others})
+release.sittings: units of one sitting share the error of their common load: sittings are counted, not units (audits:
+  {audits}, sittings: {sittings}, needed: {least})
 release.days: a part of the limit is kept for changes from day to day, as the golden unit shows them
   (up to {day:.3g} {unit})
 release.common: what the audited units misread alike was taken off every map of the lot, and all
@@ -132,6 +136,8 @@ bridge.measured: fitted to the golden unit's run of its own day; that day change
   unit reads, and the forecast allows for it (by {day:.3g} {unit} RMS)
 bridge.read: fitted to the golden unit's run of its own day, which no load cell measured; how that
   day changes the golden unit is not known
+bridge.unit: fitted to the loads of its sitting, which {serial} was pressed with under the load cell;
+  that run is no audit
 bridge.unused: the golden unit was not pressed at the same times as this unit, so its run was not
   used; press both with one programme from one start (rank correlation {correlation:.2f})
 line.stated: the line presses units differently, as was stated for it; the forecast allows for that
@@ -332,8 +338,17 @@ still: its output stays at one value; press the unit and record it again ({level
 still.shared: its output stays at one value under the loads it shares with the source; check its
   cable, then record it again ({level:.6g} {unit})
 lot_fit.alone: it shares no load in time with other units of the lot; its map is its own
+lot_fit.changes: lot fit {number:d} changes {units}
+part.one_unit: one unit
+part.many_units: {count:d} units
 lot_fit.few: too few share a load in time (units: {count}); each keeps its own map
 lot_fit.known: its load is known better than by other units: its map rests on pairs or known loads
+lot_fit.member: its map comes from lot fit {number:d}: it is paired with the load that {units:d} units share, which is
+  known to {common_rmse:.3g} {unit}; its own part to {unit_rmse:.3g} {unit}
+lot_fit.named: mapped alone: {serial}: {why}
+lot_fit.noisy: its output swings {times:.3g} times as often as those of the units it was pressed with, like noise; its
+  map is its own
+lot_fit.open: lot fit {number:d} would change {units}
 lot_fit.outlier: it was pressed otherwise than the units it was pressed with: once its map is paired with their load,
   {rmse:.3g} {unit} are left, usually {usual:.3g} {unit}; its map is its own
 lot_fit.spread: the units differ more the harder they are pressed, by {share:.1%} of the load: the press differs from

@@ -20,7 +20,8 @@ from softcal.app.batch.audit import audited_sample
 from softcal.app.batch.audit_evidence import AuditReader
 from softcal.app.batch.judging import redecide
 from softcal.app.batch.known import stated_line
-from softcal.app.batch.release import decide_lot, decide_unit, decision_in_force, lot_standing
+from softcal.app.batch.lot_decision import decision_in_force
+from softcal.app.batch.release import decide_lot, decide_unit, lot_standing
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.export.certificates.content import certificate_of
@@ -521,11 +522,11 @@ def test_a_lot_with_a_golden_run_is_fitted_to_it_and_a_wrong_one_stops_the_batch
     (unit,) = batch(folder)["units"]
     assert unit["knowledge"] == "paired"
     assert "bridge.measured" in _codes(registry, "large-00")
-    (golden / "A0.csv").rename(golden / "large-00.csv")
+    (golden / "A0.csv").rename(golden / "nobody.csv")
     assert main(["batch", str(folder), "--registry", registry_url, *SMALL]) == 2
     assert "A0" in capsys.readouterr().err
     shutil.copy(folder / "source/A0.csv", golden / "A0.csv")
-    (golden / "large-00.csv").unlink()
+    (golden / "nobody.csv").unlink()
     assert main(["batch", str(folder), "--registry", registry_url, *SMALL]) == 2
     assert "A0.csv" in capsys.readouterr().err
 

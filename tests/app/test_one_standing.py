@@ -11,7 +11,8 @@ import pandas as pd
 import pytest
 
 from softcal.app.batch.audit import confirmed_audits
-from softcal.app.batch.release import decision_in_force, lot_standing
+from softcal.app.batch.lot_decision import decision_in_force
+from softcal.app.batch.release import lot_standing
 from softcal.app.batch.results import lot_results
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions

@@ -333,3 +333,57 @@ def test_a_forecast_is_multiplied_by_what_audits_measured_of_theirs_and_by_nothi
     blind = release_lot(forecasts, qualify([], [], NOW, "EG", METHOD, units=14), LIMIT, RULES)
     assert blind.forecast_scale == 1.0
     assert all(blind.sample_release(serial, 1) is None for serial in forecasts)
+
+
+def _sample(sittings: dict[str, int], spread: float, seed: int = 0) -> list[AuditedUnit]:
+    """Audited units by sitting: units of one differ little, sittings by their common error."""
+    rng, audits = np.random.default_rng(seed), []
+    for sitting, count in sittings.items():
+        common = np.exp(spread * rng.normal())
+        for _ in range(count):
+            ratio = common * np.exp(0.05 * rng.normal())
+            audits.append(AuditedUnit(f"A{len(audits)}", 0.2, 0.2 * ratio, "lot", sitting))
+    return audits
+
+
+def _decided(audits: list[AuditedUnit], sittings: dict[str, str]):
+    qualified = qualify(audits, [], NOW, "", METHOD)
+    forecasts = dict.fromkeys(sittings, 0.2)
+    return release_lot(forecasts, qualified, LIMIT, RULES, sittings=sittings)
+
+
+def test_audits_of_one_sitting_speak_for_its_units_alone():
+    here, there = {f"U{k}": "one" for k in range(8)}, {"V1": "other", "V2": ""}
+    decided = _decided(_sample({"one": 10}, 0.5), here | there)
+    assert set(decided.released) == set(here) and decided.sampled.sitting == "one"
+    assert "audits: 10, units of other sittings: 2" in str(decided.statement)
+    # A unit of another sitting has no word from them, and a unit that is to come belongs to none yet.
+    assert decided.sample_release("V1", 1) is None and decided.next_unit(1).sitting == "one"
+
+
+def test_sittings_are_counted_where_they_are_what_varies():
+    sittings = {f"U{k}": "third" for k in range(8)}
+    few = _decided(_sample({"one": 6, "two": 6}, 0.1), sittings)
+    assert not few.released and "sittings: 2, needed: 3" in str(few.statement)
+    many = _decided(_sample({f"s{k}": 3 for k in range(8)}, 0.1), sittings)
+    assert set(many.released) == set(sittings) and many.found.ratios.lots == 8
+
+
+def test_the_promise_holds_for_a_sitting_that_nobody_audited():
+    # 24 audited units of six sittings; counted as units alone they would promise what sittings do not keep.
+    beyond, promised = [], 0
+    for seed in range(200):
+        audits = _sample({f"s{k}": 4 for k in range(6)}, 0.4, seed)
+        decided = _decided(audits, {f"U{k}": "new" for k in range(8)})
+        promised += bool(decided.released)
+        true = 0.2 * np.exp(0.4 * np.random.default_rng(1000 + seed).normal())
+        beyond.append(bool(decided.released) and true > LIMIT.maximum_rmse)
+    assert promised > 20 and np.mean(beyond) <= 0.1
+
+
+def test_units_that_share_their_error_with_none_are_released_as_before():
+    audits, sittings = _sample({"": 12}, 0.0), {f"U{k}": "" for k in range(8)}
+    decided = _decided(audits, sittings)
+    assert decided.sampled.reason is None and decided.found == release(
+        dict.fromkeys(sittings, 0.2), qualify(audits, [], NOW, "", METHOD).audits, LIMIT, RULES
+    )

@@ -6,11 +6,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from softcal.core.maps import shared_load
+from softcal.core.maps import common_load
 from softcal.core.maps.catalogue import map_from_arrays
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.interface import FitProblem, map_sha256
-from softcal.core.maps.shared_load import LotFit, compare_sources, fit_lot
+from softcal.core.maps.shared_load import LotFit, fit_lot
+from softcal.core.maps.source_bias import compare_sources
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
@@ -128,6 +129,15 @@ def test_a_unit_that_no_map_brings_to_the_others_stands_alone(source, network):
     assert fit.outliers["U6"].code == "lot_fit.outlier"
 
 
+def test_a_unit_that_swings_like_noise_under_the_common_load_stands_alone(source, network):
+    units = outputs(lot())
+    jitter = 0.05 * np.resize(np.repeat([1.0, -1.0], 5), 3000) * (presses(9, 3000, 60.0) > 0.5)
+    noisy = replace(units[5], output=units[5].output + jitter)
+    fit = fit_lot(source, network, [*units[:5], noisy])
+    assert fit.members == tuple(f"U{k}" for k in range(1, 6))
+    assert fit.outliers["U6"].code == "lot_fit.noisy"
+
+
 @pytest.mark.parametrize("spread", [0.06, 0.12])
 def test_a_press_that_differs_from_unit_to_unit_is_no_shared_load(source, network, spread):
     fit = fit_lot(source, network, outputs(lot(spread)))
@@ -159,8 +169,8 @@ def test_two_units_say_nothing_of_each_other(source, network):
 
 def test_the_cost_is_linear_in_the_units(source, network, monkeypatch):
     calls = []
-    found = shared_load.find_synchrony
-    monkeypatch.setattr(shared_load, "find_synchrony", lambda *args: calls.append(1) or found(*args))
+    found = common_load.find_synchrony
+    monkeypatch.setattr(common_load, "find_synchrony", lambda *args: calls.append(1) or found(*args))
     counts = []
     for count in (10, 20, 30):
         calls.clear()

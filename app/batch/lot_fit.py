@@ -1,0 +1,247 @@
+"""The fit of a lot as an act: units that share a load are mapped by it; numbered, stored, taken back.
+
+It is planned first, and nothing is written. A batch carries out what changes no map that rests on a lot fit already,
+and no unit that a person rolled back; the rest waits for a person.
+"""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import msgspec
+
+from softcal.app.batch.known import KeptFacts, lot_facts, lot_method
+from softcal.app.batch.lot_decision import LotFitDecision, decision_in_force
+from softcal.app.batch.release import decide_lot
+from softcal.app.registry.lot_recordings import source_model, target_serials, unlabelled
+from softcal.app.registry.trimmed import trim_kept
+from softcal.core.errors import InputError
+from softcal.core.maps.common_load import find_groups
+from softcal.core.maps.config import DEFAULT
+from softcal.core.maps.shared_load import LotFit, fit_lot
+from softcal.core.maps.synchrony import find_synchrony
+from softcal.core.recording import OutputRecording
+from softcal.core.unit.calibrate import calibrate
+from softcal.core.unit.knowledge import BLIND, SHARED
+from softcal.core.unit.lot_fit import LotMap
+from softcal.core.unit.source_model import SourceModel
+from softcal.core.unit.state import UnitState
+from softcal.core.words.reason import Reason, reason
+from softcal.db.registry import Registry
+
+DECIDED_BY = "lot fit"
+NAMED = ("lot_fit.outlier", "lot_fit.noisy", "lot_fit.spread", "lot_fit.few", "lot_fit.alone")
+"""Why a unit stands alone that others of the lot disagree with; the last where most share a load."""
+
+
+@dataclass(frozen=True)
+class LotFitPlan:
+    """What a fit of a lot changes; nothing is written yet.
+
+    Args:
+        number: 1, 2, 3 ... of the fits of this lot.
+        states: the changed units as they will be, by serial.
+        open: those of them that a batch leaves as they are.
+        alone: why other units that share a load would stand alone.
+        is_withdrawal: whether every unit gets back the map of its own.
+    """
+
+    lot_id: str
+    number: int
+    states: Mapping[str, UnitState]
+    open: frozenset[str] = frozenset()
+    alone: Mapping[str, Reason] = field(default_factory=dict)
+    is_withdrawal: bool = False
+
+    def for_batch(self) -> "LotFitPlan":
+        """Return the part that a batch carries out."""
+        return replace(self, states={serial: one for serial, one in self.states.items() if serial not in self.open})
+
+    @property
+    def batch_messages(self) -> list[Reason]:
+        """What a batch changed and what it left to a person, and who stands alone."""
+        done = len(self.states) - len(self.open)
+        said = [reason("lot_fit.changes", number=self.number, units=_units(done))] if done else []
+        if self.open:
+            said.append(reason("lot_fit.open", number=self.number + bool(done), units=_units(len(self.open))))
+        return said + self.named
+
+    @property
+    def named(self) -> list[Reason]:
+        """Who shares a load and stands alone, and why."""
+        by_reason: dict[str, list[str]] = {}
+        for serial, why in self.alone.items():
+            by_reason.setdefault(str(why), []).append(serial)
+        return [
+            reason("lot_fit.named", serial=", ".join(serials), why=self.alone[serials[0]])
+            for serials in by_reason.values()
+        ]
+
+    def to_json(self) -> dict[str, object]:
+        """Return the plan as JSON values."""
+        parts = {serial: one.fit.lot_fit and vars(one.fit.lot_fit) for serial, one in self.states.items()}
+        alone = {serial: str(why) for serial, why in self.alone.items()}
+        return {"number": self.number, "units": parts, "open": sorted(self.open), "alone": alone}
+
+
+def plan_lot_fit(registry: Registry, lot_id: str, *, is_withdrawal: bool = False) -> LotFitPlan:
+    """Return what fitting a lot together, or taking its fit back, would change; the maps are fitted, nothing is stored.
+
+    Only units that are mapped by how their output is distributed take part: pairs and known loads say more.
+    """
+    in_force = decision_in_force(registry, lot_id).fit
+    number = in_force.number + 1
+    lot = _Lot(registry, lot_id, number)
+    if is_withdrawal:
+        states = {serial: lot.alone(serial) for serial, one in lot.states.items() if one.fit.lot_fit is not None}
+        return LotFitPlan(lot_id, number, states, is_withdrawal=True)
+    states, alone, is_open = dict[str, UnitState](), dict[str, Reason](), set[str]()
+    for model, targets in lot.by_network():
+        has_groups = any(find_groups(targets, model.method.map))
+        fit = fit_lot(model.source, model.network, targets, model.method.map) if has_groups else LotFit((), {}, {})
+        for group in fit.groups:
+            recordings = [lot.states[serial].fit.recording_sha256 for serial in group.members]
+            maps = {serial: LotMap.from_group(fit.units[serial], group, recordings, number) for serial in group.members}
+            changed = [serial for serial, one in maps.items() if lot.is_changed(serial, one)]
+            states |= {serial: lot.fitted(serial, maps[serial]) for serial in changed}
+            if any(lot.is_held(serial) for serial in changed):
+                is_open.update(changed)
+        # Where few share a load, the others are the rule, and no outliers.
+        named = NAMED if 2 * len(fit.members) > len(targets) else NAMED[:-1]
+        alone |= {serial: why for serial, why in fit.outliers.items() if why.code in named}
+        for target in targets:
+            if lot.states[target.serial].fit.lot_fit is not None and target.serial not in fit.members:
+                states[target.serial] = lot.alone(target.serial)
+                is_open.add(target.serial)
+    if in_force.is_withdrawn:
+        is_open.update(states)
+    return LotFitPlan(lot_id, number, states, frozenset(is_open), alone)
+
+
+def store_lot_fit(registry: Registry, plan: LotFitPlan, actor: str | None = None, why: str = "") -> None:
+    """Put the units of a plan into use, and write the decision down; nothing where the plan changes nothing.
+
+    Raises:
+        InputError: somebody else fitted the lot since it was planned; nothing was changed.
+    """
+    if not plan.states:
+        return
+    with registry.transaction():
+        before = decision_in_force(registry, plan.lot_id)
+        if before.fit.number + 1 != plan.number:
+            raise InputError(f"lot {plan.lot_id}: somebody else fitted it meanwhile; nothing was changed; fit it again")
+        for serial, state in plan.states.items():
+            with trim_kept(registry, plan.lot_id, serial, actor):
+                said = f"lot fit {plan.number}"
+                registry.calibrations.put_state(plan.lot_id, state, DECIDED_BY, actor=actor, reason=said)
+        fit = LotFitDecision(plan.number, _sittings(registry, plan.lot_id), plan.alone, plan.is_withdrawal)
+        registry.decisions.add(
+            plan.lot_id, msgspec.to_builtins(replace(before, fit=fit)), action="fit", actor=actor, reason=why
+        )
+
+
+def make_lot_fit(registry: Registry, plan: LotFitPlan, actor: str | None = None, why: str = "") -> None:
+    """Carry a plan out as a person's act, and decide on the lot with the maps of then."""
+    with registry.transaction():
+        store_lot_fit(registry, plan, actor, why)
+        decide_lot(registry, plan.lot_id, actor)
+
+
+def open_lot_fit(registry: Registry, lot_id: str, recording: OutputRecording) -> Reason | None:
+    """Return how many units the next fit of a lot would change for one that was pressed now; None for none.
+
+    A unit leaves the load that it shared, and joins the one that its new recording shares.
+    """
+    in_force, config, count = decision_in_force(registry, lot_id).fit, lot_method(registry, lot_id).map, 0
+    for sitting in in_force.sittings:
+        others = [serial for serial in sitting if serial != recording.serial]
+        standing = registry.pages.standings(lot_id, others[:1]).get(others[0])
+        if standing is None or standing.summary is None:
+            continue
+        first = unlabelled(registry.recordings.get(standing.summary.state.fit.recording_sha256))
+        joins = find_synchrony(first, recording, config).is_synchronous
+        count += len(others) * (joins or recording.serial in sitting) + joins
+    return reason("lot_fit.open", number=in_force.number + 1, units=_units(count)) if count else None
+
+
+def _units(count: int) -> Reason:
+    return reason("part.one_unit") if count == 1 else reason("part.many_units", count=count)
+
+
+def _sittings(registry: Registry, lot_id: str) -> tuple[tuple[str, ...], ...]:
+    found: dict[str, list[str]] = {}
+    standings = registry.pages.standings(lot_id, target_serials(registry, lot_id), has_stale=True)
+    for serial, standing in standings.items():
+        part = None if standing.summary is None else standing.summary.state.fit.lot_fit
+        if part is not None:
+            found.setdefault(part.sitting, []).append(serial)
+    return tuple(map(tuple, found.values()))
+
+
+class _Lot:
+    """The units of a lot that a fit may change, and what each would be."""
+
+    def __init__(self, registry: Registry, lot_id: str, number: int) -> None:
+        self._registry, self._lot_id, self._number = registry, lot_id, number
+        self._method = lot_method(registry, lot_id)
+        serials = target_serials(registry, lot_id)
+        standings = registry.pages.standings(lot_id, serials, has_stale=True)
+        found = {serial: one.summary.state for serial, one in standings.items() if one.summary is not None}
+        self.states = {serial: state for serial, state in found.items() if self._may_share(state)}
+        self._kept = KeptFacts(registry, lot_id, serials)
+        self._models: dict[str, SourceModel] = {}
+        self._recordings: dict[str, OutputRecording] = {}
+
+    def _may_share(self, state: UnitState) -> bool:
+        fit = state.fit
+        is_guessed = fit.knowledge.kind in (BLIND, SHARED) and not fit.knowledge.is_anchored
+        return is_guessed and fit.method.id == self._method.id and self._method.map.family == DEFAULT
+
+    def by_network(self) -> list[tuple[SourceModel, list[OutputRecording]]]:
+        """Return the units that one network reads, for each network."""
+        networks = dict.fromkeys(state.fit.network_id for state in self.states.values())
+        return [
+            (self._model(one), [self._recording(s) for s, state in self.states.items() if state.fit.network_id == one])
+            for one in networks
+        ]
+
+    def is_changed(self, serial: str, new: LotMap) -> bool:
+        fit = self.states[serial].fit
+        return fit.lot_fit is None or (fit.map_sha256, fit.lot_fit) != (
+            new.sha256,
+            replace(new.part, number=fit.lot_fit.number),
+        )
+
+    def is_held(self, serial: str) -> bool:
+        """Whether only a person may change it: it rests on a lot fit already, or a person rolled it back."""
+        is_fitted = self.states[serial].fit.lot_fit is not None
+        return is_fitted or self._registry.calibrations.was_decided_by("rollback", self._lot_id, serial)
+
+    def alone(self, serial: str) -> UnitState:
+        return self.fitted(serial, None)
+
+    def fitted(self, serial: str, lot_map: LotMap | None) -> UnitState:
+        """Return a unit by a map of the lot fit, or by its own; its audit is scored by that map."""
+        state, start_s = self.states[serial], time.perf_counter()
+        model = self._model(state.fit.network_id)
+        lot, kept = self._registry.lots.get(self._lot_id), self._kept
+        facts = lot_facts(self._registry, lot, [model], None, kept.golden.get(serial, {}).values())
+        (problem,) = facts.problems(self._recording(serial), kept.of(serial))
+        scores = None if state.audit is None else state.audit.scores.own
+        unread = str(state.unreadable_audit.values["error"]) if state.unreadable_audit else ""
+        own = None if scores is None else scores.own
+        # What is known of its audit stays: it is not trained anew.
+        new = calibrate(replace(problem, own=own, unread_audit=unread, lot_map=lot_map, reference=state.fit.reference))
+        seconds = (state.fit.fit_s or 0.0) + time.perf_counter() - start_s
+        return replace(new, fit=replace(new.fit, fit_s=seconds), suspect_audit=state.suspect_audit)
+
+    def _model(self, network_id: str) -> SourceModel:
+        if network_id not in self._models:
+            self._models[network_id] = source_model(self._registry, network_id, self._method)
+        return self._models[network_id]
+
+    def _recording(self, serial: str) -> OutputRecording:
+        if serial not in self._recordings:
+            sha256 = self.states[serial].fit.recording_sha256
+            self._recordings[serial] = unlabelled(self._registry.recordings.get(sha256))
+        return self._recordings[serial]

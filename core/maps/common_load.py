@@ -1,0 +1,325 @@
+"""The load that units share: its weighted mean over time, and every map paired with that of the others."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from softcal.core.maps.affine_map import TWO_POINT
+from softcal.core.maps.choose import ChosenMap, choose_map
+from softcal.core.maps.config import MapConfig, SharedLoadConfig
+from softcal.core.maps.crossing import swings
+from softcal.core.maps.interface import FitProblem, UnitMap
+from softcal.core.maps.monotone import AVERAGED, MONOTONE
+from softcal.core.maps.paired import SHARED_LOAD, STAGE_MATCHED, SYNCHRONOUS, fit_pairs
+from softcal.core.maps.synchrony import NONE, Synchrony, find_synchrony, paired_rows
+from softcal.core.metrics import rms
+from softcal.core.recording import Array, Indices, LabelledRecording, OutputRecording
+from softcal.core.windows import TAPS, evenly
+from softcal.core.words.reason import Reason, reason
+
+
+@dataclass(frozen=True, eq=False)
+class LotUnit:
+    """The part that one unit has in the fit of its lot.
+
+    Args:
+        alone: its map as it is fitted without the lot.
+        unit_map: its map; that of `alone` where the unit stands alone.
+        group: place of its group in `LotFit.groups`; None where it stands alone.
+        weight: in the common load of its group, as a share.
+        moved_rmse: RMS by which its estimates differ from the common load of the others before it was paired with that,
+            in the reference unit: its own map's error, as the others see it.
+        unit_rmse: the same after: standard uncertainty of the unit's own part.
+        reason: why it stands alone; None for a member.
+    """
+
+    alone: ChosenMap
+    unit_map: UnitMap
+    group: int | None = None
+    weight: float = 0.0
+    moved_rmse: float = 0.0
+    unit_rmse: float = 0.0
+    reason: Reason | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class LoadGroup:
+    """Units that were pressed by one load at once.
+
+    Args:
+        members: serials whose maps are paired with the common load, in the order of the lot; none where the load that
+            they seem to share differs from unit to unit.
+        t_s: (n,) time stamps on the clock of its first member.
+        load: (n,) common load in the reference unit.
+        common_rmse: standard uncertainty of the common load: by how the members differ from each other, as the source
+            then does from them, and by what lines and curves differ beyond that. What f misreads alike of all of them
+            is no part of it: an audit or a golden run of their sitting shows that.
+        growth: by how much of the load above rest the paired estimates differ more under load than at rest: what a
+            press that differs from unit to unit leaves.
+    """
+
+    members: tuple[str, ...]
+    t_s: Array
+    load: Array
+    common_rmse: float
+    growth: float
+
+
+class LotMember:
+    """A unit with its own map, and what it has in common with the first of its group."""
+
+    def __init__(self, problem: FitProblem) -> None:
+        self.problem, self.serial = problem, problem.target.serial
+        self.alone = choose_map(problem)
+        self.synchrony: Synchrony = NONE
+        self.line_share = 0.5
+
+    @property
+    def known_better(self) -> Reason | None:
+        """Why its load needs no other unit; None where it does."""
+        known = self.alone.family in (SYNCHRONOUS, STAGE_MATCHED) or self.problem.anchors is not None
+        return reason("lot_fit.known") if known else None
+
+    def at(self, first: OutputRecording) -> tuple[Indices, Indices]:
+        """Return rows of windows of the group's first unit, and of this one, under one load."""
+        return paired_rows(first, self.problem.target, self.synchrony)
+
+    def mapped(self, rows: Indices) -> tuple[Array, Array]:
+        """Return estimate and newest mapped sample of some windows by its own map."""
+        windows, share = self.problem.target.windows[rows], self.line_share
+        if self.is_undecided:
+            line, curve = (self.alone.alternatives[name].apply(windows) for name in (TWO_POINT, MONOTONE))
+            windows = share * line + (1.0 - share) * curve
+        else:
+            windows = self.alone.unit_map.apply(windows)
+        return self.problem.network.evaluate(windows), windows[:, -1]
+
+    @property
+    def is_undecided(self) -> bool:
+        """Whether nothing in its own output tells a bend from a dwell (`fit_averaged`)."""
+        return self.alone.family == AVERAGED
+
+
+def find_groups(
+    targets: Sequence[OutputRecording], config: MapConfig
+) -> Iterator[list[tuple[OutputRecording, Synchrony]]]:
+    """Give units that share a load, each with how its clock stands to the first of them.
+
+    Each unit is compared with the first of a few groups, so that the cost is linear.
+    """
+    left, rules = list(targets), config.shared_load
+    for _ in range(rules.max_groups):
+        if len(left) < rules.min_members:
+            return
+        first, others, left = left[0], left[1:], []
+        group = [(first, Synchrony(0.0, 1.0, 1.0, np.inf, is_synchronous=True))]
+        for one in others:
+            synchrony = find_synchrony(first, one, config)
+            if synchrony.is_synchronous:
+                group.append((one, synchrony))
+            else:
+                left.append(one)
+        if len(group) >= rules.min_members:
+            yield group
+
+
+class SharedLoad:
+    """Units under one load: their common load, their maps paired with it, and those it leaves out."""
+
+    def __init__(self, members: Sequence[LotMember], config: SharedLoadConfig) -> None:
+        self._config, self._first = config, members[0].problem.target
+        count = len(self._first.windows)
+        self._thin = evenly(count, config.instants)
+        self.left: dict[str, Reason] = {}
+        self._members = self._calm(members)
+        self._weights = self._decide_line()
+        # Sums over the units: weight, estimates, mapped samples.
+        self._total = np.stack([np.zeros(count), np.zeros(count), np.zeros(count)])
+        for one, weight in zip(self._members, self._weights, strict=True):
+            rows, values = self._share(one, weight)
+            self._total[:, rows] += values
+        self._pair()
+
+    def _calm(self, members: Sequence[LotMember]) -> list[LotMember]:
+        """Leave out members that swing far more often than the others under one load: what they show is no press."""
+        maps = members[0].problem.config
+        rates = [swings(one.problem.target, maps.crossing) / len(one.problem.target) for one in members]
+        usual = float(np.median(rates))
+        for one, rate in zip(members, rates, strict=True):
+            if rate > maps.choice.unlike_rate * usual > 0:
+                self.left[one.serial] = reason("lot_fit.noisy", times=rate / usual)
+        return [one for one in members if one.serial not in self.left]
+
+    def _share(self, one: LotMember, weight: float) -> tuple[Indices, Array]:
+        """Return the rows a unit adds to, and what it adds: weight, weighted estimates, weighted mapped samples."""
+        rows, own = one.at(self._first)
+        return rows, weight * np.stack([np.ones(len(rows)), *one.mapped(own)])
+
+    def _decide_line(self) -> Array:
+        """Settle how far the lines through rest and peak are believed beside the curves of equal quantiles.
+
+        A line errs by the bend of its unit, a curve by the dwell of the programme. Bends differ from unit to unit:
+        their variance s^2 is that of the lines over the units, and the mean of lines errs by that of the source and of
+        n units, s^2 (1 + 1 / n). A dwell is common to all. Of the mean square D^2 between the common loads by lines
+        and by curves it is what the bends do not explain. Lines count 1 - s^2 (1 + 1 / n) / D^2 (empirical Bayes,
+        Efron and Morris 1973), and never less than the half that a unit alone gives them.
+
+        Returns:
+            (units,) weights in the common load.
+        """
+        undecided = [one for one in self._members if one.is_undecided]
+        loads = []
+        for share in (0.0, 1.0):
+            for one in undecided:
+                one.line_share = share
+            estimates = self._estimates()
+            weights = self._weighed(estimates)
+            loads.append(_mean(estimates, weights))
+        if not undecided:
+            self.common_rmse = float(np.sqrt(weights**2 @ _mean_square(estimates - loads[1])))
+            return weights
+        apart = float(np.nanmean((loads[1] - loads[0]) ** 2))
+        bend = float(np.nanmean((estimates - loads[1]) ** 2)) * (1.0 + 1.0 / len(self._members))
+        share = max(0.5, 1.0 - bend / max(apart, 1e-300))
+        for one in undecided:
+            one.line_share = share
+        # Errors of lines and curves have different causes.
+        dwell = max(apart - bend, bend)
+        self.common_rmse = float(np.hypot(share * bend**0.5, (1.0 - share) * dwell**0.5))
+        return self._weighed(self._estimates())
+
+    def _estimates(self) -> Array:
+        """Return the estimates of every unit by its own map at some instants: (units, instants), NaN where none is."""
+        estimates = np.full((len(self._members), len(self._thin)), np.nan)
+        for k, one in enumerate(self._members):
+            rows, own = one.at(self._first)
+            place = np.minimum(np.searchsorted(rows, self._thin), len(rows) - 1)
+            is_seen = rows[place] == self._thin
+            estimates[k, is_seen] = one.mapped(own[place[is_seen]])[0]
+        return estimates
+
+    def _weighed(self, estimates: Array) -> Array:
+        """Return the weights of the units in the common load, from how far each is from the others'.
+
+        w_i = 1 / (s^2 + d_i^2), with d_i the distance and s its median: the weights of a Student t location estimate
+        (Lange, Little and Taylor 1989). A unit that errs much counts little.
+        """
+        is_seen = np.isfinite(estimates)
+        weights, filled = np.ones(len(estimates)), np.where(is_seen, estimates, 0.0)
+        for _ in range(self._config.rounds):
+            total, sums = weights @ is_seen, weights @ filled
+            # A unit is held against the others alone: with few units it would else be its own witness.
+            others = (total - weights[:, None] * is_seen), (sums - weights[:, None] * filled)
+            distance = np.where(is_seen & (others[0] > 0), filled - others[1] / np.maximum(others[0], 1e-300), np.nan)
+            apart = np.sqrt(_mean_square(distance))
+            fresh = 1.0 / (np.median(apart) ** 2 + apart**2 + 1e-300)
+            fresh *= len(estimates) / fresh.sum()
+            is_settled = np.max(np.abs(fresh - weights)) < self._config.settled
+            weights = fresh
+            if is_settled:
+                break
+        return np.asarray(weights / weights.sum())
+
+    def _others(self, one: LotMember, weight: float) -> LabelledRecording:
+        """Return the common load of the other units: their mean mapped samples, and their mean estimates beside."""
+        rows, own = self._share(one, weight)
+        total = self._total.copy()
+        total[:, rows] -= own
+        seen = np.flatnonzero(total[0] > self._config.min_share)
+        at = self._first.window_rows[seen]
+        output = OutputRecording(
+            "common",
+            self._first.t_s[at],
+            total[2, seen] / total[0, seen],
+            self._first.sample_rate_Hz,
+            one.problem.source.unlabelled.output_unit,
+        )
+        return LabelledRecording(output, total[1, seen] / total[0, seen], one.problem.source.reference_unit)
+
+    def _pair(self) -> None:
+        self._maps, self._apart, bins = {}, {}, []
+        for one, weight in zip(self._members, self._weights, strict=True):
+            common = self._others(one, weight)
+            problem = FitProblem(common, one.problem.network, one.problem.target, config=one.problem.config)
+            known, own = paired_rows(common.unlabelled, problem.target, one.synchrony)
+            if len(own) < one.problem.config.pairs.blocks * TAPS:
+                self.left[one.serial] = reason("lot_fit.alone")
+                continue
+            unit_map = fit_pairs(problem, known, own, SHARED_LOAD)
+            rows = evenly(len(own), self._config.instants)
+            load = common.window_reference[known[rows]]
+            windows = problem.target.windows[own[rows]]
+            before, after = (
+                problem.network.evaluate(each.apply(windows)) - load for each in (one.alone.unit_map, unit_map)
+            )
+            self._maps[one.serial] = unit_map
+            self._apart[one.serial] = rms(before), rms(after)
+            bins.append(_by_load(load, after, self._config.bands))
+        left = [rest for _, rest in self._apart.values()]
+        usual = float(np.median(left)) if left else 0.0
+        for serial, (_, rest) in self._apart.items():
+            if rest > self._config.outlying * usual:
+                self.left[serial] = reason("lot_fit.outlier", rmse=rest, usual=usual, unit=self._unit)
+        self.growth = _growth(np.median(np.stack(bins), axis=0)) if bins else 0.0
+
+    @property
+    def _unit(self) -> str:
+        return self._members[0].problem.source.reference_unit
+
+    @cached_property
+    def reason(self) -> Reason | None:
+        """Why the maps are not paired with the common load; None where they are."""
+        inside = [serial for serial in self._maps if serial not in self.left]
+        why = None
+        if self.growth > self._config.max_growth:
+            why = reason("lot_fit.spread", share=self.growth)
+        elif len(inside) < self._config.min_members:
+            why = reason("lot_fit.few", count=len(inside))
+        if why is not None:
+            self.left |= {serial: why for serial in inside}
+        return why
+
+    def fitted(self, group: int) -> dict[str, LotUnit]:
+        """Return the units whose maps are paired with the common load."""
+        by_serial = {one.serial: (one, float(w)) for one, w in zip(self._members, self._weights, strict=True)}
+        return {
+            serial: LotUnit(by_serial[serial][0].alone, unit_map, group, by_serial[serial][1], *self._apart[serial])
+            for serial, unit_map in self._maps.items()
+            if serial not in self.left
+        }
+
+    @property
+    def summary(self) -> LoadGroup:
+        """What the group has in common."""
+        seen = np.flatnonzero(self._total[0] > self._config.min_share)
+        at = self._first.window_rows[seen]
+        members = tuple(serial for serial in self._maps if serial not in self.left)
+        load = self._total[1, seen] / self._total[0, seen]
+        return LoadGroup(members, self._first.t_s[at], load, self.common_rmse, self.growth)
+
+
+def _mean_square(apart: Array) -> Array:
+    return np.asarray(np.nanmean(apart**2, axis=1))
+
+
+def _mean(estimates: Array, weights: Array) -> Array:
+    is_seen = np.isfinite(estimates)
+    return np.asarray(weights @ np.where(is_seen, estimates, 0.0) / np.maximum(weights @ is_seen, 1e-300))
+
+
+def _by_load(load: Array, apart: Array, bands: int) -> Array:
+    """Return mean load above rest and mean square difference in bands of equally many rows: (2, bands)."""
+    order = np.array_split(np.argsort(load, kind="stable"), bands)
+    lowest = float(np.mean(load[order[0]]))
+    return np.array([[np.mean(load[rows]) - lowest for rows in order], [np.mean(apart[rows] ** 2) for rows in order]])
+
+
+def _growth(bands: Array) -> float:
+    """Return b of the mean square difference a^2 + b^2 load^2: the part of it that grows with the load."""
+    load, square = bands
+    design = np.stack([np.ones_like(load), load**2], axis=1)
+    from scipy.optimize import nnls
+
+    return float(np.sqrt(nnls(design, square)[0][1]))

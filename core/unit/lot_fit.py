@@ -1,0 +1,60 @@
+"""What the fit of a lot gives one unit: a map that is paired with the load of the others, and what that rests on."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from softcal.core.identity import content_sha256
+from softcal.core.maps.choose import ChosenMap
+from softcal.core.maps.common_load import LoadGroup, LotUnit
+from softcal.core.maps.interface import map_sha256
+
+
+@dataclass(frozen=True, kw_only=True)
+class LotFitPart:
+    """The part of a unit in the fit of its lot. Uncertainties are standard ones, in the reference unit.
+
+    Args:
+        number: 1, 2, 3 ... of the fits of this lot.
+        sitting: content hash of the recordings that were pressed by one load at once.
+        units: how many these are.
+        common_rmse: uncertainty of the load that all of them share: one error for every unit of the sitting.
+        unit_rmse: uncertainty of the unit's own part.
+    """
+
+    number: int
+    sitting: str
+    units: int
+    common_rmse: float
+    unit_rmse: float
+
+
+@dataclass(frozen=True, eq=False)
+class LotMap:
+    """The map that the fit of a lot gives one unit."""
+
+    unit: LotUnit
+    part: LotFitPart
+
+    @property
+    def sha256(self) -> str:
+        """Content hash of the map."""
+        return map_sha256(self.unit.unit_map)
+
+    @property
+    def chosen(self) -> ChosenMap:
+        """The map as the choice of a unit: what it might have been alone stands beside it."""
+        alone, why = self.unit.alone, "paired with the load that units of its lot share"
+        alternatives = {alone.family: alone.unit_map, **alone.alternatives}
+        return ChosenMap(self.unit.unit_map, {"decision": why, "moved_rmse": self.unit.moved_rmse}, alternatives)
+
+    @classmethod
+    def from_group(cls, unit: LotUnit, group: LoadGroup, recordings: Sequence[str], number: int) -> "LotMap":
+        """Return the map of a member of a group; `recordings` are the hashes of what was pressed together."""
+        part = LotFitPart(
+            number=number,
+            sitting=content_sha256({}, {"recordings": sorted(recordings)}),
+            units=len(group.members),
+            common_rmse=group.common_rmse,
+            unit_rmse=unit.unit_rmse,
+        )
+        return cls(unit, part)
