@@ -53,29 +53,24 @@ FIRST_NUMBER = "[data-testid=stMetricValue] >> nth=1"
 EMPTY = 'import streamlit as st\nst.html("<b class=sc-word>READY</b>")\n'
 PAGES = (
     ("line", "line", ".sc-word", "the word of the state"),
-    ("lot", f"lot?lot={LOT}", HEADLINE, "first-pass yield"),
-    ("lot", f"lot?lot={LOT}", ".js-plotly-plot >> nth=2", "control chart"),
-    ("lot", f"lot?lot={LOT}", "[data-testid=stDataFrame] >> nth=-1", "table of units"),
+    ("lot", f"lot?lot={LOT}", HEADLINE, "the next step"),
+    ("lot, units", f"lot?lot={LOT}&tab=units", ".js-plotly-plot >> nth=0", "control chart"),
+    ("lot, units", f"lot?lot={LOT}&tab=units", "[data-testid=stDataFrame] >> nth=-1", "table of units"),
     ("unit", f"unit?unit={LOT}/{UNIT}", "span[role=status]", "verdict"),
     ("unit", f"unit?unit={LOT}/{UNIT}", ".js-plotly-plot >> nth=0", "why this verdict"),
-    (
-        "long-term",
-        "long_term",
-        "[data-testid=stTable], [data-testid=stDataFrame], [data-testid=stAlert]",
-        "units in use",
-    ),
-    ("source", f"source?lot={LOT}", "text=Press the source unit >> nth=0", "what to press"),
-    ("networks", f"networks?lot={LOT}", HEADLINE, "error of the network in use"),
-    ("limits", f"limits?lot={LOT}", HEADLINE, "the limit"),
+    ("unit, history", f"unit?unit={LOT}/{UNIT}&tab=history", "[data-testid=stTable]", "its revisions"),
+    ("source", f"lots?tab=rig&lot={LOT}", "text=Press the source unit >> nth=0", "what to press"),
+    ("networks", f"lot?lot={LOT}&tab=networks", HEADLINE, "error of the network in use"),
+    ("limits", f"lot?lot={LOT}&tab=limits", HEADLINE, "the limit"),
     ("gap", "gap", "[data-testid=stExpander]", "how to begin"),
     ("station", "station", "[data-testid=stButton]", "what it can be told"),
-    ("profiles", "profiles", FIRST_NUMBER, "its numbers"),
-    ("load cells", "load_cells", "[data-testid=stForm]", "the form"),
-    ("sign in", "sign_in", "[data-testid=stButton]", "who is signed in"),
+    ("profiles", "station?tab=profiles", FIRST_NUMBER, "its numbers"),
+    ("load cells", "station?tab=cells", "[data-testid=stForm]", "the form"),
+    ("sign in", "settings", "[data-testid=stButton]", "who is signed in"),
 )
 PAGES_OF_QUALITY = (
-    ("people", "people", "[data-testid=stTable]", "table of people"),
-    ("audit trail", "audit_trail", "[data-testid=stDataFrame]", "newest rows"),
+    ("people", "settings?tab=people", "[data-testid=stTable]", "table of people"),
+    ("audit trail", "settings?tab=audit_trail", "[data-testid=stDataFrame]", "newest rows"),
 )
 
 

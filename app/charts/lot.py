@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from softcal.app.charts import style
-from softcal.app.charts.palette import Palette
+from softcal.app.charts.palette import VERDICT_HATCH, VERDICT_INK, VERDICT_MARK, Palette
 from softcal.app.texts.reasons import Words, plainly
 from softcal.app.views.common import far_end
 from softcal.app.views.lot import LotView, ProcessView
@@ -35,8 +35,12 @@ def predicted_errors(view: LotView, colours: Palette, words: Words) -> go.Figure
     for verdict, colour in colours.verdict.items():
         counts, _ = np.histogram(np.minimum(view.predicted(verdict), top), edges)
         if counts.any():
-            name = words(f"verdict.{verdict}")
-            figure.add_bar(x=edges[:-1], y=counts, width=edges[1], offset=0, name=name, marker_color=colour)
+            name, hatch = f"{VERDICT_MARK[verdict]} {words(f'verdict.{verdict}')}", VERDICT_HATCH[verdict]
+            look = {
+                "color": colour,
+                "pattern": {"shape": hatch, "solidity": 0.2, "fillmode": "overlay", "fgcolor": VERDICT_INK},
+            }
+            figure.add_bar(x=edges[:-1], y=counts, width=edges[1], offset=0, name=name, marker=look)
     figure.update_layout(barmode="stack")
     style.whole_numbers(figure, float(np.histogram(np.minimum(every, top), edges)[0].max(initial=0)))
     # Without a step of their own the ticks would follow the bars, at odd numbers.

@@ -1,4 +1,4 @@
-"""Why a unit's verdict is what it is: one figure of four panels, on a screen or a page."""
+"""Why a unit's verdict is what it is: one figure, on a screen or a page."""
 
 import textwrap
 from collections.abc import Mapping
@@ -10,15 +10,17 @@ import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 from plotly.subplots import make_subplots
 
-from softcal.app.charts.palette import Palette, palette
-from softcal.app.charts.style import coloured, dots, steps
+from softcal.app.charts.palette import VERDICT_MARK, Palette, palette
+from softcal.app.charts.style import coloured, dots
 from softcal.app.files.atomic import write_text
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import Words, phrase, said
-from softcal.app.views.common import thinned
+from softcal.app.views.audited import AuditTrace
+from softcal.app.views.common import number, thinned
 from softcal.app.views.unit import UnitView, unit_view
 from softcal.core.errors import InputError
 from softcal.core.lot import UnitKey
+from softcal.core.unit.explanation import contributions
 from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
 from softcal.core.unit.verdict import Judgement
 from softcal.db.registry import Registry
@@ -30,85 +32,114 @@ HEIGHT = 860
 WIDTH = 150
 """Characters of a line of reasons."""
 
-TITLE = 34
-"""Characters of a line above a panel: two panels stand side by side on 800 px."""
-
 MOST_REASONS = 5
-PARTS, LOADS, INTERVAL, TIME = ({"row": row, "col": column} for row in (1, 2) for column in (1, 2))
+POINTS = 1500
+"""Dots of one panel."""
+
+MIN_SHARE = 0.002
+"""Parts of the forecast below this share of the limit are left out."""
+
+PANELS = FIRST, SECOND, THIRD, FOURTH = tuple({"row": row, "col": column} for row in (1, 2) for column in (1, 2))
 
 
 def why_figure(view: UnitView, colours: Palette, words: Words) -> go.Figure:
-    """Draw verdict and reasons above four panels.
-
-    The first shows what the predicted error is made of, with its 95 % interval and the limit; the
-    second how the unit's loads are distributed with and without its map, beside the source's; the
-    third the half width of the 90 % interval by load and direction over the source's; the last the
-    estimate over time, where windows unlike any of the source are marked.
-    """
-    named = [words(f"why.{name}") for name in ("parts", "loads", "interval", "time")]
-    titles = ["<br>".join(textwrap.wrap(title, TITLE)) for title in named]
-    figure = make_subplots(rows=2, cols=2, subplot_titles=titles, horizontal_spacing=0.1, vertical_spacing=0.14)
-    explanation, unit = view.explanation, view.lot.reference_unit
-    load = f"{view.lot.reference_quantity} [{unit}]"
-
-    parts = list(explanation.contributions.items())[::-1]
-    names, values = [phrase("part", name, words) for name, _ in parts], [value for _, value in parts]
-    figure.add_bar(x=values, y=names, orientation="h", marker_color=colours.source, showlegend=False, **PARTS)
-    end = max(0.0, *values, *(explanation.forecast or ()), explanation.limit or 0.0)
-    if explanation.forecast is not None:
-        low, middle, high = explanation.forecast
-        spread = {"type": "data", "symmetric": False, "array": [high - middle], "arrayminus": [middle - low]}
-        name = words("column.predicted")
-        dots(figure, [middle], [name], colours.mapped, name, 12, symbol="diamond", error_x=spread, **PARTS)
-    if explanation.limit is not None:
-        figure.add_vline(explanation.limit, line={"color": colours.limit, "width": 2}, **PARTS)
-        _key(figure, PARTS, words("chart.limit"), colours.limit, "solid")
-    _titled(figure, PARTS, f"{words('chart.error')} [{unit}]", "")
-    # Room behind the last of them, so that the line of the limit stands inside.
-    figure.update_xaxes(range=[0.0, 1.05 * end or 1.0], **PARTS)
-
-    for name, density, colour, dash in (
-        (words("chart.source"), explanation.source_density, colours.source, "solid"),
-        (words("chart.mapped"), explanation.mapped_density, colours.mapped, "solid"),
-        (words("chart.raw"), explanation.unmapped_density, colours.raw, "dot"),
-    ):
-        line = {"color": colour, "width": 2, "shape": "hv", "dash": dash}
-        figure.add_scatter(x=explanation.density_edges, y=steps(density), name=name, line=line, **LOADS)
-    _titled(figure, LOADS, load, words("chart.density"))
-
-    for k, direction in enumerate(explanation.directions):
-        dash = ("solid", "dash", "dot")[k % 3]
-        for half_width, colour, width in (
-            (explanation.source_half_width[k], colours.source, 1.5),
-            (explanation.half_width[k], colours.mapped, 2.5),
-        ):
-            line = {"color": colour, "dash": dash, "width": width}
-            figure.add_scatter(x=explanation.levels, y=half_width, line=line, showlegend=False, **INTERVAL)
-        _key(figure, INTERVAL, words(f"chart.{direction}"), colours.text, dash)
-    _titled(figure, INTERVAL, load, f"± [{unit}]")
-    figure.update_yaxes(rangemode="tozero", **INTERVAL)
-
-    t_s, estimate, at = explanation.t_s, explanation.estimate, thinned(explanation.t_s)
-    line = {"color": colours.mapped, "width": 1.2}
-    figure.add_scatter(x=t_s[at], y=estimate[at], line=line, name=words("chart.estimate"), **TIME)
-    strange = np.flatnonzero(explanation.distance > explanation.familiar_distance)
-    if len(strange):
-        rows = strange[thinned(strange)]
-        dots(figure, t_s[rows], estimate[rows], colours.limit, words("why.unfamiliar"), 5, **TIME)
-    _titled(figure, TIME, words("chart.time"), load)
-
-    coloured(figure, colours, HEIGHT)
+    """Draw verdict and reasons above the measurement where one decided, else above the parts of the forecast."""
+    audit = view.audit
+    names = (("parts",),) if audit is None else (("estimate", "error"), ("course", "loop"))
+    titles = [words(f"why.{name}") for row in names for name in row]
+    shape, gaps = {"rows": len(names), "cols": len(names[0])}, {"horizontal_spacing": 0.1, "vertical_spacing": 0.14}
+    figure = make_subplots(**shape, subplot_titles=titles, **gaps)
+    if audit is None:
+        _draw_forecast(figure, view, colours, words)
+    else:
+        _draw_measurement(figure, view, audit, colours, words)
+    height = HEIGHT if audit is not None else HEIGHT // 2
+    coloured(figure, colours, height)
+    # A legend of its own inside each panel: one for all would be cut off in a narrow window.
+    for k, panel in enumerate(PANELS[: len(titles)], 1):
+        figure.for_each_trace(lambda trace, k=k: trace.update(legend=_numbered("legend", k)), **panel)
+        x, y = (figure.layout[_numbered(axis, k)].domain for axis in ("xaxis", "yaxis"))
+        place = {"x": x[0] + 0.01, "xanchor": "left", "y": y[1] - 0.01, "yanchor": "top"}
+        if audit is None:
+            # The bars are at the left, the limit at the right end.
+            place["x"] = x[0] + 0.6 * (x[1] - x[0])
+        look = {"bgcolor": colours.veil, "font": {"size": 11}, "xref": "paper", "yref": "paper", "orientation": "v"}
+        figure.update_layout({_numbered("legend", k): {**place, **look}})
     decision = view.stored.state.decision
-    badge = f"<b style='color:{colours.verdict[decision.verdict]}'>{words(f'verdict.{decision.verdict}')}</b>"
+    badge = f"<b>{VERDICT_MARK[decision.verdict]} {words(f'verdict.{decision.verdict}')}</b>"
     head = [f"<b>{view.calibration.serial}</b>  {badge}  {view.calibration.unit_map.family}"]
     for reason in decision.reasons[:MOST_REASONS]:
         head += textwrap.wrap(f"• {said(reason, words)}", WIDTH)
-    return figure.update_layout(
+    return figure.update_annotations(font_size=14).update_layout(
         title={"text": "<br>".join(head), "x": 0.01, "y": 1, "yanchor": "top", "pad": {"t": 16}, "font": {"size": 14}},
-        margin={"t": 60 + 21 * len(head), "l": 110, "r": 24, "b": 70},
-        height=HEIGHT + 21 * len(head),
-        legend={"orientation": "h", "y": -0.08, "yanchor": "top", "x": 0},
+        margin={"t": 60 + 21 * len(head), "l": 110, "r": 24, "b": 60},
+        height=height + 21 * len(head),
     )
+
+
+def _numbered(name: str, number: int) -> str:
+    return name if number == 1 else f"{name}{number}"
+
+
+def _draw_measurement(figure: go.Figure, view: UnitView, audit: AuditTrace, colours: Palette, words: Words) -> None:
+    """Draw estimate over reference, error over load and over time, each with the limit, and the loop."""
+    unit, limit = view.lot.reference_unit, view.stored.state.limit.maximum_rmse
+    load = f"{view.lot.reference_quantity} [{unit}]"
+    at, error = thinned(audit.reference, POINTS), audit.estimate - audit.reference
+    ends = np.array([audit.reference.min(), audit.reference.max()])
+    x = np.concatenate([ends, ends[::-1]])
+    band = {"fill": "toself", "fillcolor": colours.band, "line": {"width": 0}, "mode": "lines", "hoverinfo": "skip"}
+    name = words("chart.limit.both", limit=number(limit, unit, limit))
+    figure.add_scatter(x=x, y=np.concatenate([ends + limit, (ends - limit)[::-1]]), name=name, **band, **FIRST)
+    dots(figure, audit.reference[at], audit.estimate[at], colours.mapped, words("chart.estimate"), 3, **FIRST)
+    _titled(figure, FIRST, f"{words('chart.reference')}: {load}", f"{words('chart.estimate')} [{unit}]")
+    for panel, abscissa, title in (
+        (SECOND, audit.reference, load),
+        (THIRD, audit.t_s, words("chart.time")),
+    ):
+        dots(figure, abscissa[at], error[at], colours.mapped, words("why.difference"), 3, **panel)
+        _key(figure, panel, name, colours.limit, "dash")
+        for level in (-limit, limit):
+            figure.add_hline(level, line={"color": colours.limit, "width": 1.5, "dash": "dash"}, **panel)
+        _titled(figure, panel, title, f"{words('chart.error')} [{unit}]")
+    source = view.source
+    for reference, output, colour, key in (
+        (source.reference, source.unlabelled.output, colours.source, "chart.source"),
+        (audit.reference, audit.output, colours.raw, "chart.raw"),
+    ):
+        rows = thinned(reference, POINTS)
+        dots(figure, reference[rows], output[rows], colour, words(key), 3, **FOURTH)
+    _titled(figure, FOURTH, load, f"{words('chart.output')} [{view.lot.output_unit}]")
+
+
+def _draw_forecast(figure: go.Figure, view: UnitView, colours: Palette, words: Words) -> None:
+    """Draw the parts of the predicted error: they add in quadrature, so that each begins where those before it end."""
+    state, unit = view.stored.state, view.lot.reference_unit
+    forecast, limit = state.forecast, state.limit.maximum_rmse
+    parts = [(name, value) for name, value in contributions(state.fit).items() if value >= MIN_SHARE * limit]
+    levels = np.sqrt(np.cumsum([value**2 for _, value in parts])) if parts else np.zeros(0)
+    starts = np.concatenate([[0.0], levels[:-1]])
+    figure.add_bar(
+        x=levels - starts,
+        base=starts,
+        y=[phrase("part", name, words) for name, _ in parts],
+        orientation="h",
+        marker_color=colours.source,
+        customdata=[(number(value, unit, limit), phrase("why.part", name, words)) for name, value in parts],
+        hovertemplate="%{y}: %{customdata[0]}<br>%{customdata[1]}<extra></extra>",
+        showlegend=False,
+        **FIRST,
+    )
+    above, below = forecast.upper - forecast.rmse, forecast.rmse - forecast.lower
+    spread = {"type": "data", "symmetric": False, "array": [above], "arrayminus": [below]}
+    name = words("column.predicted")
+    dots(figure, [forecast.rmse], [name], colours.mapped, name, 12, symbol="diamond", error_x=spread, **FIRST)
+    figure.add_vline(limit, line={"color": colours.limit, "width": 2}, **FIRST)
+    _key(figure, FIRST, words("chart.limit.named", limit=number(limit, unit, limit)), colours.limit, "solid")
+    _titled(figure, FIRST, f"{words('chart.error')} [{unit}]", "")
+    # Room behind the last of them, so that the line of the limit stands inside.
+    figure.update_xaxes(range=[0.0, 1.05 * max(forecast.upper, limit)], **FIRST)
+    figure.update_yaxes(autorange="reversed", **FIRST)
 
 
 def _key(figure: go.Figure, place: Mapping[str, int], name: str, colour: str, dash: str) -> None:
@@ -146,9 +177,8 @@ def why_page(view: UnitView, script: bool | str) -> str:
 
 def why_json(view: UnitView) -> dict[str, object]:
     """Return the numbers behind the verdict as JSON values: schema `softcal.explain/1`."""
-    explanation, state = view.explanation, view.stored.state
-    decision, fit = state.decision, state.fit
-    low, middle, high = explanation.forecast
+    state = view.stored.state
+    decision, fit, forecast = state.decision, state.fit, state.forecast
     return {
         "schema": "softcal.explain/1",
         "serial": view.calibration.serial,
@@ -159,10 +189,10 @@ def why_json(view: UnitView) -> dict[str, object]:
         "reasons": [str(why) for why in decision.reasons],
         "knowledge": str(state.knowledge),
         "method": {"id": fit.method.id, "numbers": dict(fit.method.to_json())},
-        "predicted_rmse": middle,
-        "predicted_interval": [low, high],
-        "limit_rmse": explanation.limit,
-        "contributions": dict(explanation.contributions),
+        "predicted_rmse": forecast.rmse,
+        "predicted_interval": [forecast.lower, forecast.upper],
+        "limit_rmse": state.limit.maximum_rmse,
+        "contributions": contributions(fit),
         "fit": {name: value for name, value in fit_to_json(fit).content.items() if name != "fitted"},
         "state": adjustments_to_json(state),
     }

@@ -27,6 +27,7 @@ def run(options: argparse.Namespace) -> None:
     from softcal.app.charts.why import explain_unit, why_json
     from softcal.app.registry.standing import standing_of
     from softcal.app.views.unit import unit_view
+    from softcal.core.unit.explanation import contributions
     from softcal.core.unit.method import Method
     from softcal.core.words.reason import joined
 
@@ -59,5 +60,5 @@ def run(options: argparse.Namespace) -> None:
     if options.json != "-" or options.csv:
         state = view.stored.state
         print_reasons(f"{options.serial} {state.verdict} ({state.knowledge})", state.decision.reasons)
-        rows = [[name, value] for name, value in view.explanation.contributions.items()]
+        rows = [[name, value] for name, value in contributions(view.stored.state.fit).items()]
         print_table(("part of the predicted error", view.lot.reference_unit), rows)

@@ -18,6 +18,9 @@ THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THR
 DEMO = "demo"
 """Name of the demo's lot."""
 
+SIMULATED = "simulated-1"
+"""Name of the simulated station that a page starts."""
+
 
 def start_job(registry: Registry, kind: str, request: Mapping[str, Any], actor: str) -> str:
     """Write a job down, start its process and return its id."""

@@ -4,11 +4,12 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from datetime import datetime, tzinfo
+from html import escape
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import streamlit as st
 
-from softcal.app.charts.palette import Palette, palette
+from softcal.app.charts.palette import VERDICT_INK, VERDICT_MARK, Palette, palette
 from softcal.app.logs import log_crash
 from softcal.app.texts import catalogue
 from softcal.app.texts.catalogue import LANGUAGES, words_in
@@ -145,14 +146,19 @@ def empty(key: str, how: str = "") -> None:
     st.info(how or say(f"{key}.how"), icon=":material/inbox:", title=say(key))
 
 
-def verdict_badge(verdict: str | None) -> None:
-    """Show a verdict by colour, mark and word."""
+def verdict_word(verdict: str | None) -> str:
+    """Return a verdict as its mark and its word."""
     name = verdict or "none"
-    mark = {"pass": "✓", "conditional": "!", "fail": "✕", "retest": "↻", "none": "–"}[name]
+    return f"{VERDICT_MARK[name]} {say(f'verdict.{name}')}"
+
+
+def verdict_badge(verdict: str | None, beside: str = "") -> None:
+    """Show a verdict by colour, mark and word, and some words beside it."""
+    name = verdict or "none"
     ground = colours().verdict[name]
     st.html(
-        f'<span role="status" style="background:{ground};color:#fff;border-radius:8px;padding:6px 16px;'
-        f'font-size:22px;font-weight:700;white-space:nowrap">{mark} {say(f"verdict.{name}")}</span>'
+        f'<span role="status" style="background:{ground};color:{VERDICT_INK};border-radius:8px;padding:6px 16px;'
+        f'font-size:22px;font-weight:700;white-space:nowrap">{verdict_word(name)}</span> &nbsp; <b>{escape(beside)}</b>'
     )
 
 

@@ -1,15 +1,16 @@
-"""Entry of the Streamlit application: which pages there are for whom, nothing else."""
+"""Entry of the Streamlit application: the bar and the pages, nothing else."""
 
+from functools import partial
 from pathlib import Path
 
 import streamlit as st
 from streamlit.navigation.page import Page as StreamlitPage
 
-from softcal.app.jobs.process import DEMO
-from softcal.app.ui.account import is_signed_in, person
 from softcal.app.ui.browser_memory import keep, screen
+from softcal.app.ui.components.bar import draw_bar
 from softcal.app.ui.desk import errors_in_words, in_one_language, readable, say
-from softcal.app.ui.pages import pages_for
+from softcal.app.ui.pages import MOVED, PAGES, moved
+from softcal.app.ui.panels import go_to
 from softcal.app.ui.server_memory import registry
 
 # A file of our own: a named icon would be fetched from outside.
@@ -21,6 +22,18 @@ LIVENESS = Path(__file__).with_name("liveness.js").read_text(encoding="utf-8")
 HEALTH = "/_stcore/health"
 
 
+def _home() -> None:
+    """Open what the person works with: a line without a station has nothing to do."""
+    has_line = screen().station or registry().order_queue.stations()
+    go_to("line" if has_line else "lots")
+
+
+def _moved(address: str) -> None:
+    """Open what an address that was is called now."""
+    page, query = moved(address, {name: st.query_params.get_all(name) for name in st.query_params})
+    go_to(page, **query)
+
+
 @in_one_language()
 def run() -> None:
     """Draw the navigation and the chosen page."""
@@ -30,30 +43,25 @@ def run() -> None:
     watch = st.components.v2.component("softcal_liveness", html="<span hidden></span>", js=LIVENESS)
     watch(data={"server": say("gone.server"), "late": say("gone.late"), "health": HEALTH}, key="liveness")
     with errors_in_words():
-        sections: dict[str, list[StreamlitPage]] = {"": []}
-        is_new = set(registry().lots.ids()) <= {DEMO}
-        for entry in pages_for(person(), is_new):
-            title = say(f"section.{entry.section}") if entry.section else ""
-            sections.setdefault(title, []).append(
-                st.Page(
-                    entry.render,
-                    title=(person().name if entry.name == "sign_in" and is_signed_in() else say(f"page.{entry.name}")),
-                    url_path=entry.name,
-                    icon=f":material/{entry.icon}:",
-                )
+        bar: list[StreamlitPage] = []
+        hidden: list[StreamlitPage] = []
+        for entry in PAGES:
+            title, is_hidden = say(f"page.{entry.name}"), not entry.icon
+            icon = f":material/{entry.icon}:" if entry.icon else None
+            page = st.Page(
+                entry.render,
+                title=title,
+                url_path=entry.name,
+                icon=icon,
+                visibility="hidden" if is_hidden else "visible",
             )
-        # The default page has no address of its own: a hidden one leads to the start while there is nothing yet, later
-        # to what the person works with.
-        bar = sections[""]
-
-        def first() -> None:
-            # A line without a station has nothing to do; a screen that was given one waits for it.
-            has_line = screen().station or registry().order_queue.stations()
-            wanted = "start" if is_new else "line" if has_line else "lot"
-            st.switch_page(next((page for page in bar if page.url_path == wanted), bar[0]))
-
-        home = st.Page(first, title=say("app.title"), url_path="home", default=True, visibility="hidden")
-        st.navigation({**sections, "": [home, *sections[""]]}, position="top").run()
+            (hidden if is_hidden else bar).append(page)
+        for name in MOVED:
+            hidden.append(st.Page(partial(_moved, name), title=say("app.title"), url_path=name, visibility="hidden"))
+        home = st.Page(_home, title=say("app.title"), url_path="home", default=True, visibility="hidden")
+        page = st.navigation([home, *bar, *hidden], position="top")
+        draw_bar(page.url_path)
+        page.run()
     keep()
 
 

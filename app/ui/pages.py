@@ -1,15 +1,34 @@
-"""The pages of the application, each declared once with who may open it.
+"""The pages of the application and their tabs, each declared once with who may open it.
 
-To add a page: write `app/ui/app_pages/NAME.py` with a function `render()` that draws it, add one line to `PAGES` and
-the text `page.NAME` in every language of texts.toml. A page that a role may not open is not in that session's list, so
-that its address answers as if it did not exist. What a page writes asks `account.permit` again.
+To add a page: write `app/ui/app_pages/NAME.py` with a function `render()`, add one line to `PAGES` and the text
+`page.NAME`. To add a tab: write `app/ui/tabs/PAGE_NAME.py` with a function `draw()`, add it to its page and the text
+`tab.NAME`. Every address answers; what a role may not see asks for a sign-in, and what is written asks
+`account.permit` again.
 """
 
 import importlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from softcal.db.access.people import may
 from softcal.db.entries import User
+
+
+@dataclass(frozen=True)
+class Tab:
+    """A part of a page.
+
+    Args:
+        name: `tab` in the address, key of its title `tab.NAME`.
+        actions: of `PERMISSIONS`; a role that has one of them may open it. Empty: everybody.
+    """
+
+    name: str
+    actions: tuple[str, ...] = ("look",)
+
+    def is_open_to(self, user: User) -> bool:
+        """Whether a person may open it."""
+        return is_allowed(user, self.actions)
 
 
 @dataclass(frozen=True)
@@ -18,52 +37,89 @@ class PageEntry:
 
     Args:
         name: module in `app_pages`, address and key of its title `page.NAME`.
-        icon: of Streamlit's bundled Material symbols.
-        actions: of `PERMISSIONS`; a role that has one of them may open it. Empty: everybody.
-        section: menu it stands in, key of its title `section.NAME`; "" is the bar itself.
-        begins: whether everybody may open it while there is no lot but the demo's.
+        icon: of Streamlit's bundled Material symbols; "" for a page that is opened by a link alone.
+        actions: as those of a tab.
+        tabs: its parts, the first of them drawn where the address names none.
     """
 
     name: str
-    icon: str
-    actions: tuple[str, ...] = ()
-    section: str = ""
-    begins: bool = False
-
-    def is_open_to(self, user: User, is_new: bool = False) -> bool:
-        """Whether a person may open it; `is_new` while the registry knows no lot but the demo's."""
-        return not self.actions or (self.begins and is_new) or any(may(user, action) for action in self.actions)
+    icon: str = ""
+    actions: tuple[str, ...] = ("look",)
+    tabs: tuple[Tab, ...] = ()
 
     def render(self) -> None:
         """Draw it; its module is read when it is opened first."""
         importlib.import_module(f"softcal.app.ui.app_pages.{self.name}").render()
 
+    def draw(self, tab: str, *subject: object) -> None:
+        """Draw one of its tabs for what the page is about."""
+        importlib.import_module(f"softcal.app.ui.tabs.{self.name}_{tab}").draw(*subject)
 
+
+SET_UP = ("set_up",)
 PAGES = (
-    PageEntry("start", "flag", ("set_up",), begins=True),
-    PageEntry("line", "play_circle", ("calibrate",)),
-    PageEntry("lot", "inventory_2", ("look",)),
-    PageEntry("unit", "memory", ("look",)),
-    PageEntry("compare", "compare_arrows", ("look",)),
-    PageEntry("audit", "fact_check", ("set_up", "audit")),
-    PageEntry("release", "inventory", ("look",)),
-    PageEntry("long_term", "timeline", ("look",)),
-    PageEntry("new_lot", "upload_file", ("set_up",), "calibrate"),
-    PageEntry("source", "straighten", ("set_up",), "calibrate"),
-    PageEntry("networks", "hub", ("set_up", "release"), "calibrate"),
-    PageEntry("limits", "rule", ("set_limit",), "calibrate"),
-    PageEntry("known_loads", "weight", ("set_up", "audit"), "calibrate"),
-    PageEntry("gap", "troubleshoot", ("set_up",), "calibrate"),
-    PageEntry("station", "precision_manufacturing", ("set_up", "override"), "rig"),
-    PageEntry("profiles", "show_chart", ("set_up",), "rig"),
-    PageEntry("load_cells", "scale", ("set_up", "audit"), "rig"),
-    PageEntry("wall", "tv", ("look",)),
-    PageEntry("people", "group", ("people",)),
-    PageEntry("audit_trail", "history", ("audit",)),
-    PageEntry("sign_in", "login"),
+    PageEntry("line", "play_circle"),
+    PageEntry("lots", "inventory_2", tabs=(Tab("files", SET_UP), Tab("rig", SET_UP))),
+    PageEntry(
+        "lot",
+        tabs=(
+            Tab("overview"),
+            Tab("units"),
+            Tab("audit", ("set_up", "audit")),
+            Tab("release"),
+            Tab("limits", ("set_limit",)),
+            Tab("networks", ("set_up", "release")),
+            Tab("known_loads", ("set_up", "audit")),
+            Tab("compare"),
+        ),
+    ),
+    PageEntry("unit", tabs=tuple(map(Tab, ("why", "recording", "files", "history", "compare")))),
+    PageEntry("gap", "troubleshoot", SET_UP),
+    PageEntry(
+        "station",
+        "precision_manufacturing",
+        tabs=(Tab("state", ("set_up", "override")), Tab("cells", ("set_up", "audit")), Tab("profiles", SET_UP)),
+    ),
+    PageEntry(
+        "settings",
+        "settings",
+        (),
+        (Tab("account", ()), Tab("people", ("people",)), Tab("laboratory", SET_UP), Tab("audit_trail", ("audit",))),
+    ),
 )
 
+MOVED = {
+    "start": ("lots", ""),
+    "new_lot": ("lots", "files"),
+    "source": ("lots", "rig"),
+    **{name: ("lot", name) for name in ("audit", "release", "limits", "networks", "known_loads", "compare")},
+    "long_term": ("unit", "history"),
+    "profiles": ("station", "profiles"),
+    "load_cells": ("station", "cells"),
+    "sign_in": ("settings", "account"),
+    "people": ("settings", "people"),
+    "audit_trail": ("settings", "audit_trail"),
+    "wall": ("line", ""),
+}
+"""Address of a page that was → its page and tab now."""
 
-def pages_for(user: User, is_new: bool = False) -> tuple[PageEntry, ...]:
-    """Return the pages a person may open, in the order of the navigation."""
-    return tuple(page for page in PAGES if page.is_open_to(user, is_new))
+
+def page_of(name: str) -> PageEntry:
+    """Return a page by its name."""
+    return next(page for page in PAGES if page.name == name)
+
+
+def is_allowed(user: User, actions: tuple[str, ...]) -> bool:
+    """Whether a role has one of some actions; where there are none, everybody has."""
+    return not actions or any(may(user, action) for action in actions)
+
+
+def moved(address: str, query: Mapping[str, Sequence[str]]) -> tuple[str, dict[str, Sequence[str]]]:
+    """Return page and query of an address that was."""
+    page, tab = MOVED[address]
+    kept = dict(query)
+    if address == "compare" and "a" in kept:
+        page, kept = "unit", {"unit": kept["a"], "with": kept.get("b", ())}
+    if address == "wall":
+        kept["wall"] = [""]
+    return page, {**kept, **({"tab": [tab]} if tab else {})}

@@ -1,16 +1,20 @@
 """Pieces of screen that several pages draw: titles, numbers, figures, tables, ways to a page."""
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import wraps
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
+from urllib.parse import quote, urlencode
 
 import pandas as pd
 import streamlit as st
 
+from softcal.app.ui.account import person
 from softcal.app.ui.browser_memory import HAS_DRAWN, IS_AWAITED, PLACE
-from softcal.app.ui.desk import choose, choose_language, empty, say
-from softcal.app.ui.pages import PAGES
+from softcal.app.ui.callbacks import in_one_piece
+from softcal.app.ui.components.sign_in import ask_sign_in
+from softcal.app.ui.desk import choose, empty, say
+from softcal.app.ui.pages import page_of
 from softcal.app.ui.server_memory import registry
 from softcal.core.lot import UnitKey
 
@@ -22,19 +26,44 @@ LONG: Any = {"width": "stretch", "hide_index": True, "placeholder": NOTHING}
 MOST_IN_FULL = 40
 MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#$:~|!])")
 QUANTITY = re.compile(r"([-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?) ([^\s\d]\S*)")
+LINK_TEXT = "#(.*)$"
 NO_BREAK = "\u00a0"
-CLOSER = "[data-testid=stMainBlockContainer] { padding-top: 4.5rem }"
+CLOSER = "[data-testid=stMainBlockContainer] { padding-top: 1.2rem }"
 """The bar of pages needs less room above the title than Streamlit leaves."""
 
 
-def heading(page: str) -> Any:
-    """Draw title and language; return the place between them for a choice."""
+def heading(page: str, title: str = "") -> Any:
+    """Draw the title of a page, its name unless another is given; return the place beside it for a choice."""
     st.html(f"<style>{CLOSER}</style>")
-    left, middle, right = st.columns([2, 4, 1.3], vertical_alignment="bottom")
-    left.title(say(f"page.{page}"))
-    with right:
-        choose_language()
-    return middle
+    left, right = st.columns([2, 3], vertical_alignment="bottom")
+    left.title(title or say(f"page.{page}"))
+    return right
+
+
+def draw_tabs(page: str, *subject: object) -> None:
+    """Draw the tabs of a page for what it is about, and the open one: the first, or `tab` of the address.
+
+    A tab that the role may not see is listed where the address asks for it, and asks for a sign-in in its place.
+    """
+    entry, asked, user = page_of(page), str(st.query_params.get("tab", "")), person()
+    tabs = [tab for tab in entry.tabs if tab.name == asked or tab.is_open_to(user)]
+    names, key = {say(f"tab.{tab.name}"): tab for tab in tabs}, f"tab-{page}"
+    title = next((title for title, tab in names.items() if tab.name == asked), next(iter(names), ""))
+    if not title:
+        ask_sign_in(entry.tabs[0].actions)
+        return
+    st.session_state[key] = title
+
+    def choose_tab() -> None:
+        st.query_params["tab"] = names[st.session_state[key]].name
+
+    places = st.tabs(list(names), key=key, on_change=in_one_piece(choose_tab))
+    with places[list(names).index(title)]:
+        tab = names[title]
+        if tab.is_open_to(user):
+            entry.draw(tab.name, *subject)
+        else:
+            ask_sign_in(tab.actions)
 
 
 def headline(said: str) -> None:
@@ -43,24 +72,14 @@ def headline(said: str) -> None:
         st.markdown(said)
 
 
-def for_lot(page: str) -> Callable[[Callable[[str], None]], Callable[[], None]]:
-    """Make the drawing of a lot a page: title and choice of the lot, or how to get a first one."""
-
-    def page_of(draw: Callable[[str], None]) -> Callable[[], None]:
-        @wraps(draw)
-        def render() -> None:
-            beside, lots = heading(page), registry().lots.ids()
-            if not lots:
-                empty("empty.lots")
-                return
-            with beside:
-                lot_id = choose(say("choose.lot"), lots, "lot")
-            if lot_id is not None:
-                draw(lot_id)
-
-        return render
-
-    return page_of
+def chosen_lot(page: str) -> str | None:
+    """Draw title and choice of a lot, or how to get a first one; return the lot."""
+    beside, lots = heading(page), registry().lots.ids()
+    if not lots:
+        empty("empty.lots")
+        return None
+    with beside:
+        return choose(say("choose.lot"), lots, "lot")
 
 
 def step(page: str, number: int) -> st.delta_generator.DeltaGenerator:
@@ -120,41 +139,7 @@ def figures_beside(*shown: tuple[str, Any, str]) -> None:
             figure_under(*one)
 
 
-def find_unit(
-    parameter: str, key: str, columns: Sequence[Any], known: Callable[[str], list[UnitKey]], usual: int = 0
-) -> UnitKey | None:
-    """Draw a field to search serials in and the choice of a unit, which stays in the address as LOT/SERIAL.
-
-    `known` gives the units whose serials hold a text; the one numbered `usual` is chosen at first. None, with the
-    reason drawn: there is no unit, or the address has a serial of several lots and none was chosen yet.
-    """
-    asked = str(st.query_params.get(parameter, ""))
-    find, choice = columns
-    text = str(find.text_input(say("unit.find"), key=f"{key}-find", icon=":material/search:") or "").strip()
-    named, found = _units_named(asked), known(text)
-    if len(named) > 1 and not text:
-        found = named
-        st.info(say("unit.lots", serial=asked, count=len(named)), icon=":material/help:")
-    elif not text:
-        found = list(dict.fromkeys([*(unit for unit in named if unit not in found), *found]))
-    if not found:
-        empty("empty.units")
-        return None
-    index = found.index(named[0]) if len(named) == 1 and named[0] in found else usual % len(found)
-    chosen: UnitKey | None = choice.selectbox(
-        say("choose.unit"),
-        found,
-        index=None if found is named else index,
-        format_func=lambda unit: f"{unit.serial} · {unit.lot_id}",
-        key=f"{key}-choice-{text}-{asked}",
-        placeholder=say("choose.some"),
-    )
-    if chosen is not None and str(chosen) != asked:
-        st.query_params[parameter] = str(chosen)
-    return chosen
-
-
-def _units_named(asked: str) -> list[UnitKey]:
+def named_units(asked: str) -> list[UnitKey]:
     """Return the unit that an address names by LOT/SERIAL, or those of a serial alone."""
     if not asked:
         return []
@@ -164,9 +149,39 @@ def _units_named(asked: str) -> list[UnitKey]:
     return [registry().calibrations.unit_key(unit.serial, unit.lot_id)]
 
 
-def go_to(page: str, **query: str) -> None:
+@dataclass(frozen=True)
+class Link:
+    """A text of a table that opens a page in a new tab of the browser."""
+
+    text: str
+    page: str
+    query: tuple[tuple[str, str], ...]
+
+    def __str__(self) -> str:
+        return self.text
+
+    @property
+    def address(self) -> str:
+        return f"{self.page}?{urlencode(self.query)}"
+
+    @property
+    def markdown(self) -> str:
+        return f"[{_as_it_is(self.text)}]({self.address})"
+
+
+def unit_link(key: UnitKey) -> Link:
+    """Return the link to a unit, named by its serial."""
+    return Link(key.serial, "unit", (("unit", str(key)),))
+
+
+def lot_link(lot_id: str, tab: str = "", text: str = "") -> Link:
+    """Return the link to a lot, or to one of its tabs."""
+    return Link(text or lot_id, "lot", (("lot", lot_id), *((("tab", tab),) if tab else ())))
+
+
+def go_to(page: str, **query: str | Sequence[str]) -> None:
     """Open another page of the application in this tab."""
-    entry = next(entry for entry in PAGES if entry.name == page)
+    entry = page_of(page)
     st.switch_page(st.Page(entry.render, url_path=entry.name), query_params=query)
 
 
@@ -177,10 +192,23 @@ def table(listed: Iterable[Mapping[str, object]], otherwise: str = "") -> None:
         st.caption(otherwise)
         return
     if len(rows) > MOST_IN_FULL:
-        st.dataframe(pd.DataFrame(rows), **LONG)
+        shown, columns = with_addresses(rows)
+        st.dataframe(pd.DataFrame(shown), column_config=columns, **LONG)
         return
     plain = [{_as_it_is(name): _as_it_is(value) for name, value in row.items()} for row in rows]
     st.table(pd.DataFrame(plain), border="horizontal", hide_index=True)
+
+
+def with_addresses(rows: Sequence[Mapping[str, object]]) -> tuple[list[dict[str, object]], dict[str, Any]]:
+    """Return rows with the addresses of their links, and how those columns are drawn."""
+    names = {name for row in rows for name, value in row.items() if isinstance(value, Link)}
+    columns = {name: st.column_config.LinkColumn(name, display_text=LINK_TEXT) for name in names}
+    return [{name: _address(value) for name, value in row.items()} for row in rows], columns
+
+
+def _address(value: object) -> object:
+    # The text of a link stands behind its address: a column has one pattern for all its links.
+    return f"{value.address}#{quote(value.text)}" if isinstance(value, Link) else value
 
 
 def told(rows: Sequence[Mapping[str, object]]) -> list[dict[str, object]]:
@@ -191,6 +219,8 @@ def told(rows: Sequence[Mapping[str, object]]) -> list[dict[str, object]]:
 
 def _as_it_is(value: object) -> object:
     """Return a text for a cell, which is read as Markdown; a number keeps its unit on its line."""
+    if isinstance(value, Link):
+        return value.markdown
     if isinstance(value, str) and (quantity := QUANTITY.fullmatch(value)):
         value = NO_BREAK.join(quantity.groups())
     return MARKDOWN.sub(r"\\\1", value) if isinstance(value, str) else NOTHING if value is None else value
@@ -200,7 +230,8 @@ def table_to_choose(
     rows: Sequence[Mapping[str, object]], key: str, columns: dict[str, Any] | None = None
 ) -> int | None:
     """Draw a table to select a row of; return its number, None while none is selected."""
-    frame, shown = pd.DataFrame(rows), {"column_config": columns, **LONG}
+    addressed, links = with_addresses(rows)
+    frame, shown = pd.DataFrame(addressed), {"column_config": {**links, **(columns or {})}, **LONG}
     event = st.dataframe(frame, key=key, on_select="rerun", selection_mode="single-row", **shown)
     chosen = event.selection.rows
     # A selection outlives a filter that leaves fewer rows.

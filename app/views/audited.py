@@ -9,6 +9,7 @@ from softcal.core.lot import Lot
 from softcal.core.metrics import rmse
 from softcal.core.recording import Array
 from softcal.core.unit.estimate import estimate
+from softcal.core.unit.state import UnitState
 from softcal.db.registry import Registry
 from softcal.db.truth.lot_pages import UnitErrors
 
@@ -27,6 +28,8 @@ class AuditTrace:
     """All rows of one audit that have an estimate: (n,) each, in the reference unit."""
 
     serial: str
+    t_s: Array
+    output: Array
     reference: Array
     estimate: Array
 
@@ -63,21 +66,29 @@ class AuditedView:
         return (self.edges[:-1] + self.edges[1:]) / 2
 
 
+def audit_trace(registry: Registry, lot_id: str, state: UnitState) -> AuditTrace | None:
+    """Estimate the newest audit of a unit with a map of it, on the rows its error is stated on; None without one."""
+    serial = state.fit.serial
+    audit = audit_of(registry, newest_audits(registry, lot_id, serial).get(serial))
+    if audit is None:
+        return None
+    recording, rows = audit.unlabelled, audit.unlabelled.window_rows
+    estimates = estimate(registry.networks.get(state.fit.network_id), state.calibration, recording)
+    return AuditTrace(
+        serial, recording.t_s[rows], recording.output[rows], audit.window_reference, estimates.estimate[rows]
+    )
+
+
 def audited_view(
     registry: Registry, lot: Lot, audited: tuple[UnitErrors, ...], limit_rmse: float | None = None
 ) -> AuditedView | None:
     """Estimate the newest audits of a lot with the maps in use; None where there are none."""
     worst = sorted(audited, key=lambda row: -(row.after_rmse or 0.0))[:MOST_UNITS]
-    units = []
-    for serial in (row.serial for row in worst):
-        audit = audit_of(registry, newest_audits(registry, lot.id, serial).get(serial))
-        if audit is None:
-            continue
-        state = registry.calibrations.get(serial, lot_id=lot.id).state
-        # The rows that the error of the unit is stated on.
-        rows = audit.unlabelled.window_rows
-        estimates = estimate(registry.networks.get(state.fit.network_id), state.calibration, audit.unlabelled)
-        units.append(AuditTrace(serial, audit.window_reference, estimates.estimate[rows]))
+    units: list[AuditTrace] = []
+    for row in worst:
+        state = registry.calibrations.get(row.serial, lot_id=lot.id).state
+        if (trace := audit_trace(registry, lot.id, state)) is not None:
+            units.append(trace)
     if not units:
         return None
     loads = np.concatenate([unit.reference for unit in units])

@@ -1,5 +1,6 @@
 """How screens show numbers: rounding, units, and long series thinned for a chart."""
 
+import math
 from collections.abc import Sized
 
 import numpy as np
@@ -12,16 +13,27 @@ POINTS = 4000
 """So many points of a series are drawn; more cost the browser and show nothing."""
 
 
-def number(value: float | None, unit: str = "") -> str:
-    """Return a number with three significant digits and its unit; a dash where there is none."""
-    return "–" if value is None else f"{value:.3g} {unit}".strip()
+def number(value: float | None, unit: str = "", limit: float | None = None) -> str:
+    """Return a number with three significant digits and its unit; a dash where there is none.
+
+    Beside a limit it has the decimals of the limit, so that all errors of a lot have as many.
+    """
+    if value is None:
+        return "–"
+    shown = f"{value:.3g}" if limit is None else f"{value:.{decimals(limit)}f}"
+    return f"{shown} {unit}".strip()
+
+
+def decimals(limit: float) -> int:
+    """Return how many decimals a limit has with three significant digits."""
+    return max(0, 2 - math.floor(math.log10(limit))) if limit > 0 else 3
 
 
 def limit_said(limit: Limit | None, words: Words) -> str:
     """Return a lot's limit with its unit; one that nobody stated says so."""
     if limit is None:
         return words("lot.limit.none")
-    said = number(limit.maximum_rmse, limit.unit)
+    said = number(limit.maximum_rmse, limit.unit, limit.maximum_rmse)
     return said if limit.is_stated else words("lot.limit.derived", limit=said)
 
 

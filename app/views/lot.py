@@ -1,4 +1,4 @@
-"""A lot at a glance: yields, errors, the process and the units that need a look."""
+"""A lot at a glance: yields, errors and the process."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -17,12 +17,9 @@ from softcal.core.quality.yields import UnitRun, Yields, yields
 from softcal.core.recording import Array
 from softcal.core.unit.verdict import VERDICTS, Limit
 from softcal.core.words.reason import Reason
-from softcal.db.entries import RunEntry, UnitEntry
+from softcal.db.entries import RunEntry
 from softcal.db.registry import Registry
-from softcal.db.truth.lot_pages import UnitErrors, UnitFilter
-
-LOOKS = 12
-"""So many units that need a look are listed; the table below them has all."""
+from softcal.db.truth.lot_pages import UnitErrors
 
 NEWEST_OF_YIELD = 20
 """So many of the newest units are compared with all before them; set, not fitted."""
@@ -83,7 +80,6 @@ class LotView:
         errors: of the units with a map.
         reasons: one of each kind with how many units have it, the most frequent first.
         process: the errors in time order.
-        looks: the worst units.
         days, stations, operators: first-pass yield over each of them.
         chosen: serials that a filter leaves; None without a filter.
         limit: stated or derived; None where none is stated and no unit is calibrated yet.
@@ -97,7 +93,6 @@ class LotView:
     yields: Yields
     reasons: tuple[tuple[Reason, int], ...]
     process: ProcessView
-    looks: tuple[UnitEntry, ...]
     drop: YieldDrop | None = None
     days: tuple[YieldAt, ...] = ()
     stations: tuple[YieldAt, ...] = ()
@@ -124,11 +119,6 @@ class LotView:
         """Target units with a result."""
         return self.total - self.counts["none"]
 
-    @property
-    def needing_a_look(self) -> int:
-        """Units that did not pass."""
-        return sum(self.counts[word] for word in NEEDS_A_LOOK)
-
     def predicted(self, verdict: str | None = None) -> Array:
         """Return the predicted errors in the reference unit, of all units or of one verdict."""
         rows = (row for row in self.errors if verdict is None or row.verdict == verdict)
@@ -139,12 +129,6 @@ class LotView:
         """Median predicted error; None while no unit has one."""
         values = self.predicted()
         return float(np.median(values)) if len(values) else None
-
-    @property
-    def worst(self) -> str | None:
-        """Serial of the unit with the largest predicted error; None while no unit has one."""
-        known = [(row.predicted_rmse, row.serial) for row in self.errors if row.predicted_rmse is not None]
-        return max(known)[1] if known else None
 
     @property
     def audited(self) -> tuple[UnitErrors, ...]:
@@ -167,7 +151,6 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
     if chosen is not None:
         serials = frozenset(chosen)
         errors = [row for row in errors if row.serial in serials]
-    looks = registry.pages.unit_page(lot_id, UnitFilter(NEEDS_A_LOOK, sort="severity", serials=chosen), size=LOOKS)
     counts = registry.pages.verdict_counts(lot_id)
     # As `LotStanding.withdrawn`; unit by unit only where more passed once than now.
     passed, withdrawn = registry.calibrations.passed_once(lot_id), []
@@ -188,7 +171,6 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
         shares,
         shares.reasons,
         process_view(runs, None if limit is None else limit.maximum_rmse),
-        looks.units,
         yield_drop(runs),
         yield_over(of_units, lambda run: run.day(wanted.zone).isoformat()),
         yield_over(of_units, lambda run: run.station),

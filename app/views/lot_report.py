@@ -46,9 +46,11 @@ def report_facts(view: LotView, words: Words) -> dict[str, str]:
         words("lot.first_pass"): _said(view.yields.first_pass),
         words("lot.yield"): _said(view.yields.last_pass),
         words("lot.limit"): limit_said(view.limit, words),
-        words("lot.predicted"): number(view.median_predicted, unit),
+        words("lot.predicted"): number(view.median_predicted, unit, view.limit_rmse),
         words("lot.audited"): str(len(measured)),
-        words("compare.measured"): number(sorted(measured)[len(measured) // 2], unit) if measured else "–",
+        words("compare.measured"): number(sorted(measured)[len(measured) // 2], unit, view.limit_rmse)
+        if measured
+        else "–",
         words("lot.ratio"): number(view.after_to_own),
         "Cpk": number(process.capability.cpk) if process.capability else "–",
         words("compare.first_reason"): plainly(view.reasons[0][0], words) if view.reasons else "–",

@@ -57,8 +57,8 @@ def wall_view(
         (words("wall.today"), str(today.of), words("wall.today.good", good=today.count, of=today.of)),
         (
             words("lot.predicted"),
-            number(view.median_predicted, view.lot.reference_unit),
-            "" if limit is None else words("chart.limit.named", limit=number(limit, view.lot.reference_unit)),
+            number(view.median_predicted, view.lot.reference_unit, limit),
+            "" if limit is None else words("chart.limit.named", limit=number(limit, view.lot.reference_unit, limit)),
         ),
     )
     verdicts = tuple((word, words(f"verdict.{word}"), count) for word, count in view.counts.items() if word != "none")

@@ -37,22 +37,19 @@ SETTLE_MS = 1500
 """Charts and tables draw themselves in the browser after the page is there."""
 
 PAGES = {
+    "lots": "lots",
     "lot": f"lot?lot={LOT}",
+    **{tab: f"lot?lot={LOT}&tab={tab}" for tab in ("units", "audit", "release", "limits", "networks")},
     "unit": f"unit?unit={LOT}/U025",
-    "compare": "compare?kind=lots",
-    "audit": f"audit?lot={LOT}",
-    "release": f"release?lot={LOT}",
-    "wall": f"wall?lot={LOT}",
-    "long-term": f"long_term?unit={LOT}/U005",
-    "source": f"source?lot={LOT}",
-    "networks": f"networks?lot={LOT}",
-    "limits": f"limits?lot={LOT}",
+    "long-term": f"unit?unit={LOT}/U005&tab=history",
+    "source": f"lots?tab=rig&lot={LOT}",
     "gap": "gap",
+    "wall": f"line?wall&lot={LOT}",
     "station": "station",
-    "profiles": "profiles",
-    "load-cells": "load_cells",
+    "profiles": "station?tab=profiles",
+    "load-cells": "station?tab=cells",
 }
-PAGES_OF_QUALITY = {"people": "people", "audit-trail": "audit_trail"}
+PAGES_OF_QUALITY = {"people": "settings?tab=people", "audit-trail": "settings?tab=audit_trail"}
 SIGN_IN = "sign-in"
 """Name of the picture and address of the page; the pictures are `desk-NAME-light.png` and `desk-NAME-dark.png`."""
 
@@ -186,9 +183,9 @@ def settle(page: Page) -> None:
 
 def sign_in(page: Page, address: str, name: str, pin: str) -> None:
     """Sign in."""
-    page.goto(f"{address}/sign_in")
+    page.goto(f"{address}/settings")
     page.get_by_label("Name").fill(name)
-    page.get_by_label("PIN").fill(pin)
+    page.get_by_label("PIN", exact=True).fill(pin)
     page.keyboard.press("Enter")
     page.get_by_role("heading", name=name).wait_for(timeout=60_000)
     # The browser is told to remember the sign-in at the end of the run that drew the heading.
@@ -198,7 +195,7 @@ def sign_in(page: Page, address: str, name: str, pin: str) -> None:
 
 def take_all(browser: Browser, out: Path, names: Collection[str]) -> None:
     """Take the picture of the named pages in both themes."""
-    people = ((NAME, PIN, PAGES), (QUALITY, QUALITY_PIN, PAGES_OF_QUALITY), ("", "", {SIGN_IN: "sign_in"}))
+    people = ((NAME, PIN, PAGES), (QUALITY, QUALITY_PIN, PAGES_OF_QUALITY), ("", "", {SIGN_IN: "settings"}))
     with tempfile.TemporaryDirectory(prefix="softcal-screens-") as root:
         os.environ["XDG_DATA_HOME"] = root
         url = f"sqlite:///{Path(root) / 'registry.db'}"

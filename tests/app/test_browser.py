@@ -27,43 +27,69 @@ def desk(
 
 def test_a_lot_and_a_unit_are_shown(desk: str, page: Page) -> None:
     page.goto(f"{desk}/lot")
-    page.get_by_role("heading", name=text("en", "lot.look")).wait_for()
+    page.get_by_role("heading", name=text("en", "lot.distribution")).wait_for()
     page.goto(f"{desk}/unit?unit=A2")
     page.get_by_role("heading", name=text("en", "unit.why")).wait_for()
-    page.get_by_role("tab", name=text("en", "unit.tab.history")).wait_for()
+    page.get_by_role("tab", name=text("en", "tab.history")).click()
+    page.wait_for_url("**tab=history*")
 
 
-def test_a_page_a_role_may_not_open_is_neither_listed_nor_reached_by_its_address(desk: str, page: Page) -> None:
+def test_an_address_that_was_leads_on_and_asks_for_the_role_it_needs(desk: str, page: Page) -> None:
     page.goto(f"{desk}/{QUALITY_ONLY}")
-    page.wait_for_url("**/lot*")
-    expect(page.get_by_role("link", name=text("en", "page.audit_trail"))).to_have_count(0)
+    page.wait_for_url("**/settings?tab=audit_trail")
+    page.get_by_label(text("en", "sign_in.pin"), exact=True).fill("7777")
+    page.get_by_label(text("en", "sign_in.name"), exact=True).fill("Quinn")
+    page.keyboard.press("Enter")
+    page.get_by_test_id("stDataFrame").wait_for()
+    page.goto(f"{desk}/wall?lot=small")
+    page.locator(".sw-tile").first.wait_for()
+
+
+def test_the_bar_fits_a_narrow_window_and_its_search_opens_a_unit(desk: str, page: Page) -> None:
+    page.set_viewport_size({"width": 820, "height": 900})
+    page.goto(f"{desk}/lots")
+    for name in ("line", "lots", "gap", "station", "settings"):
+        expect(page.get_by_role("link", name=text("en", f"page.{name}"), exact=True)).to_be_in_viewport()
+    person = page.get_by_role("button", name=text("en", "sign_in"))
+    expect(person).to_be_in_viewport()
+    field = page.get_by_label(text("en", "bar.search.what"))
+    field.fill("A2")
+    field.press("Enter")
+    page.wait_for_url("**/unit?unit=small%2FA2")
+    page.get_by_role("heading", name="A2").wait_for()
+
+
+def test_a_serial_in_a_table_opens_in_a_new_tab(desk: str, page: Page) -> None:
+    page.goto(f"{desk}/lots")
+    with page.context.expect_page() as opened:
+        page.get_by_role("link", name="small", exact=True).click()
+    opened.value.wait_for_url("**/lot?lot=small")
 
 
 def test_a_sign_in_outlives_a_reload_and_ends_with_the_sign_out(desk: str, page: Page, sign_in: Callable) -> None:
     sign_in(desk, "quality")
     page.goto(f"{desk}/{QUALITY_ONLY}")
-    page.get_by_role("link", name=text("en", "page.audit_trail")).wait_for()
     page.get_by_test_id("stDataFrame").wait_for()
-    page.get_by_role("link", name="Quinn").click()
+    page.get_by_role("button", name="Quinn").click()
     page.get_by_role("button", name=text("en", "sign_in.leave")).click()
-    page.get_by_role("heading", name=text("en", "page.sign_in")).wait_for()
+    page.get_by_role("heading", name=text("en", "sign_in")).wait_for()
     page.goto(f"{desk}/{QUALITY_ONLY}")
-    page.wait_for_url("**/lot*")
+    page.get_by_label(text("en", "sign_in.pin"), exact=True).wait_for()
 
 
 def test_the_language_is_taken_from_the_address(desk: str, page: Page) -> None:
     page.goto(f"{desk}/lot?lang=ko")
-    page.get_by_role("heading", name=text("ko", "lot.look")).wait_for()
+    page.get_by_role("heading", name=text("ko", "lot.distribution")).wait_for()
 
 
 def test_a_chosen_language_outlives_a_reload(desk: str, page: Page, remembered: Callable) -> None:
     page.goto(f"{desk}/sign_in")
-    page.get_by_role("combobox").click()
+    page.get_by_role("combobox").first.click()
     page.get_by_role("option", name="한국어").click()
-    page.get_by_role("heading", name=text("ko", "page.sign_in")).wait_for()
+    page.get_by_role("heading", name=text("ko", "sign_in")).wait_for()
     remembered(page, "lang")
     page.reload()
-    page.get_by_role("heading", name=text("ko", "page.sign_in")).wait_for()
+    page.get_by_role("heading", name=text("ko", "sign_in")).wait_for()
 
 
 def test_a_pin_that_is_left_with_the_tab_key_reaches_the_registry(desk: str, page: Page, sign_in: Callable) -> None:

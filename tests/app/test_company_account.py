@@ -23,7 +23,8 @@ pytestmark = pytest.mark.long
 
 CLIENT, SECRET = "softcal", "between softcal and the provider"
 LIFE_S = 300
-RIG = text("en", "section.rig")
+RIG = text("en", "tab.laboratory")
+"""A tab of the engineer's."""
 ACCOUNTS = """[auth]
 redirect_uri = "http://127.0.0.1:{{port}}/oauth2callback"
 cookie_secret = "a long random text that only this server knows"
@@ -153,14 +154,15 @@ def company(tmp_path_factory: pytest.TempPathFactory, serve: Callable) -> Iterat
 def enter(page: Page, address: str) -> None:
     page.goto(f"{address}/sign_in")
     page.get_by_role("button", name=text("en", "sign_in.company")).click()
-    page.wait_for_url("**/start")  # An empty registry opens with what to do first.
+    page.wait_for_url("**/lots")  # An empty registry opens with what to do first.
 
 
 def open_sign_in(page: Page) -> str:
     """Open the page by the bar; return the bar."""
-    page.locator("[data-testid=stTopNavLink][href$=sign_in]").click()
-    page.get_by_role("heading", level=1).wait_for()
-    return page.get_by_test_id("stHeader").inner_text()
+    page.locator(".st-key-bar-person button").click()
+    page.get_by_role("heading", name=text("en", "page.settings")).wait_for()
+    page.get_by_role("tab").first.wait_for()
+    return f"{page.locator('.st-key-bar').inner_text()} {' '.join(page.get_by_role('tab').all_inner_texts())}"
 
 
 def test_a_company_account_signs_in_with_its_role_and_out_again(company: tuple[str, Provider], page: Page) -> None:
@@ -171,7 +173,7 @@ def test_a_company_account_signs_in_with_its_role_and_out_again(company: tuple[s
     assert "emi@example.com" in bar and RIG in bar
     page.get_by_text("Engineer").wait_for()
     page.get_by_role("button", name=text("en", "sign_in.leave")).click()
-    page.wait_for_url("**/start")  # An empty registry opens with what to do first.
+    page.wait_for_url("**/lots")  # An empty registry opens with what to do first.
     assert provider.ended == [f"{address}/oauth2callback"]
     bar = open_sign_in(page)
     assert RIG not in bar

@@ -21,16 +21,22 @@ FADING_S = 10.0
 
 SAY = partial(text, "en")
 DESK_PAGES = {
-    "lot": SAY("lot.process"),
+    "lots": SAY("page.lots"),
+    "lot?lot=small": SAY("lot.distribution"),
+    "lot?lot=small&tab=units": SAY("lot.process"),
+    "lot?lot=small&tab=audit": SAY("audit.units"),
+    "lot?lot=small&tab=release": SAY("release.archive"),
+    "lot?lot=small&tab=networks": SAY("networks.compare"),
+    "lot?lot=small&tab=limits": SAY("limits.versions"),
+    "lot?lot=small&tab=known_loads": SAY("known_loads.bring"),
     "unit?unit=A2": SAY("unit.why"),
-    "long_term": SAY("page.long_term"),
-    "source?lot=small": f"3 · {SAY('source.step.3')}",
-    "networks?lot=small": SAY("networks.compare"),
-    "limits?lot=small": SAY("limits.versions"),
+    "unit?unit=A2&tab=recording": SAY("unit.map"),
+    "unit?unit=A2&tab=compare": SAY("compare.interval"),
+    "lots?tab=rig&lot=small": f"3 · {SAY('source.step.3')}",
     "gap": SAY("page.gap"),
     "station": SAY("station.setup"),
-    "profiles": SAY("page.profiles"),
-    "load_cells": SAY("golden.title"),
+    "station?tab=cells": SAY("golden.title"),
+    "settings?tab=laboratory": SAY("laboratory.title"),
 }
 
 
@@ -152,13 +158,13 @@ def test_names_of_64_letters_are_read_in_full_on_a_small_panel(
 
 def test_one_click_on_a_row_of_the_lot_opens_the_unit(desk: tuple[str, str], page: Page) -> None:
     address, _ = desk
-    page.goto(f"{address}/lot?lot=small")
-    page.get_by_text(SAY("lot.open")).wait_for()
+    page.goto(f"{address}/lot?lot=small&tab=units")
+    page.get_by_test_id("stDataFrame").last.wait_for()
     # The worst stands first: the unit that got no map.
     page.get_by_test_id("stDataFrame").last.click(position={"x": 18, "y": 55})
-    page.get_by_role("heading", name=SAY("page.unit"), exact=True).wait_for()
+    page.get_by_role("heading", name="A4", exact=True).wait_for()
     page.get_by_text(SAY("empty.calibration")).wait_for()
-    assert "unit=A4" in page.url
+    assert "unit=small%2FA4" in page.url
 
 
 def test_a_training_goes_on_through_a_reload_and_can_be_stopped(

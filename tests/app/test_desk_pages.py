@@ -16,7 +16,6 @@ from softcal.app.connect.stations import station_json
 from softcal.app.gap.desk import practise
 from softcal.app.line.facts import Screen, read_line
 from softcal.app.texts.catalogue import text
-from softcal.app.ui import server_memory
 from softcal.app.ui.panels import told
 from softcal.app.views.line import line_view
 from softcal.app.views.lot import lot_view
@@ -38,7 +37,7 @@ def press(screen, key: str, timeout: float | None = None, **values: str) -> None
     next(button for button in screen.button if button.label == label).click().run(timeout=timeout)
 
 
-PAGES = ("lot", "unit", "long_term", "source", "networks", "limits", "gap", "station", "profiles", "load_cells")
+PAGES = ("lots", "lot", "unit", "gap", "station", "settings")
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -46,11 +45,11 @@ def test_an_empty_registry_gives_every_page_a_way_to_begin_in_korean_too(tmp_pat
     screen = show(f"sqlite:///{tmp_path / 'new.db'}", page, lang="ko")
     assert any("가" <= letter <= "힣" for letter in screen.title[0].value)
     assert not screen.error
-    assert screen.info or page in ("profiles", "source")  # a form is the way to begin
+    assert screen.info or screen.button  # a button or a form is the way to begin
 
 
 def test_a_limit_is_set_with_its_reason_and_lands_in_the_audit_trail(calibrated: str, show) -> None:
-    screen = show(calibrated, "limits", lot="small")
+    screen = show(calibrated, "lot", tab="limits", lot="small")
     screen.toggle[0].set_value(False).run()
     screen.number_input[0].set_value(0.25).run()
     screen.text_input(key="reason-text-limit-small-1").set_value("drawing D 117 rev. B")
@@ -68,7 +67,7 @@ def test_a_limit_is_set_with_its_reason_and_lands_in_the_audit_trail(calibrated:
 def test_a_limit_somebody_else_changed_meanwhile_is_not_overwritten(calibrated: str, show) -> None:
     with open_registry(calibrated) as registry:
         registry.lots.set_limit("small", 0.3, reason="first")
-    screen = show(calibrated, "limits", lot="small")
+    screen = show(calibrated, "lot", tab="limits", lot="small")
     with open_registry(calibrated) as registry:
         registry.lots.set_limit("small", 0.2, reason="second", actor="Quinn")
     screen.number_input[0].set_value(0.25).run()
@@ -80,7 +79,7 @@ def test_a_limit_somebody_else_changed_meanwhile_is_not_overwritten(calibrated: 
 
 
 def test_the_rules_of_the_line_are_set_with_their_reason_and_land_in_the_audit_trail(calibrated: str, show) -> None:
-    screen = show(calibrated, "limits", lot="small")
+    screen = show(calibrated, "lot", tab="limits", lot="small")
     screen.text_input(key="rules-pattern-small-0").set_value(r"A\d")
     screen.number_input(key="rules-target-small-0").set_value(40)
     screen.number_input(key="rules-fail-small-0").set_value(0)
@@ -95,14 +94,14 @@ def test_the_rules_of_the_line_are_set_with_their_reason_and_land_in_the_audit_t
 
 
 def test_rules_that_are_none_and_rules_changed_meanwhile_are_refused_in_words(calibrated: str, show) -> None:
-    screen = show(calibrated, "limits", lot="small")
+    screen = show(calibrated, "lot", tab="limits", lot="small")
     screen.text_input(key="rules-pattern-small-0").set_value("A(")
     screen.text_input(key="reason-text-rules-small-0").set_value("order of the customer")
     press(screen, "rules.set")
     assert "A(" in screen.error[0].value
     with open_registry(calibrated) as registry:
         registry.lots.set_line_rules("small", LineRules(target=7), reason="first")
-    other = show(calibrated, "limits", lot="small")
+    other = show(calibrated, "lot", tab="limits", lot="small")
     with open_registry(calibrated) as registry:
         registry.lots.set_line_rules("small", LineRules(target=9), reason="second", actor="Quinn")
     other.number_input(key="rules-target-small-1").set_value(40)
@@ -114,7 +113,7 @@ def test_rules_that_are_none_and_rules_changed_meanwhile_are_refused_in_words(ca
 
 
 def test_a_network_is_trained_as_a_job_and_listed(calibrated: str, show, jobs_at_once) -> None:
-    screen = show(calibrated, "networks", lot="small")
+    screen = show(calibrated, "lot", tab="networks", lot="small")
     known = len(screen.table[0].value)
     screen.text_input(key="train-hidden").set_value("8")
     screen.number_input(key="train-epochs").set_value(5)
@@ -124,7 +123,7 @@ def test_a_network_is_trained_as_a_job_and_listed(calibrated: str, show, jobs_at
 
 
 def test_networks_and_families_are_compared_on_the_lot(calibrated: str, show, jobs_at_once) -> None:
-    screen = show(calibrated, "networks", lot="small")
+    screen = show(calibrated, "lot", tab="networks", lot="small")
     press(screen, "networks.compare.do", timeout=120)
     assert not screen.error
     found = screen.table[-1].value
@@ -137,7 +136,7 @@ def test_a_rollback_needs_a_reason_and_stays_in_the_history(calibrated: str, sho
         state = registry.calibrations.get("A1").state
         fit = replace(state.fit, load_rms=1.01 * state.fit.load_rms)
         registry.calibrations.add("small", replace(state, fit=fit))
-    screen = show(calibrated, "unit", unit="A1")
+    screen = show(calibrated, "unit", tab="history", unit="A1")
     screen.text_input(key="reason-text-rollback-small/A1-1").set_value("wrong fixture in week 47")
     press(screen, "unit.rollback.do")
     assert screen.success
@@ -147,7 +146,7 @@ def test_a_rollback_needs_a_reason_and_stays_in_the_history(calibrated: str, sho
 
 
 def test_a_certificate_is_typed_in_and_what_it_lacks_is_named(calibrated: str, show) -> None:
-    screen = show(calibrated, "load_cells")
+    screen = show(calibrated, "station", tab="cells")
     screen.text_input(key="cell-cell_serial").set_value("K1")
     screen.button[0].click().run()
     assert "number" in screen.error[0].value
@@ -172,7 +171,7 @@ def test_golden_units_are_charted_with_their_failures(calibrated: str, show) -> 
             registry.stations.add_golden_run(
                 GoldenRun("line-1", "small", "A1", at, 0.1 + 0.01 * (k % 3), "N", k != 9, reasons)
             )
-    screen = show(calibrated, "load_cells")
+    screen = show(calibrated, "station", tab="cells")
     assert any("A1" in line.value and text("en", "golden.failed") in line.value for line in screen.markdown)
     assert any("0.2 N is too much" in line.value for line in screen.caption)
 
@@ -228,7 +227,7 @@ def test_every_screen_and_interface_has_one_word_for_a_station(calibrated, show,
 def test_the_source_is_ordered_from_a_station_that_answers(calibrated: str, show) -> None:
     with open_registry(calibrated) as registry:
         registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC), process="host:1"))
-        screen = show(calibrated, "source", lot="small")
+        screen = show(calibrated, "lots", tab="rig", lot="small")
         registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC), process="host:1"))
         press(screen, "source.step.2")
         (order, _), *_ = registry.order_queue.runs("line-1")
@@ -236,7 +235,7 @@ def test_the_source_is_ordered_from_a_station_that_answers(calibrated: str, show
 
 
 def test_a_new_lot_with_a_bad_serial_is_refused_in_words(calibrated: str, show) -> None:
-    screen = show(calibrated, "source")
+    screen = show(calibrated, "lots", tab="rig")
     screen.text_input[0].set_value("L 2")
     screen.text_input[1].set_value("../A0")
     press(screen, "source.add_lot")
@@ -246,7 +245,7 @@ def test_a_new_lot_with_a_bad_serial_is_refused_in_words(calibrated: str, show) 
 
 
 def test_a_profile_too_deep_for_the_station_is_marked(calibrated: str, show) -> None:
-    screen = show(calibrated, "profiles")
+    screen = show(calibrated, "station", tab="profiles")
     assert not screen.error
     screen.number_input[0].set_value(9.0).run()
     assert "12 mm" in screen.error[0].value
@@ -276,9 +275,10 @@ def _adapted(url: str) -> None:
 
 def test_a_unit_in_use_shows_its_course_and_that_a_calibration_is_due(calibrated: str, show) -> None:
     _adapted(calibrated)
-    screen = show(calibrated, "long_term")
-    assert screen.table[0].value["State"].tolist() == [text("en", "event.alarm")]
-    assert screen.table[0].value["Predicted error"].tolist() == ["0.21\u00a0N"]
+    screen = show(calibrated, "unit", tab="history", unit="small/A2")
+    shown = {metric.label: metric.value for metric in screen.metric[-5:]}
+    assert shown[text("en", "column.state")] == text("en", "event.alarm")
+    assert shown[text("en", "lot.predicted")] == "0.21 N"
     assert "0.2 N" in screen.warning[0].value
 
 
@@ -321,6 +321,22 @@ def keep_diagnosis(url: str, case: Path, **facts: object) -> None:
         board.end(job, RunState.DONE, str(facts["verdict"]), {"hidden_fraction": {}, "gap": {}} | lists | facts)
 
 
+def test_diagnoses_are_listed_newest_first_and_one_stays_at_its_address(calibrated: str, show, tmp_path: Path) -> None:
+    nothing = {"predicted": None, "low": None, "high": None, "held_out": 0.5}
+    for name, verdict in (("first", "no_gap"), ("second", "explained_in_part")):
+        keep_diagnosis(calibrated, tmp_path / name, verdict=verdict, shrink=nothing, next_experiment={})
+    screen = show(calibrated, "gap")
+    links = list(screen.table[0].value[text("en", "gap.case")])
+    assert ["second" in links[0], "first" in links[1]] == [True, True]
+    job = links[1].split("job=")[1].rstrip(")")
+    keep_diagnosis(calibrated, tmp_path / "first", verdict="unknown", shrink=nothing, next_experiment={})
+    screen = show(calibrated, "gap", case=str(tmp_path / "first"), job=job)
+    assert not screen.exception and not screen.error
+    assert text("en", "gap.verdict.no_gap") in screen.header[0].value
+    screen.selectbox(key="gap-beside").select_index(0).run()
+    assert not screen.exception and text("en", "gap.verdict.unknown") in screen.header[1].value
+
+
 @pytest.mark.long
 def test_one_click_presses_the_proposed_experiment_on_the_simulated_rig(calibrated: str, show, jobs_at_once) -> None:
     case = practise("usual")
@@ -352,18 +368,6 @@ def test_what_no_cause_explains_is_described_on_the_page(calibrated: str, show, 
     assert text("en", "gap.left") in [heading.value for heading in screen.header]
     assert any("88.0 %" in line.value for line in screen.markdown)
     assert any("backlash" in line.value and "17.0 %" in line.value for line in screen.caption)
-
-
-def test_where_every_unit_passed_the_worst_is_one_click_away(calibrated: str, show, monkeypatch) -> None:
-    gone: list[dict[str, str]] = []
-    monkeypatch.setattr("streamlit.switch_page", lambda page, query_params: gone.append(dict(query_params)))
-    monkeypatch.setattr(server_memory, "lot_view", lambda *given: replace(lot_view(*given), looks=()))
-    screen = show(calibrated, "lot", lot="small")
-    with open_registry(calibrated) as registry:
-        errors = {row.serial: row.predicted_rmse or 0 for row in registry.pages.lot_errors("small")}
-    worst = max(errors, key=errors.__getitem__)
-    press(screen, "lot.look.worst", serial=worst)
-    assert not screen.error and gone == [{"unit": f"small/{worst}"}]
 
 
 def test_a_column_that_says_nothing_takes_no_room() -> None:

@@ -1,16 +1,19 @@
 """`softcal explain`: the figure and the numbers behind a verdict, one unit or a whole lot."""
 
 import json
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+import plotly.graph_objects as go
 import pytest
 
 from softcal.app.charts.palette import palette
 from softcal.app.charts.why import why_figure
 from softcal.app.cli.main import main
-from softcal.app.texts.catalogue import text
-from softcal.app.views.unit import unit_view
+from softcal.app.texts.catalogue import catalogue, text
+from softcal.app.views.unit import UnitView, unit_view
 from softcal.core.lot import UnitKey
 from softcal.db.connection import open_registry
 
@@ -45,18 +48,55 @@ def test_explanation_of_one_unit_is_told_in_words_numbers_and_a_figure(
     assert "A2" in page.read_text()
 
 
-def test_figure_shows_forecast_against_limit_and_all_panels(url: str) -> None:
+def figure_of(url: str, has_audit: bool) -> tuple[UnitView, go.Figure]:
     with open_registry(url) as registry:
         view = unit_view(registry, UnitKey("small", "A1"))
-    figure = why_figure(view, palette("light"), partial(text, "en"))
+    view = view if has_audit else replace(view, audit=None)
+    return view, why_figure(view, palette("light"), partial(text, "en"))
+
+
+def test_what_was_measured_is_shown_where_it_decided(url: str) -> None:
+    view, figure = figure_of(url, has_audit=True)
+    assert view.audit is not None
+    titles = {note.text for note in figure.layout.annotations}
+    assert titles == {text("en", f"why.{name}") for name in ("estimate", "error", "course", "loop")}
+    error = view.audit.estimate - view.audit.reference
+    assert float(np.sqrt(np.mean(error**2))) == pytest.approx(view.stored.state.errors["after_rmse"], rel=1e-6)
+    limit = view.stored.state.limit.maximum_rmse
+    assert sorted({line.y0 for line in figure.layout.shapes}) == [-limit, limit]
+    assert all("[N]" in figure.layout[axis].title.text for axis in ("xaxis", "yaxis", "yaxis2", "yaxis3", "xaxis4"))
+
+
+def test_the_parts_of_a_forecast_add_in_quadrature_and_each_is_explained(url: str) -> None:
+    view, figure = figure_of(url, has_audit=False)
+    bars = figure.data[0]
+    ends = np.asarray(bars.base) + np.asarray(bars.x)
+    assert ends[-1] == pytest.approx(view.stored.state.forecast.rmse, rel=1e-2)
+    assert np.asarray(bars.base)[1:] == pytest.approx(ends[:-1])
+    assert min(np.diff(np.concatenate([[0.0], ends**2]))) > 0
+    assert all(sentence.endswith(".") for _, sentence in bars.customdata)
+
+
+def test_every_part_of_a_forecast_has_a_sentence() -> None:
+    parts = {key.removeprefix("part.") for key in catalogue()["en"] if key.startswith("part.")}
+    assert {f"why.part.{part}" for part in parts} <= set(catalogue()["en"])
+
+
+@pytest.mark.parametrize("has_audit", [True, False])
+def test_each_panel_has_its_legend_inside(url: str, has_audit: bool) -> None:
+    _, figure = figure_of(url, has_audit)
+    legends = {trace.legend or "legend" for trace in figure.data}
+    assert len(legends) == (4 if has_audit else 1)
+    assert all(0 <= figure.layout[name].x <= 1 and 0 <= figure.layout[name].y <= 1 for name in legends)
+
+
+def test_the_figure_shows_the_forecast_against_the_limit(url: str) -> None:
+    view, figure = figure_of(url, has_audit=False)
+    limit = view.stored.state.limit.maximum_rmse
     diamond = next(trace for trace in figure.data if trace.name == text("en", "column.predicted"))
     assert diamond.x[0] == pytest.approx(view.stored.state.predicted_rmse)
-    assert [line.x0 for line in figure.layout.shapes] == [view.explanation.limit]
-    assert figure.layout.xaxis.range[1] > max(view.explanation.limit, *diamond.x, *figure.data[0].x)
-    drawn = [trace for trace in figure.data if trace.xaxis == "x2" and trace.x[0] is not None]
-    edges = view.explanation.density_edges
-    assert {(trace.x[0], trace.x[-1]) for trace in drawn} == {(edges[0], edges[-1])}
-    assert len({trace.xaxis for trace in figure.data}) == 4
+    assert [line.x0 for line in figure.layout.shapes] == [limit]
+    assert figure.layout.xaxis.range[1] > max(limit, *diamond.x)
     assert str(view.stored.state.decision.reasons[0])[:40] in figure.layout.title.text
 
 

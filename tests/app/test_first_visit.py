@@ -38,20 +38,20 @@ def browser(monkeypatch: pytest.MonkeyPatch):
 )
 def test_the_first_visit_is_in_the_language_of_the_browser(tmp_path, browser, show, locale, spoken) -> None:
     browser(locale=locale)
-    screen = show(f"sqlite:///{tmp_path / 'new.db'}", "start", role=None)
-    assert screen.title[0].value == text(spoken, "page.start")
-    assert screen.selectbox(key="language").value == spoken
+    screen = show(f"sqlite:///{tmp_path / 'new.db'}", "lots", role=None)
+    assert screen.title[0].value == text(spoken, "page.lots")
+    assert show(f"sqlite:///{tmp_path / 'new.db'}", "settings", role=None).selectbox(key="language").value == spoken
 
 
 @pytest.mark.parametrize("chosen", LANGUAGES)
 def test_what_a_person_chose_stays_whatever_the_browser_speaks(tmp_path, browser, show, chosen) -> None:
     browser(locale="ko-KR")
     url = f"sqlite:///{tmp_path / 'new.db'}"
-    assert show(url, "start", role=None, lang=chosen).title[0].value == text(chosen, "page.start")
-    screen = show(url, "start", role=None)
+    assert show(url, "lots", role=None, lang=chosen).title[0].value == text(chosen, "page.lots")
+    screen = show(url, "settings", role=None)
     screen.selectbox(key="language").set_value("en").run()
     screen.selectbox(key="language").set_value(chosen).run()
-    assert screen.run().title[0].value == text(chosen, "page.start")
+    assert screen.run().title[0].value == text(chosen, "page.settings")
 
 
 @pytest.mark.parametrize(("zone", "hours"), [(SEOUL, 9), ("America/St_Johns", -3.5), ("UTC", 0)])
@@ -68,7 +68,7 @@ def test_pages_show_times_in_the_zone_of_the_browser(calibrated, browser, show, 
     with open_registry(calibrated) as registry:
         made = registry.networks.states("small")[0].network.added_at
     offset = timedelta(hours=hours) if hours else datetime.now().astimezone().utcoffset()
-    (table,) = (table.value for table in show(calibrated, "networks", lot="small").table)
+    (table,) = (table.value for table in show(calibrated, "lot", tab="networks", lot="small").table)
     times = [read(cell) for cell in table.astype(str).to_numpy().ravel() if " UTC" in cell]
     assert any(abs(at - made) < timedelta(seconds=2) and at.utcoffset() == offset for at in times)
 

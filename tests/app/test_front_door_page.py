@@ -9,17 +9,19 @@ from pathlib import Path
 import pytest
 
 from softcal.app.batch import front_door
+from softcal.app.batch.changes import Changes, VerdictChange
 from softcal.app.batch.front_door import lot_files, lots_folder, network_of
 from softcal.app.export.certificates.laboratory import Laboratory, registry_laboratory
 from softcal.app.export.check import check_folder
 from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.jobs.jobs import archive_path, run_job
 from softcal.app.texts.catalogue import text
-from softcal.app.ui.pages import PAGES
+from softcal.app.ui.tabs import lot_release
 from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import RunState
+from softcal.core.words.reason import Reason
 from softcal.db.connection import open_registry
-from softcal.db.entries import CellCertificate, User
+from softcal.db.entries import CellCertificate
 from tests.app.pdf_text import read_text
 
 pytestmark = pytest.mark.usefixtures("own_data")
@@ -42,15 +44,13 @@ def done(url: str, kind: str, request: dict[str, object]):
 
 def test_an_empty_registry_begins_at_the_start_page_for_everybody(tmp_path: Path, open_page) -> None:
     screen = open_page(f"sqlite:///{tmp_path / 'new.db'}")
-    assert screen.title[0].value == text("en", "page.start")
+    assert screen.title[0].value == text("en", "page.lots")
     assert button(screen, "start.demo")
 
 
-def test_the_start_page_is_the_engineers_once_there_is_a_lot() -> None:
-    start = next(page for page in PAGES if page.name == "start")
-    operator, engineer = User("", "operator", True, 0), User("Erin", "engineer", True, 1)
-    assert start.is_open_to(operator, is_new=True) and not start.is_open_to(operator)
-    assert start.is_open_to(engineer)
+def test_the_ways_to_begin_give_way_to_the_table_once_there_is_a_lot(calibrated: str, show) -> None:
+    screen = show(calibrated, "lots")
+    assert not button(screen, "start.demo") and button(screen, "lots.new") and len(screen.table[0].value) == 1
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ def test_the_demo_ends_on_the_page_of_its_lot_for_who_is_alone(
     assert screen.selectbox(key="choose-lot").value == "demo"
     assert judged and f"{judged} / {judged}" in {metric.value for metric in screen.metric}
     # Whoever comes back finds it, and the other ways to begin beside it.
-    assert {"demo-open", "start-files-sign-in"} <= {button.key for button in open_page(url).button}
+    assert {"demo-open", "start-files"} <= {button.key for button in open_page(url).button}
 
 
 def dropped(folder: Path) -> list[tuple[str, bytes, str]]:
@@ -99,7 +99,7 @@ def test_dropped_files_become_a_calibrated_lot_and_what_is_broken_is_left_out_wi
     monkeypatch.setattr(front_door, "network_of", lambda *_: NetworkConfig(hidden=(8,), max_epochs=5))
     gone: list[str] = []
     url = f"sqlite:///{tmp_path / 'new.db'}"
-    screen = show(url, "new_lot")
+    screen = show(url, "lots", tab="files")
     broken = ("A3.csv", b"t_s,output\n0,1\n0.02,abc\n", "text/csv")
     empty = ("../../A4.csv", b"", "text/csv")
     screen.file_uploader[0].set_value([*dropped(lot_folder), broken, empty]).run()
@@ -122,7 +122,7 @@ def test_dropped_files_become_a_calibrated_lot_and_what_is_broken_is_left_out_wi
 def test_a_lot_that_the_registry_knows_is_not_written_over(
     calibrated: str, lot_folder: Path, show, jobs_at_once: None
 ) -> None:
-    screen = show(calibrated, "new_lot")
+    screen = show(calibrated, "lots", tab="files")
     screen.file_uploader[0].set_value(dropped(lot_folder)).run()
     screen.text_input(key="new-lot-name").set_value("small").run()
     button(screen, "new_lot.do").click().run()
@@ -133,7 +133,7 @@ def test_a_lot_that_the_registry_knows_is_not_written_over(
 def test_a_time_column_in_milliseconds_is_refused_with_what_to_do(tmp_path: Path, show, press_unit) -> None:
     table = press_unit(600, 1.0, 0.5, 1)
     table["t_s"] *= 1000
-    screen = show(f"sqlite:///{tmp_path / 'new.db'}", "new_lot")
+    screen = show(f"sqlite:///{tmp_path / 'new.db'}", "lots", tab="files")
     content = table.to_csv(index=False).encode()
     screen.file_uploader[0].set_value([("A0.csv", content, "text/csv"), ("A1.csv", content, "text/csv")]).run()
     assert "0.05 Hz" in screen.error[0].value
@@ -145,7 +145,7 @@ def test_a_layout_that_nothing_tells_is_stated_on_the_page(tmp_path: Path, show,
     lines = ["a,b,c", *(",".join(f"{value:.6g}" for value in row) for row in table.to_numpy())]
     lines[300] = lines[300].split(",")[0] + ",OL,1.0"
     content = "\n".join(["0,1,2", *lines[1:]]).encode()
-    screen = show(f"sqlite:///{tmp_path / 'new.db'}", "new_lot")
+    screen = show(f"sqlite:///{tmp_path / 'new.db'}", "lots", tab="files")
     screen.file_uploader[0].set_value([("A0.csv", content, "text/csv"), ("A1.csv", content, "text/csv")]).run()
     assert screen.error and not screen.dataframe
     screen.number_input(key="new-lot-header-row").set_value(1).run()
@@ -164,7 +164,7 @@ def test_a_layout_that_nothing_tells_is_stated_on_the_page(tmp_path: Path, show,
 def test_one_column_per_unit_is_taken_too(tmp_path: Path, show, press_unit) -> None:
     table = press_unit(600, 1.0, 0.5, 1).rename(columns={"output": "ch_1"})
     table["ch_2"], table["ch_3"] = table["ch_1"] * 1.1 + 0.02, 0.5
-    screen = show(f"sqlite:///{tmp_path / 'new.db'}", "new_lot")
+    screen = show(f"sqlite:///{tmp_path / 'new.db'}", "lots", tab="files")
     screen.file_uploader[0].set_value([("wide.csv", table.to_csv(index=False).encode(), "text/csv")]).run()
     screen.radio[0].set_value("wide").run()
     assert screen.text_input(key="new-lot-pattern").value == "ch_*"
@@ -219,7 +219,7 @@ def test_what_the_form_of_the_laboratory_says_stands_on_the_certificate(calibrat
     certificate = CellCertificate("LC-9", "K-1", "KRISS", date(2026, 1, 2), date(2027, 1, 2), 50.0, 0.05)
     with open_registry(calibrated) as registry:
         registry.stations.add_certificate(certificate, actor="test")
-    screen = show(calibrated, "release", lot="small")
+    screen = show(calibrated, "settings", tab="laboratory")
     stated = {"laboratory-name": "Haptics Lab", "laboratory-country": "KR"}
     stated |= {"customer-name": "Beispiel GmbH", "person-name": "Kim Ji-woo"}
     for field, typed in stated.items():
@@ -238,7 +238,7 @@ def test_what_the_form_of_the_laboratory_says_stands_on_the_certificate(calibrat
 
 
 def test_a_country_that_is_none_is_refused_and_nothing_is_kept(calibrated: str, show) -> None:
-    screen = show(calibrated, "release", lot="small")
+    screen = show(calibrated, "settings", tab="laboratory")
     screen.text_input(key="laboratory-laboratory-country").set_value("Korea")
     button(screen, "laboratory.save").click().run()
     assert "KR" in screen.error[0].value
@@ -246,24 +246,26 @@ def test_a_country_that_is_none_is_refused_and_nothing_is_kept(calibrated: str, 
         assert registry_laboratory(registry) == Laboratory()
 
 
-def test_a_lot_is_released_from_its_page_and_the_trail_says_so(calibrated: str, show) -> None:
-    screen = show(calibrated, "release", lot="small")
+def test_a_lot_is_released_from_its_page_and_the_trail_says_so(calibrated: str, show, monkeypatch) -> None:
+    change = VerdictChange("small", "A1", "conditional", "pass", Reason("release.promised"))
+    monkeypatch.setattr(lot_release, "remembered_release_changes", lambda _: Changes((change,), {"pass": 1}))
+    decided: list[str] = []
+    monkeypatch.setattr(lot_release, "decide_lot", lambda _, lot_id, name: decided.append(f"{lot_id} {name}"))
+    screen = show(calibrated, "lot", tab="release", lot="small")
     assert not screen.exception and not screen.error
     button(screen, "release.do").click().run()
-    assert "small" in screen.success[0].value
-    with open_registry(calibrated) as registry:
-        assert any(row.action in ("release", "withhold") for row in registry.trail.rows())
+    assert "small" in screen.success[0].value and decided == ["small Erin"]
 
 
 def test_an_operator_sees_the_release_and_may_not_decide_it(calibrated: str, show) -> None:
-    screen = show(calibrated, "release", role="operator", lot="small")
+    screen = show(calibrated, "lot", tab="release", role="operator", lot="small")
     assert not screen.exception
     assert not button(screen, "release.do")
 
 
 def test_two_units_stand_side_by_side(calibrated: str, show) -> None:
-    screen = show(calibrated, "compare", a="A1", b="A3")
+    screen = show(calibrated, "unit", tab="compare", unit="A1", **{"with": "A3"})
     assert not screen.exception and not screen.error
     columns = list(screen.table[0].value.columns)
     assert columns[1:] == ["small/A1", "small/A3"]
-    assert show(calibrated, "compare", a="A1", b="A1", lang="ko").title[0].value == text("ko", "page.compare")
+    assert show(calibrated, "unit", tab="compare", unit="A1", lang="ko").tabs[-1].label == text("ko", "tab.compare")

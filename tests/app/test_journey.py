@@ -19,7 +19,7 @@ def test_a_unit_is_scanned_pressed_judged_and_looked_at(
     add_everybody(line.url)
     sign_in(line.screen.address, "engineer")
     panel.goto(f"{line.screen.address}/lot?lot={LOT}")
-    panel.get_by_role("heading", name="Units that need a look").wait_for()
+    panel.get_by_role("heading", name="Predicted error of the units").wait_for()
     panel.goto(f"{line.screen.address}/unit?unit=A1")
     panel.get_by_role("heading", name="Why this verdict").wait_for()
     panel.get_by_role("tab", name="History").wait_for()

@@ -32,7 +32,7 @@ def table_of(folder: Path) -> bytes:
 
 @pytest.mark.long
 def test_loads_are_looked_at_taken_and_used(calibrated, lot_folder, show, jobs_at_once):
-    screen = show(calibrated, "known_loads", lot="small")
+    screen = show(calibrated, "lot", tab="known_loads", lot="small")
     assert not screen.exception and say("known_loads.none") in [one.value for one in screen.caption]
     screen.file_uploader[0].set_value([("loads.csv", table_of(lot_folder), "text/csv")]).run()
     assert not screen.exception and not screen.error, [one.value for one in screen.error]
@@ -48,12 +48,12 @@ def test_loads_are_looked_at_taken_and_used(calibrated, lot_folder, show, jobs_a
         assert made.state.knowledge.is_anchored and made.state.fit.recording_sha256 == kept.recording_sha256
         assert (kept.serial, kept.actor, kept.where) == ("A1", "Erin", "page")
         assert not registry.calibrations.get("A2", lot_id="small").state.knowledge.is_anchored
-    shown = show(calibrated, "known_loads", lot="small").table[0].value
-    assert list(shown.iloc[0])[:2] == ["A1", "0, 2"]
+    shown = show(calibrated, "lot", tab="known_loads", lot="small").table[0].value
+    assert list(shown.iloc[0])[:2] == ["[A1](unit?unit=small%2FA1)", "0, 2"]
 
 
 def test_who_may_only_audit_sees_them_and_brings_none(calibrated, show):
-    screen = show(calibrated, "known_loads", role="quality", lot="small", lang="ko")
+    screen = show(calibrated, "lot", tab="known_loads", role="quality", lot="small", lang="ko")
     assert not screen.exception and not screen.error and not screen.file_uploader
 
 
@@ -63,7 +63,7 @@ def test_who_may_only_audit_sees_them_and_brings_none(calibrated, show):
     ids=["good", "in another unit", "not known well enough"],
 )
 def test_the_rules_take_loads_that_a_calibration_can_use(calibrated, show, load, expanded, is_taken):
-    screen = show(calibrated, "limits", lot="small")
+    screen = show(calibrated, "lot", tab="limits", lot="small")
     for key, value in (("rules-load-1", 0.0), ("rules-load-2", load), ("rules-load-u-2", expanded)):
         screen.number_input(key=f"{key}-small-0").set_value(value)
     screen.text_input(key="reason-text-rules-small-0").set_value("two weights")

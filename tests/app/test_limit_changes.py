@@ -72,7 +72,7 @@ def test_the_page_says_how_many_units_its_button_withdraws(calibrated, show):
     with open_registry(calibrated) as registry:
         passed = sum(word == "pass" for word in verdicts(registry).values())
         expected = preview_limit(registry, "small", STRICT_N)
-    screen = show(calibrated, "limits", lot="small")
+    screen = show(calibrated, "lot", tab="limits", lot="small")
     screen.number_input[0].set_value(STRICT_N).run()
     what = text("en", "limits.set", limit=f"{STRICT_N:g} N")
     label = text("en", "limits.set.withdrawing", what=what, count=passed)

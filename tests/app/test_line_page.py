@@ -50,11 +50,16 @@ def test_the_start_button_orders_the_scanned_unit_for_the_operator(station, show
     assert (order.kind, order.serial, order.lot_id, order.actor) == (OrderKind.UNIT, "A9", "small", "Kim (badge)")
 
 
-@pytest.mark.parametrize(("role", "is_led"), [("engineer", True), ("quality", False), (None, False)])
+@pytest.mark.parametrize(("role", "is_led"), [("engineer", True), (None, False)])
 def test_a_line_without_a_station_leads_to_one_who_may_start_it(calibrated, show, role, is_led):
     screen = show(calibrated, "line", role=role)
     assert 'data-state="no_station"' in html_of(screen)
     assert ("line-to-station" in {button.key for button in screen.button}) is is_led
+
+
+def test_the_line_asks_whoever_may_not_press_units_to_sign_in(calibrated, show):
+    screen = show(calibrated, "line", role="quality")
+    assert not screen.exception and screen.info and "data-state" not in html_of(screen)
 
 
 def test_a_unit_with_a_result_is_asked_for(station, show):

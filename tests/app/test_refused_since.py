@@ -11,7 +11,6 @@ from softcal.app.cli.main import main
 from softcal.app.jobs import jobs
 from softcal.app.jobs.jobs import Teller
 from softcal.app.texts.catalogue import text
-from softcal.core.lot import UnitKey
 from softcal.core.unit.verdict import Finding, Verdict
 from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
@@ -112,7 +111,7 @@ def test_who_uses_its_map_is_warned(refused, trained_lot, tmp_path, capsys, comm
 
 
 def test_a_page_shows_how_it_stands_and_gives_no_file(refused, show):
-    screen = show(refused, "unit", unit="A1")
+    screen = show(refused, "unit", tab="files", unit="A1")
     shown = " ".join(element.proto.body for element in screen.get("html"))
     assert text("en", "verdict.retest") in shown and PASS not in shown
     assert any(WHY in note.value for note in screen.markdown)
@@ -131,7 +130,7 @@ def test_a_calibration_made_since_is_what_counts(refused, tmp_path):
 def test_a_page_of_a_serial_in_two_lots_asks_for_the_lot(two_lots, show):
     screen = show(two_lots, "unit", unit="other/A1")
     assert not screen.error and any(WHY in note.value for note in (*screen.info, *screen.markdown))
-    screen.selectbox(key="unit-choice--other/A1").set_value(UnitKey("small", "A1")).run()
+    screen = show(two_lots, "unit", unit="small/A1")
     assert not screen.error and not screen.exception
     assert PASS in " ".join(element.proto.body for element in screen.get("html"))
 

@@ -33,7 +33,7 @@ def _press(screen, key: str):
 
 
 def test_a_source_is_registered_pressed_looked_at_and_trained_from_its_page(url: str, show) -> None:
-    screen = show(url, "source", role="engineer")
+    screen = show(url, "lots", tab="rig", role="engineer")
     for field, value in zip(screen.text_input, (LOT, "A0", "eGaIn pad, 3 mm"), strict=False):
         field.set_value(value)
     _press(screen, "source.add_lot")

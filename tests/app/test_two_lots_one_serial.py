@@ -15,6 +15,7 @@ from softcal.app.registry.lot_recordings import newest_audits
 from softcal.app.registry.quality import golden_charts, lot_yields
 from softcal.app.registry.unit import calibrated_unit
 from softcal.app.texts.catalogue import text
+from softcal.app.views.search import search
 from softcal.app.views.station import golden_units
 from softcal.core.errors import AmbiguousUnit
 from softcal.core.lot import UnitKey
@@ -51,8 +52,8 @@ def twins(calibrated: str) -> str:
 def links(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, dict[str, str]]]:
     """The pages that links opened, each with its query."""
     opened: list[tuple[str, dict[str, str]]] = []
-    for module in ("app_pages.lot", "components.unit_table"):
-        monkeypatch.setattr(f"softcal.app.ui.{module}.go_to", lambda page, **query: opened.append((page, query)))
+    name = "softcal.app.ui.components.unit_table.go_to"
+    monkeypatch.setattr(name, lambda page, **query: opened.append((page, query)))
     return opened
 
 
@@ -69,55 +70,44 @@ def test_a_link_opens_the_unit_of_its_lot(twins, show, key, verdict):
 @pytest.mark.parametrize("lot", ["small", "other"])
 def test_the_table_of_a_lot_links_to_its_own_units(twins, show, links, monkeypatch, lot):
     monkeypatch.setattr("softcal.app.ui.components.unit_table.table_to_choose", lambda rows, *_: 0)
-    screen = show(twins, "lot", lot=lot)
+    screen = show(twins, "lot", tab="units", lot=lot)
     assert not screen.error
     assert links and all(UnitKey.parse(query["unit"]).lot_id == lot for _, query in links)
-
-
-def test_the_units_that_need_a_look_are_shown_and_opened_of_their_lot(twins, show, links):
-    screen = show(twins, "lot", lot="other")
-    assert not screen.error and not screen.exception
-    screen.button(key="open-look").click().run()
-    assert links == [("unit", {"unit": str(OTHER)})]
 
 
 def test_a_serial_alone_is_asked_for_with_its_lot_and_never_guessed(twins, show):
     screen = show(twins, "unit", unit=SERIAL)
     assert badge(screen) == ""
-    (choice,) = (one for one in screen.selectbox if str(one.key).startswith("unit-choice"))
-    assert len(choice.options) == 2 and {"small", "other"} <= set(" ".join(choice.options).replace("·", " ").split())
-    choice.set_value(OTHER).run()
-    assert FAIL in badge(screen) and str(OTHER) in screen.query_params["unit"]
+    links = " ".join(screen.table[0].value.iloc[:, 0])
+    assert len(screen.table[0].value) == 2 and "small%2FA1" in links and "other%2FA1" in links
 
 
 def test_a_serial_of_one_lot_needs_no_lot(twins, show):
     assert not show(twins, "unit", unit="A3").error
 
 
-def test_the_search_offers_the_units_of_both_lots(twins, show):
-    screen = show(twins, "unit", unit=str(SMALL))
-    (choice,) = (one for one in screen.selectbox if str(one.key).startswith("unit-choice"))
-    assert sum(SERIAL in option.split() for option in choice.options) == 2
+def test_the_search_offers_the_units_of_both_lots(twins):
+    with open_registry(twins) as registry:
+        assert {hit.query["unit"] for hit in search(registry, SERIAL)} == {str(SMALL), str(OTHER)}
 
 
 @pytest.mark.parametrize("key", [SMALL, OTHER], ids=str)
 def test_the_files_and_the_revisions_of_the_page_are_those_of_its_lot(twins, show, key):
-    screen = show(twins, "unit", unit=str(key))
+    screen = show(twins, "unit", tab="files", unit=str(key))
     screen.segmented_control(key=f"format-{key}").set_value("pdf").run()
     assert not screen.error
     keys = [button.key for button in screen.get("download_button") if "certificate" in str(button.proto.label)]
     assert keys
     with open_registry(twins) as registry:
         revision = registry.calibrations.get(SERIAL, lot_id=key.lot_id).revision
-    (chosen,) = (one for one in screen.selectbox if one.label == text("en", "column.revision") and one.value)
-    assert int(chosen.value) == revision
+    assert all(f"-{revision}-" in str(name) for name in keys)
 
 
 def test_two_units_of_equal_serials_are_compared(twins, show):
-    screen = show(twins, "compare", a=str(SMALL), b=str(OTHER))
-    shown = badge(screen)
-    assert PASS in shown and FAIL in shown
+    screen = show(twins, "unit", tab="compare", unit=str(SMALL), **{"with": str(OTHER)})
     (table,) = screen.table
+    shown = table.value.to_string()
+    assert PASS in shown and FAIL in shown
     assert [str(SMALL), str(OTHER)] == list(table.value.columns)[1:]
 
 

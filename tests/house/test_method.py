@@ -22,7 +22,6 @@ NO_DECISION = {
     "core/unit/bridge.py": {"SAME_DAY"},  # the identity
     "core/unit/line_spread.py": {"MOST_SPREAD"},  # 1, the end of what a share can be
     "core/unit/uncertainty.py": {"NORMAL_90"},  # a quantile of the normal distribution
-    "core/unit/explanation.py": {"DENSITY_BINS"},  # bars of a figure
     "core/unit/budget.py": {"COVERAGE", "DIVISORS"},  # what a certificate states, and the GUM's distributions
     "core/maps/paired.py": {"MIN_WINDOWS"},  # what is refused
     "core/maps/plan.py": {"MAX_WINDOWS", "MAX_JOINT_WINDOWS", "MAX_JOINT_ROUNDS", "NEIGHBOURS", "RIDGE_PER_WINDOW"},

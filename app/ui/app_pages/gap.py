@@ -1,4 +1,4 @@
-"""The gap between the twin and a rig: choose a case, run the diagnosis, press what it proposes."""
+"""The gap between the twin and a rig: the diagnoses, one of them, or two side by side."""
 
 from pathlib import Path
 
@@ -12,37 +12,111 @@ from softcal.app.gap.desk import cases, cases_folder, has_sealed_rig, practise, 
 from softcal.app.ui.account import allows, permit
 from softcal.app.ui.actions import download, refusals_in_words
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
-from softcal.app.ui.desk import colours, empty, named, say, words
-from softcal.app.ui.panels import heading, numbers, rest_may_follow, show_figure, table
+from softcal.app.ui.components.sign_in import ask_sign_in
+from softcal.app.ui.desk import colours, empty, instant, named, say, words
+from softcal.app.ui.panels import Link, heading, numbers, rest_may_follow, show_figure, table
 from softcal.app.ui.server_memory import registry
 from softcal.app.views import gap
 from softcal.app.views.common import percent
 from softcal.app.views.gap import Report
+from softcal.core.orders import RunState
 from softcal.db.queues.job_board import Job
 
 METADATA = (("vref_V", 5.0), ("adc_bits", 16), ("r_series_ohm", 1000.0), ("sample_rate_Hz", 50.0))
 ICONS = {
     "no_gap": "check_circle",
     "explained": "lightbulb",
+    "explained_in_part": "lightbulb",
     "ambiguous": "call_split",
     "unknown": "help",
     "data": "report",
 }
-SHOWN_CAUSES = 8
+SHOWN_CAUSES, MAX_LISTED = 8, 20
 
 
 def render() -> None:
-    wanted, known = str(st.query_params.get("case", "")), [str(case) for case in cases()]
-    options = [wanted, *known] if wanted and wanted not in known else known
-    case = None
+    if not allows("set_up"):
+        heading("gap")
+        ask_sign_in(("set_up",))
+        return
+    case, jobs = str(st.query_params.get("case", "")), _diagnoses()
     with heading("gap"):
-        if options:
-            index = options.index(wanted) if wanted in options else 0
-            chosen = str(st.selectbox(say("gap.case"), options, index=index, format_func=_shown, key=f"case-{wanted}"))
-            if chosen != wanted:
-                st.query_params["case"] = chosen
-            case = Path(chosen)
-    with st.expander(say("gap.add"), icon=":material/add:", expanded=not known):
+        if case and st.button(say("gap.list"), icon=":material/list:", key="gap-list"):
+            st.query_params.clear()
+            st.rerun()
+    if case:
+        _case(Path(case), jobs)
+        return
+    _list(jobs)
+    known = [str(known) for known in cases()]
+    if undone := [known for known in known if known not in {job.request["case"] for job in jobs}]:
+        table({say("gap.case"): _case_link(case)} for case in undone)
+    _add(is_first=not known)
+
+
+def _diagnoses() -> list[Job]:
+    """Return the newest diagnoses, without their results."""
+    return [job for job in registry().job_board.jobs("diagnose", count=MAX_LISTED) if job.state is RunState.DONE]
+
+
+def _case_link(case: str, job_id: str = "", text: str = "") -> Link:
+    return Link(text or _shown(case), "gap", (("case", case), *((("job", job_id),) if job_id else ())))
+
+
+def _list(jobs: list[Job]) -> None:
+    """Draw the diagnoses, newest first: what each found, and how far it explains the gap."""
+    rows = []
+    for brief in jobs:
+        report = registry().job_board.job(brief.job_id).result
+        shrink = report.get("shrink", {})
+        rows.append(
+            {
+                say("column.made"): instant(brief.created),
+                say("gap.case"): _case_link(brief.request["case"], brief.job_id),
+                say("gap.says"): say(f"gap.verdict.{report['verdict']}"),
+                say("gap.column.effect"): ", ".join(gap.named_causes(report, say)),
+                say("gap.held_out"): percent(shrink.get("held_out")),
+                say("column.actor"): brief.actor,
+            }
+        )
+    if rows:
+        table(rows)
+    else:
+        empty("gap.none")
+
+
+def _case(case: Path, jobs: list[Job]) -> None:
+    """Draw the diagnosis of a case that the address names, else its newest, and another one beside it."""
+    st.caption(_shown(str(case)))
+    job, asked = newest_job("diagnose", case=str(case)), str(st.query_params.get("job", ""))
+    if asked and (job is None or not is_running(job)):
+        job = registry().job_board.job(asked)
+    label = say("gap.diagnose" if job is None else "gap.diagnose.again")
+    if st.button(label, type="primary" if job is None else "secondary", disabled=is_running(job), key="diagnose"):
+        st.query_params.pop("job", None)
+        begin_job("diagnose", case=str(case))
+        st.rerun()
+    if job is None or not job_panel(job):
+        return
+    others = {other.job_id: other for other in jobs if other.job_id != job.job_id}
+    beside = None
+    if others:
+        names = {key: f"{_shown(other.request['case'])} · {instant(other.created)}" for key, other in others.items()}
+        label, unset = say("gap.beside"), say("choose.some")
+        beside = st.selectbox(label, list(names), None, names.__getitem__, key="gap-beside", placeholder=unset)
+    if beside is None:
+        gap_report(job, case)
+        return
+    for column, one in zip(st.columns(2), (job, registry().job_board.job(beside)), strict=True):
+        with column:
+            st.caption(f"{_shown(one.request['case'])} · {instant(one.created)}")
+            _verdict(one.result)
+            _rows(gap.cause_rows(one.result, say), gap.no_cause_words(one.result, say))
+
+
+def _add(is_first: bool) -> None:
+    """Draw the ways to a new case."""
+    with st.expander(say("gap.add"), icon=":material/add:", expanded=is_first):
         folder, upload, rig = st.tabs([say("gap.add.folder"), say("gap.add.upload"), say("gap.add.rig")])
         with folder, st.form("case-folder", border=False):
             path = str(st.text_input(say("gap.folder"), placeholder="/data/rig-7")).strip()
@@ -76,16 +150,6 @@ def render() -> None:
                 permit("set_up")
                 with st.spinner(say("gap.rig.wait")):
                     _open(practise())
-    if case is None:
-        empty("gap.none")
-        return
-    job = newest_job("diagnose", case=str(case))
-    label = say("gap.diagnose" if job is None else "gap.diagnose.again")
-    if st.button(label, type="primary" if job is None else "secondary", disabled=is_running(job), key="diagnose"):
-        begin_job("diagnose", case=str(case))
-        st.rerun()
-    if job is not None and job_panel(job):
-        gap_report(job, case)
 
 
 def _shown(path: str) -> str:
@@ -94,6 +158,7 @@ def _shown(path: str) -> str:
 
 
 def _open(case: Path) -> None:
+    st.query_params.clear()
     st.query_params["case"] = str(case)
     st.rerun()
 
@@ -102,25 +167,9 @@ def gap_report(job: Job, case: Path) -> None:
     """Draw the diagnosis a job has left."""
     report, board, texts = job.result, registry().job_board, words()
     is_data = report["verdict"] == "data"
-    st.header(f":material/{ICONS[report['verdict']]}: {say('gap.verdict.' + report['verdict'])}")
-    for row in gap.mistake_rows(report, say):
-        announce = st.error if is_data else st.warning
-        announce(say("gap.data.found", **row), icon=":material/report:")
+    _verdict(report)
     if not is_data:
-        if causes := gap.named_causes(report, say):
-            st.markdown(say("gap.causes", causes=", ".join(causes)))
-        if report["missing_channels"]:
-            st.caption(say("gap.missing", channels=", ".join(report["missing_channels"])))
-        shrink = report["shrink"]
-        cells = [
-            (say(f"gap.{name}"), percent(shrink.get(key)), say(f"gap.{name}.help"))
-            for name, key in (("forecast", "predicted"), ("held_out", "held_out"))
-            if shrink.get(key) is not None
-        ]
-        if cells:
-            numbers(cells)
-        if shrink.get("low") is not None:
-            st.caption(say("gap.interval", low=percent(shrink["low"]), high=percent(shrink["high"])))
+        _figure(gap_figures.ranking_figure(report, SHOWN_CAUSES, say, colours()), "ranking")
 
     def page() -> str:
         return gap_page(report, run_views_of(report, board.arrays(job)), report["serial"], texts)
@@ -147,7 +196,6 @@ def gap_report(job: Job, case: Path) -> None:
     _rows(gap.cause_rows(report, say), gap.no_cause_words(report, say))
     for group in gap.ambiguous_groups(report, say):
         st.warning(say("gap.ambiguous", group=group), icon=":material/call_split:")
-    _figure(gap_figures.ranking_figure(report, SHOWN_CAUSES, say, colours()), "ranking")
     left, right = st.columns(2)
     with left:
         st.header(say("gap.gain"))
@@ -176,6 +224,31 @@ def gap_report(job: Job, case: Path) -> None:
             if figure := gap_figures.trace_figure(runs, channel, say, colours()):
                 st.subheader(gap.begun(say("gap.figure.trace", channel=gap.channel_name(name, say))))
                 _figure(figure, f"trace-{channel}")
+
+
+def _verdict(report: Report) -> None:
+    """Draw verdict, mistakes, causes, and how far they explain the gap."""
+    is_data = report["verdict"] == "data"
+    st.header(f":material/{ICONS[report['verdict']]}: {say('gap.verdict.' + report['verdict'])}")
+    for row in gap.mistake_rows(report, say):
+        announce = st.error if is_data else st.warning
+        announce(say("gap.data.found", **row), icon=":material/report:")
+    if is_data:
+        return
+    if causes := gap.named_causes(report, say):
+        st.markdown(say("gap.causes", causes=", ".join(causes)))
+    if report["missing_channels"]:
+        st.caption(say("gap.missing", channels=", ".join(report["missing_channels"])))
+    shrink = report["shrink"]
+    cells = [
+        (say(f"gap.{name}"), percent(shrink.get(key)), say(f"gap.{name}.help"))
+        for name, key in (("forecast", "predicted"), ("held_out", "held_out"))
+        if shrink.get(key) is not None
+    ]
+    if cells:
+        numbers(cells)
+    if shrink.get("low") is not None:
+        st.caption(say("gap.interval", low=percent(shrink["low"]), high=percent(shrink["high"])))
 
 
 def _next(report: Report, case: Path) -> None:

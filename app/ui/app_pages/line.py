@@ -13,6 +13,8 @@ from softcal.app.ui.browser_memory import remember, screen
 from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.components import line_card
 from softcal.app.ui.components.scan_field import scan_field
+from softcal.app.ui.components.sign_in import ask_sign_in
+from softcal.app.ui.components.wall import wall
 from softcal.app.ui.desk import choose_language, colours, in_one_language, in_words, say
 from softcal.app.ui.panels import go_to
 from softcal.app.ui.server_memory import registry
@@ -27,6 +29,12 @@ IS_BUSY, REFUSED = "line-is-busy", "line-refused"
 
 
 def render() -> None:
+    if "wall" in st.query_params:
+        wall()
+        return
+    if not allows("calibrate"):
+        ask_sign_in(("calibrate",))
+        return
     st.html(line_card.style() + line_card.theme(colours()))
     is_busy = bool(st.session_state.get(IS_BUSY))
     st.fragment(_screen, run_every=BUSY_S if is_busy else IDLE_S)()

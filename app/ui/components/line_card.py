@@ -5,7 +5,7 @@ from html import escape
 from pathlib import Path
 from urllib.parse import quote
 
-from softcal.app.charts.palette import Palette
+from softcal.app.charts.palette import VERDICT_INK, Palette
 from softcal.app.views.common import shortened
 from softcal.app.views.line import Chip, LineView
 
@@ -46,8 +46,9 @@ def style() -> str:
 
 def theme(colours: Palette) -> str:
     """Return the colours that follow the browser's theme."""
-    names = ("soft", "line", "good", "bad")
-    return f"<style>:root{{{''.join(f'--sc-{name}:{getattr(colours, name)};' for name in names)}}}</style>"
+    shown = {name: getattr(colours, name) for name in ("soft", "line", "good", "bad")}
+    shown |= {f"verdict-{verdict}": ground for verdict, ground in colours.verdict.items()} | {"ink": VERDICT_INK}
+    return f"<style>:root{{{''.join(f'--sc-{name}:{colour};' for name, colour in shown.items())}}}</style>"
 
 
 def note_html(said: str, is_refusal: bool) -> str:

@@ -5,7 +5,7 @@ import uuid
 import streamlit as st
 
 from softcal.app.charts.live import live_signal
-from softcal.app.jobs.process import start_simulated_station
+from softcal.app.jobs.process import SIMULATED, start_simulated_station
 from softcal.app.ui.account import actor, allows, permit
 from softcal.app.ui.actions import refusals_in_words
 from softcal.app.ui.desk import colours, errors_in_words, in_words, say
@@ -15,7 +15,7 @@ from softcal.core.errors import InputError
 from softcal.core.orders import Order, OrderKind, Progress, RunState
 
 POLL_S = 0.7
-SIMULATED, AWAITED = "simulated-1", "station-awaited"
+AWAITED = "station-awaited"
 
 
 def choose_station() -> str | None:

@@ -2,11 +2,13 @@
 
 import streamlit as st
 
+from softcal.app.registry.limit import limit_or_none
 from softcal.app.texts.reasons import all_said
 from softcal.app.ui.actions import csv_of, download, excel_of
-from softcal.app.ui.desk import errors_in_words, in_one_language, named, say
-from softcal.app.ui.panels import go_to, table_to_choose
+from softcal.app.ui.desk import errors_in_words, in_one_language, named, say, verdict_word
+from softcal.app.ui.panels import go_to, table_to_choose, unit_link
 from softcal.app.ui.server_memory import registry
+from softcal.app.views.common import decimals
 from softcal.core.lot import Lot
 from softcal.core.unit.verdict import VERDICTS
 from softcal.db.entries import UnitEntry
@@ -49,10 +51,11 @@ def unit_table(lot: Lot, serials: Serials) -> None:
     if not units:
         st.caption(say("lot.table.none"))
         return
-    columns = {}
+    columns, limit = {}, limit_or_none(registry(), lot.id)
+    shown = "%.4g" if limit is None else f"%.{decimals(limit.maximum_rmse)}f"
     for name in (say(f"column.{name}") for name in NUMBERS):
-        columns[name] = st.column_config.NumberColumn(f"{name} [{lot.reference_unit}]", format="%.4g")
-    chosen = table_to_choose([row(unit) for unit in units], f"units-{lot.id}", columns)
+        columns[name] = st.column_config.NumberColumn(f"{name} [{lot.reference_unit}]", format=shown)
+    chosen = table_to_choose([_linked(unit) for unit in units], f"units-{lot.id}", columns)
     left, right = st.columns([3, 2], vertical_alignment="center")
     with left:
         st.pagination(max(1, -(-page.total // SIZE)), key=place)
@@ -62,6 +65,12 @@ def unit_table(lot: Lot, serials: Serials) -> None:
         download(say("lot.export.xlsx"), f"{lot.id}.xlsx", lambda: excel_of(_table(lot, serials)), "export.xlsx")
     if chosen is not None:
         go_to("unit", unit=str(units[chosen].key))
+
+
+def _linked(unit: UnitEntry) -> dict[str, object]:
+    """Return one row of the table on the screen: its serial opens the unit in a new tab."""
+    shown = {say("column.serial"): unit_link(unit.key), say("column.verdict"): verdict_word(unit.verdict)}
+    return row(unit) | shown
 
 
 def row(unit: UnitEntry) -> dict[str, object]:

@@ -1,0 +1,98 @@
+"""The lot on one screen: what is next, its numbers, and the errors of its units."""
+
+from datetime import UTC, datetime
+
+import streamlit as st
+
+from softcal.app.charts import lot as charts_lot
+from softcal.app.registry.same_recordings import same_recordings_of
+from softcal.app.ui.account import allows
+from softcal.app.ui.actions import download
+from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
+from softcal.app.ui.desk import colours, in_words, language, say, words, zone
+from softcal.app.ui.panels import figure_under, go_to, headline, numbers, rest_may_follow
+from softcal.app.ui.server_memory import registry, remembered_lot_view, remembered_step
+from softcal.app.views.alerts import alerts
+from softcal.app.views.common import number, percent
+from softcal.app.views.lot import LotView
+from softcal.app.views.lot_runs import LotFilter
+
+SEEN = "calibrate-seen"
+HEIGHT = 250
+"""Of the histogram, so that the whole stands on a screen of 800 px."""
+
+
+def draw(lot_id: str) -> None:
+    view = remembered_lot_view(lot_id, LotFilter(zone=zone()))
+    _next(lot_id)
+    if view.judged:
+        for alert in alerts(registry(), view, datetime.now(UTC).astimezone(zone())):
+            announce, icon = (st.error, "report") if alert.is_urgent else (st.warning, "notifications")
+            announce(say(f"alert.{alert.kind}", **alert.values), icon=f":material/{icon}:")
+        for remark in same_recordings_of(registry(), lot_id):
+            st.warning(in_words(remark), icon=":material/warning:")
+        _tiles(view)
+    if not view.judged or not rest_may_follow():
+        _calibrate(lot_id)
+        return
+    figure = charts_lot.predicted_errors(view, colours(), say).update_layout(height=HEIGHT)
+    figure_under("lot.distribution", figure, "predicted")
+
+    def report() -> bytes:
+        from softcal.app.ui.lot_report_pdf import lot_report_pdf
+
+        return lot_report_pdf(registry(), view, language(), datetime.now(UTC).astimezone(zone()))
+
+    exported = ("lots", (lot_id,), {"file": "report.pdf"})
+    name, icon = f"{lot_id}-report.pdf", "picture_as_pdf"
+    with st.container(horizontal=True):
+        download(say("lot.report"), name, report, "lot-report", exported=exported, icon=icon)
+        _calibrate(lot_id)
+
+
+def _next(lot_id: str) -> None:
+    """Draw the next step and the way to it."""
+    step = remembered_step(lot_id)
+    with st.container(border=True, horizontal=True, horizontal_alignment="distribute", vertical_alignment="center"):
+        with st.container(width="stretch"):
+            headline(f"**{say('next')}** · {step.render(words())}")
+        if step.kind == "source":
+            if st.button(say("next.open.rig"), icon=":material/arrow_forward:", key="next-step"):
+                go_to("lots", tab="rig", lot=lot_id)
+        elif step.tab and st.button(say(f"tab.{step.tab}"), icon=":material/arrow_forward:", key="next-step"):
+            go_to("lot", lot=lot_id, tab=step.tab)
+
+
+def _tiles(view: LotView) -> None:
+    unit, ratio = view.lot.reference_unit, view.after_to_own
+    scored = (say("lot.audited"), str(len(view.audited)), say("lot.audited.help"))
+    compared = (say("lot.ratio"), number(ratio), say("lot.ratio.help", count=len(view.audited)))
+    shares = []
+    for name, share in (("first_pass", view.yields.first_pass), ("yield", view.yields.last_pass)):
+        low, high = map(percent, share.interval)
+        shares.append((say(f"lot.{name}"), percent(share.value), say(f"lot.{name}.help", low=low, high=high)))
+    # A sentence would be cut off in a tile.
+    limit = say("lot.limit.short" if view.limit is not None and not view.limit.is_stated else "lot.limit")
+    numbers(
+        (
+            (say("lot.units"), f"{view.judged} / {view.total}", say("lot.units.help")),
+            *shares,
+            (say("lot.predicted"), number(view.median_predicted, unit, view.limit_rmse), say("lot.predicted.help")),
+            (limit, number(view.limit_rmse, unit, view.limit_rmse), say("lot.limit.help")),
+            scored if ratio is None else compared,
+        )
+    )
+
+
+def _calibrate(lot_id: str) -> None:
+    """Draw the button that calibrates the lot's recordings, and the calibration under way."""
+    job = newest_job("calibrate", lot=lot_id)
+    has_source = bool(registry().recordings.of_lot(lot_id, kind="source"))
+    if allows("set_up") and has_source and not is_running(job):
+        if st.button(say("lot.again"), icon=":material/replay:", help=say("lot.again.help"), key="calibrate-again"):
+            st.session_state[SEEN] = begin_job("calibrate", lot=lot_id)
+            st.rerun()
+    if job is not None and (is_running(job) or st.session_state.get(SEEN) == job.job_id):
+        st.session_state[SEEN] = job.job_id
+        if job_panel(job):
+            st.success(say("lot.again.done", new=job.result["new"], known=job.result["known"]), icon=":material/check:")

@@ -1,0 +1,70 @@
+"""All lots of a registry, one row each. No Streamlit."""
+
+from dataclasses import dataclass
+from datetime import datetime
+
+from softcal.app.registry.limit import limit_or_none
+from softcal.core.quality.yields import Share
+from softcal.db.registry import Registry
+
+
+@dataclass(frozen=True)
+class LotRow:
+    """One lot of the list.
+
+    Args:
+        state: the text `lots.state.STATE`.
+        decided: units with a result, of `units` target units.
+        good: decided units that pass, the yield; None while none is decided.
+        audits: units with an audit.
+        released: units that pass.
+        changed_at: when its newest recording was added, or its newest decision made; None before both.
+    """
+
+    lot_id: str
+    sensor_model: str
+    state: str
+    units: int
+    decided: int
+    good: Share | None
+    audits: int
+    released: int
+    changed_at: datetime | None
+
+
+def lot_list(registry: Registry) -> list[LotRow]:
+    """Return every lot, the one that changed last first."""
+    rows = [_row(registry, lot_id) for lot_id in registry.lots.ids()]
+    undated = [row for row in rows if row.changed_at is None]
+    dated = [row for row in rows if row.changed_at is not None]
+    return sorted(dated, key=lambda row: str(row.changed_at), reverse=True) + undated
+
+
+def _row(registry: Registry, lot_id: str) -> LotRow:
+    counts, recordings = registry.pages.verdict_counts(lot_id), registry.recordings.of_lot(lot_id)
+    units, released = sum(counts.values()), counts["pass"]
+    decided, decision = units - counts["none"], registry.decisions.in_force(lot_id)
+    instants = [entry.added_at for entry in recordings] + ([decision.made_at] if decision else [])
+    kinds = {entry.kind for entry in recordings}
+    limit = limit_or_none(registry, lot_id)
+    if "source" not in kinds and registry.networks.released(lot_id) is None:
+        state = "source"
+    elif not decided:
+        state = "units"
+    elif limit is None or not limit.is_stated:
+        state = "limit"
+    elif counts["conditional"] or counts["retest"]:
+        state = "waiting"
+    else:
+        state = "decided"
+    return LotRow(
+        lot_id,
+        registry.lots.get(lot_id).sensor_model,
+        state,
+        units,
+        decided,
+        Share(released, decided) if decided else None,
+        len({entry.serial for entry in recordings if entry.kind == "audit"}),
+        released,
+        max(instants, default=None),
+    )

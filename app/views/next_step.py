@@ -1,0 +1,111 @@
+"""What is to be done next with a lot, computed from where it stands. No Streamlit."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+
+from softcal.app.texts.reasons import Words, said
+from softcal.core.quality.lot_standing import LotStanding, UnitInLot, Way
+from softcal.core.words.reason import Reason
+from softcal.db.registry import Registry
+
+SHOWN_SERIALS = 8
+"""So many serials are named in a sentence; the tab it leads to has all."""
+
+
+@dataclass(frozen=True)
+class NextStep:
+    """The next step of a lot: the text `next.KIND`.
+
+    Args:
+        tab: of the lot's page, where it is done; "" where it is done elsewhere.
+        reason: why units wait; None where the kind says it.
+    """
+
+    kind: str
+    tab: str = ""
+    values: Mapping[str, object] = field(default_factory=dict)
+    reason: Reason | None = None
+
+    def render(self, words: Words) -> str:
+        """Return it as one sentence."""
+        why = {} if self.reason is None else {"why": said(self.reason, words)}
+        return words(f"next.{self.kind}", **self.values, **why)
+
+
+@dataclass(frozen=True)
+class ReleaseRecord:
+    """The release of a lot that is in force: when, by whom, and which serials."""
+
+    at: datetime | None
+    actor: str
+    serials: tuple[str, ...]
+
+
+def release_record(registry: Registry, standing: LotStanding) -> ReleaseRecord | None:
+    """Return what of a lot is released now; None where nothing is."""
+    released = tuple(unit.serial for unit in standing.units if unit.verdict == "pass")
+    if not released:
+        return None
+    entry = registry.decisions.in_force(standing.lot_id)
+    if entry is not None and entry.decision.get("released"):
+        return ReleaseRecord(entry.made_at, entry.actor, released)
+    runs = [run for run in registry.lots.runs(standing.lot_id) if run.serial in set(released)]
+    newest = max(runs, key=lambda run: run.made_at, default=None)
+    if newest is None:
+        return ReleaseRecord(None, "", released)
+    actor = registry.calibrations.get(newest.serial, lot_id=standing.lot_id).actor
+    return ReleaseRecord(newest.made_at, actor, released)
+
+
+def releasable(standing: LotStanding) -> tuple[str, ...]:
+    """Return the serials that a release of the lot would let pass and that do not pass yet."""
+    decided = set(standing.decided.released if standing.decided else ())
+    return tuple(unit.serial for unit in standing.units if unit.serial in decided and unit.verdict != "pass")
+
+
+def next_step(registry: Registry, standing: LotStanding, unmeasured: Sequence[str] | None) -> NextStep:
+    """Return the one thing to do next: what others wait for comes first.
+
+    Args:
+        unmeasured: serials that the audit plan of the lot drew and nobody measured yet; None without a plan.
+    """
+    lot_id, counts = standing.lot_id, standing.counts
+    lot = registry.lots.get(lot_id)
+    if not registry.recordings.of_lot(lot_id, kind="source") and registry.networks.released(lot_id) is None:
+        return NextStep("source", values={"serial": lot.source})
+    if not standing.units or counts["none"] == len(standing.units):
+        pressed = {entry.serial for entry in registry.recordings.of_lot(lot_id, kind="unit")}
+        return NextStep("calibrate", "units", {"count": len(pressed)}) if pressed else NextStep("record", "units")
+    waiting = standing.on(Way.WAITING)
+    if standing.limit is None or not standing.limit.is_stated:
+        return NextStep("limit", "limits", {"count": len(waiting)})
+    if suspects := [unit for unit in standing.audited if unit.doubt is not None]:
+        return NextStep("confirm", "audit", _named(suspects))
+    if unmeasured:
+        return NextStep("measure", "audit", _listed(unmeasured))
+    if becoming := releasable(standing):
+        return NextStep("release", "release", _listed(becoming))
+    if (retests := [unit for unit in waiting if unit.verdict == "retest"]) and len(retests) == len(waiting):
+        return NextStep("retest", "units", _named(retests))
+    if waiting and unmeasured is None:
+        return NextStep("draw", "audit", {"count": len(waiting)})
+    if waiting:
+        why, _ = Counter(unit.reasons[:1] for unit in waiting).most_common(1)[0]
+        return NextStep("waiting", "release", {"count": len(waiting)}, why[0] if why else None)
+    record = release_record(registry, standing)
+    if record is not None:
+        values = {"count": len(record.serials), "at": record.at or "", "actor": record.actor}
+        return NextStep("released", "release", values)
+    return NextStep("decided", "release", {"count": counts["fail"]})
+
+
+def _named(units: Sequence[UnitInLot]) -> dict[str, object]:
+    return _listed([unit.serial for unit in units])
+
+
+def _listed(serials: Sequence[str]) -> dict[str, object]:
+    rest = len(serials) - SHOWN_SERIALS
+    named = ", ".join(serials[:SHOWN_SERIALS])
+    return {"count": len(serials), "serials": f"{named} … (+{rest})" if rest > 0 else named}

@@ -1,0 +1,157 @@
+"""Seven pages: every address answers, a page that needs a role asks for it, a text in the bar finds what it names."""
+
+from dataclasses import replace
+from datetime import UTC, date, datetime
+
+import pytest
+
+from softcal.app.batch.audit import draw_plan, lot_audit
+from softcal.app.batch.release import lot_standing
+from softcal.app.texts.catalogue import catalogue, text
+from softcal.app.ui.pages import MOVED, PAGES, moved, page_of
+from softcal.app.views.common import number
+from softcal.app.views.lots import lot_list
+from softcal.app.views.next_step import next_step
+from softcal.app.views.search import search
+from softcal.core.lot import Lot
+from softcal.core.orders import Heartbeat, StationState
+from softcal.core.quality.audit_plan import AuditConfig
+from softcal.db.connection import open_registry
+from softcal.db.entries import CellCertificate
+
+pytestmark = pytest.mark.usefixtures("own_data")
+TABS = [(page.name, tab.name) for page in PAGES for tab in page.tabs]
+
+
+def test_there_are_seven_pages_and_five_in_the_bar() -> None:
+    assert [page.name for page in PAGES] == ["line", "lots", "lot", "unit", "gap", "station", "settings"]
+    assert [page.name for page in PAGES if page.icon] == ["line", "lots", "gap", "station", "settings"]
+
+
+def test_every_page_and_tab_has_a_title() -> None:
+    wanted = {f"page.{page.name}" for page in PAGES} | {f"tab.{tab}" for _, tab in TABS}
+    assert not wanted - catalogue()["en"].keys()
+
+
+@pytest.mark.parametrize("address", MOVED)
+def test_an_address_that_was_leads_to_a_page_and_a_tab_that_are(address: str) -> None:
+    page, query = moved(address, {"lot": ["small"]})
+    assert not {"tab"} & query.keys() or query["tab"][0] in {tab.name for tab in page_of(page).tabs}
+    assert query["lot"] == ["small"]
+
+
+def test_a_comparison_of_two_units_keeps_both() -> None:
+    page, query = moved("compare", {"a": ["small/A1"], "b": ["small/A2"]})
+    assert (page, query) == ("unit", {"unit": ["small/A1"], "with": ["small/A2"], "tab": ["compare"]})
+
+
+@pytest.mark.parametrize(("page", "tab"), TABS)
+@pytest.mark.parametrize("language", ["en", "ko"])
+def test_every_tab_is_drawn(calibrated: str, show, page: str, tab: str, language: str) -> None:
+    screen = show(calibrated, page, tab=tab, lot="small", unit="small/A1", lang=language)
+    assert not screen.exception and not screen.error
+
+
+@pytest.mark.parametrize(("page", "tab"), [("settings", "audit_trail"), ("lot", "limits"), ("lots", "files")])
+def test_a_link_to_what_needs_a_role_asks_for_it_and_then_opens(
+    calibrated: str, show, add_everybody, page, tab
+) -> None:
+    add_everybody(calibrated)
+    screen = show(calibrated, page, role=None, tab=tab, lot="small")
+    assert screen.info and not screen.dataframe and not screen.exception
+    name, pin = ("Quinn", "7777") if page == "settings" else ("Erin", "2580")
+    screen.text_input(key="sign-in-name").set_value(name)
+    screen.text_input(key="sign-in-pin").set_value(pin)
+    next(button for button in screen.button if button.label == text("en", "sign_in")).click().run()
+    assert not screen.exception and not [field for field in screen.text_input if field.key == "sign-in-pin"]
+
+
+def test_a_role_lists_the_tabs_it_may_open(calibrated: str, show) -> None:
+    def tabs(role: str | None) -> set[str]:
+        return {tab.label for tab in show(calibrated, "settings", role=role).tabs}
+
+    trail = text("en", "tab.audit_trail")
+    assert trail in tabs("quality") and trail not in tabs("engineer") and len(tabs(None)) == 1
+
+
+def test_the_search_finds_units_lots_stations_and_certificates(calibrated: str) -> None:
+    with open_registry(calibrated) as registry:
+        registry.order_queue.beat(Heartbeat("line-A", StationState.READY, datetime.now(UTC), process="a:1"))
+        certificate = CellCertificate("K1", "A-17", "", date(2026, 1, 5), date(2099, 1, 5), 20.0, 0.02)
+        registry.stations.add_certificate(certificate, actor="Erin")
+        kinds = {hit.kind for hit in search(registry, "a")}
+        (unit,) = search(registry, "a1")
+        assert search(registry, " ") == [] and search(registry, "nothing") == []
+    assert kinds == {"unit", "lot", "station", "certificate"}
+    assert (unit.page, unit.query) == ("unit", {"unit": "small/A1"})
+
+
+def step_of(url: str):
+    with open_registry(url) as registry:
+        audit = lot_audit(registry, "small")
+        return next_step(registry, lot_standing(registry, "small"), None if audit is None else audit.missing)
+
+
+def test_the_next_step_follows_from_where_the_lot_stands(calibrated: str) -> None:
+    with open_registry(calibrated) as registry:
+        registry.lots.add(Lot("new", "S1", 50.0))
+        assert next_step(registry, lot_standing(registry, "new"), None).kind == "source"
+        lot = registry.lots.get("small")
+        has_limit = lot.limit_rmse is not None
+    first = step_of(calibrated)
+    assert first.kind != "limit" or not has_limit
+    with open_registry(calibrated) as registry:
+        plan = draw_plan(registry, "small", AuditConfig(0, 1), actor="Erin").plan
+        missing = [serial for serial in plan.serials if serial not in {"A1", "A2", "A3"}]
+    step = step_of(calibrated)
+    assert step.kind != "measure" or missing
+    sentence = step.render(lambda key, **values: text("en", key, **values))
+    assert sentence and "{" not in sentence
+
+
+def test_the_list_of_lots_says_how_far_each_is(calibrated: str, show) -> None:
+    with open_registry(calibrated) as registry:
+        registry.lots.add(replace(registry.lots.get("small"), id="other"))
+        rows = {row.lot_id: row for row in lot_list(registry)}
+        counts = registry.pages.verdict_counts("small")
+    small = rows["small"]
+    assert (small.units, small.decided, small.released) == (4, 4, counts["pass"])
+    assert small.good is not None and small.good.of == small.decided
+    assert rows["other"].good is None
+    table = show(calibrated, "lots").table[0].value
+    assert len(table) == 2 and any("lot?lot=small" in cell for cell in table.iloc[:, 0])
+
+
+def test_a_unit_says_in_its_head_what_was_decided_when_by_whom_and_where(calibrated: str, show) -> None:
+    screen = show(calibrated, "unit", role=None, unit="small/A1")
+    assert screen.title[0].value == "A1"
+    head = next(line.value for line in screen.markdown if text("en", "lot.limit") in line.value)
+    for key in ("choose.lot", "column.made", "column.actor", "station.station"):
+        assert text("en", key) in head
+    assert "lot?lot=small" in head
+
+
+@pytest.mark.parametrize("role", ["engineer", "operator"])
+def test_a_release_says_what_it_would_change_before_its_button(calibrated: str, show, role: str) -> None:
+    screen = show(calibrated, "lot", tab="release", lot="small", role=role)
+    buttons = [button for button in screen.button if button.key == "release-do"]
+    assert not screen.exception and not screen.error
+    # Each button follows a table of serials; without a change there is none.
+    assert not buttons or screen.table
+    assert screen.success or screen.info or buttons
+
+
+@pytest.mark.parametrize(
+    ("value", "limit", "shown"),
+    [
+        (0.2, 0.2, "0.200 N"),
+        (0.7514, 0.2, "0.751 N"),
+        (0.0671, 0.3, "0.067 N"),
+        (12.3456, 20.0, "12.3 N"),
+        (1234.5, 500.0, "1234 N"),
+        (0.0671, None, "0.0671 N"),
+        (None, 0.3, "–"),
+    ],
+)
+def test_errors_of_a_lot_have_the_decimals_of_its_limit(value, limit, shown) -> None:
+    assert number(value, "N", limit) == shown
