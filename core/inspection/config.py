@@ -1,7 +1,8 @@
 """Numbers that decide which samples of a recording are invalid and what is worth a finding."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from softcal.core.inspection.dropouts import DropoutConfig
 from softcal.core.settings import SET, setting
 
 MEASURED = "benchmarks/inspection.py on measured recordings: 0.01 % of good samples at most are masked"
@@ -24,7 +25,7 @@ class InspectionConfig:
         overflow_factor: a value so many ranges away from all others is none that the sensor gave.
         code_factor: the same for values that loggers write instead of a sample.
         jump_factor: a jump is so many times the usual fastest movement (99 % quantile of differences).
-        dropout_share: a stretch between two opposite jumps that lasts no longer than this share is a dropout.
+        dropout: what makes a longer dropout.
         step_share: a baseline that moves by less than this share of the range makes no step.
         step_rows: so many rows at least lie before and after a step, and its jump so near to where the level changes.
         step_gain: a tare takes away at least this share of what the output leaves unexplained of the reference.
@@ -59,7 +60,7 @@ class InspectionConfig:
     overflow_factor: float = setting(1000.0)
     code_factor: float = setting(3.0)
     jump_factor: float = setting(3.0, MEASURED)
-    dropout_share: float = setting(0.1)
+    dropout: DropoutConfig = field(default_factory=DropoutConfig)
     step_share: float = setting(0.1)
     step_rows: int = setting(50)
     step_gain: float = setting(0.2, MEASURED)

@@ -4,8 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.core.inspection.config import InspectionConfig
-from softcal.core.inspection.outliers import column_scale
 from softcal.core.recording import Array, Indices
 from softcal.core.settings import setting
 
@@ -20,18 +18,19 @@ class DropoutConfig:
     """What makes a dropout.
 
     Args:
-        max_s: it lasts so long at most.
+        max_share: it lasts this share of the recording at most.
         neighbours: an edge is compared with so many steps outside of it, one guard step left out: a converter that
             averages may show the edge in two samples.
         edge_steps: an edge is so many times the largest of these.
         edge_share: and this share of the dropout, and of the other edge.
         range_share, noises, counts: and this share of the recording's range, so many standard deviations of its noise,
-            so many steps of its converter.
+            so many steps of its converter. Where nobody knows the stage, all of the range and so many times the usual
+            fastest step as of its neighbours: a press may be as fast.
         stage_share: the stage's own excursion meanwhile, as a share of its range, is at most so many times the
             output's: a short press is none.
     """
 
-    max_s: float = setting(1.0, RIGS)
+    max_share: float = setting(0.1, RIGS)
     neighbours: int = setting(5, RIGS)
     edge_steps: float = setting(3.0, RIGS)
     edge_share: float = setting(0.45, RIGS)
@@ -39,9 +38,6 @@ class DropoutConfig:
     noises: float = setting(10.0, RIGS)
     counts: float = setting(4.0, RIGS)
     stage_share: float = setting(0.25, RIGS)
-
-
-CONFIG = DropoutConfig()
 
 
 @dataclass(frozen=True)
@@ -60,13 +56,10 @@ class Dropout:
     expected: float
 
 
-def find_dropouts(
-    t_s: Array, output: Array, stage_mm: Array | None = None, config: DropoutConfig = CONFIG
-) -> list[Dropout]:
+def find_dropouts(output: Array, stage_mm: Array | None, config: DropoutConfig) -> list[Dropout]:
     """Return the dropouts of an output, first ones first; none overlap.
 
     Args:
-        t_s: (n,) in s, strictly increasing.
         output: (n,) in any unit.
         stage_mm: (n,) position of the stage; None where it is unknown.
     """
@@ -75,8 +68,8 @@ def find_dropouts(
         return []
     # At the ends the first and the last sample go on: sample i is padded[i + guard + 1].
     padded = np.pad(output, guard + 1, mode="edge")
-    begins, ends = _edges(output, np.diff(padded), config)
-    max_samples = max(1, round(config.max_s / float(np.median(np.diff(t_s)))))
+    begins, ends = _edges(output, np.diff(padded), stage_mm is not None, config)
+    max_samples = max(1, round(config.max_share * len(output)))
     dropouts: list[Dropout] = []
     for begin in begins:
         if dropouts and begin - guard < dropouts[-1].end:
@@ -89,13 +82,15 @@ def find_dropouts(
     return dropouts
 
 
-def _edges(output: Array, steps: Array, config: DropoutConfig) -> tuple[Indices, Indices]:
+def _edges(output: Array, steps: Array, is_stage_known: bool, config: DropoutConfig) -> tuple[Indices, Indices]:
     """Return the steps at which a dropout may begin and end: far larger than those before, or after."""
     sizes, guard = np.abs(steps), config.neighbours + 1
     noise = float(np.median(np.abs(np.diff(output, 3)))) / THIRD_DIFFERENCE
     changes = np.abs(np.diff(output))
     count = float(np.min(changes[changes > 0.0], initial=np.inf))
-    by_range = config.range_share * float(np.subtract(*np.quantile(output, (0.99, 0.01))))
+    low, lower, higher, high = np.quantile(output, (0.01, config.max_share, 1.0 - config.max_share, 0.99)).tolist()
+    usual = max(higher - lower, config.edge_steps * float(np.quantile(changes, 0.99)))
+    by_range = config.range_share * (high - low) if is_stage_known else usual
     least = max(by_range, config.noises * noise, config.counts * count)
     neighbours = np.max(np.lib.stride_tricks.sliding_window_view(sizes, config.neighbours), axis=1)
     inner = np.arange(guard, len(steps) - guard)
@@ -127,24 +122,3 @@ def _is_press(output: Array, stage_mm: Array, dropout: Dropout, config: DropoutC
     off_mm = np.abs(stage_mm[inside] - np.interp(inside, neighbours, stage_mm[list(neighbours)]))
     off_share = abs(dropout.level - dropout.expected) / float(np.ptp(output))
     return bool(np.max(off_mm) > config.stage_share * off_share * float(np.ptp(stage_mm)))
-
-
-def find_long_dropouts(values: Array, config: InspectionConfig) -> list[tuple[int, int]]:
-    """Return the stretches of rows between two opposite jumps that no press makes: a cable off for longer.
-
-    Of a file nobody knows the stage: edges that `find_dropouts` takes for a cable there mask 0.2 to 0.5 % of good
-    samples of measured presses. So these jump over the whole range, and spikes of a few samples are learned from the
-    recording (`outliers.find_spikes`).
-    """
-    steps = np.diff(values)
-    low, high = np.quantile(values, (config.dropout_share, 1 - config.dropout_share))
-    # The fastest movement of a recording that never moved for long is a press.
-    least = max(config.jump_factor * column_scale(values).jump, float(high - low))
-    jumps = np.flatnonzero(np.abs(steps) > least)
-    longest = config.dropout_share * len(values)
-    stretches: list[tuple[int, int]] = []
-    for start, stop in zip(jumps[:-1], jumps[1:], strict=True):
-        is_back = abs(values[stop + 1] - values[start]) < least < abs(values[stop] - values[start])
-        if steps[start] * steps[stop] < 0 and stop - start <= longest and is_back:
-            stretches.append((int(start) + 1, int(stop) + 1))
-    return stretches

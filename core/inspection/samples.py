@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from softcal.core.inspection.config import InspectionConfig
-from softcal.core.inspection.dropouts import find_long_dropouts
+from softcal.core.inspection.dropouts import find_dropouts
 from softcal.core.inspection.inspection import Inspection, InspectionFinding
 from softcal.core.inspection.levels import level_findings
 from softcal.core.inspection.outliers import column_scale, fill, find_overflows, find_spikes
@@ -36,13 +36,16 @@ def inspect_samples(
         What the look shows, and which rows are valid, (n,).
     """
     kinds, values, findings = np.full(len(t_s), -1), np.full(len(t_s), np.nan), []
+    stage_mm = None
     for name in (REFERENCE, "stage_mm", "output"):
         if name not in columns:
             continue
-        for kind, is_invalid in _invalid(name, t_s, columns[name], sample_rate_Hz, config):
+        for kind, is_invalid in _invalid(name, t_s, columns[name], stage_mm, sample_rate_Hz, config):
             findings += _outlier_findings(kind, name, t_s, columns[name], is_invalid)
             kinds[is_invalid] = MASK_KINDS.index(_mask_kind(kind, name))
             values[is_invalid] = columns[name][is_invalid]
+        if name == "stage_mm" and (kinds < 0).any():
+            stage_mm = fill(columns[name], kinds >= 0)
     is_valid = kinds < 0
     lines = np.zeros(len(t_s), dtype=np.int64) if lines is None else lines
     rows = np.flatnonzero(~is_valid)
@@ -64,7 +67,7 @@ def _mask_kind(kind: str, column: str) -> str:
 
 
 def _invalid(
-    name: str, t_s: Array, values: Array, rate_Hz: float, config: InspectionConfig
+    name: str, t_s: Array, values: Array, stage_mm: Array | None, rate_Hz: float, config: InspectionConfig
 ) -> Iterator[tuple[str, Mask]]:
     is_missing = np.isnan(values)
     yield "missing", is_missing
@@ -79,8 +82,8 @@ def _invalid(
     yield "spike", is_spike
     if name != REFERENCE:
         is_dropout = np.zeros(len(values), dtype=np.bool_)
-        for start, stop in find_long_dropouts(fill(values, is_invalid | is_spike), config):
-            is_dropout[start:stop] = True
+        for dropout in find_dropouts(fill(values, is_invalid | is_spike), stage_mm, config.dropout):
+            is_dropout[dropout.begin : dropout.end] = True
         yield "dropout", is_dropout & ~is_invalid & ~is_spike
 
 

@@ -18,25 +18,23 @@ class CellLagConfig:
     """How late a load cell is behind the stage.
 
     Args:
-        earliest_s, latest_s: delays that are tried when force and stage are laid over each other.
-        coarse_s, fine_s: steps of these delays, first and around the best one.
+        latest_s: largest delay that is tried when force and stage are laid over each other.
+        coarse_s: steps of these delays.
         beside_s, tells, tells_samples: a delay is known that fits n samples tells + tells_samples / n times better than
             any that is `beside_s` or more away: few samples fit anyhow.
-        late_s, early_s: a cell may seem this much later than declared, or this much earlier (a unit that relaxes within
-            0.1 s still makes it seem so).
-        period_share: and by this share of its sampling period.
+        late_s, period_share: a cell may seem this much later or earlier than declared, and by this share of its
+            sampling period.
+        hidden: and earlier by this share of a low pass: a unit that relaxes as fast hides that.
     """
 
-    earliest_s: float = setting(-0.16, RIGS)
     latest_s: float = setting(0.7, RIGS)
     coarse_s: float = setting(0.02, RIGS)
-    fine_s: float = setting(0.0025, RIGS)
     beside_s: float = setting(0.04, RIGS)
     tells: float = setting(1.1, RIGS)
     tells_samples: float = setting(40.0, RIGS)
     late_s: float = setting(0.01, RIGS)
-    early_s: float = setting(0.12, RIGS)
     period_share: float = setting(0.25, RIGS)
+    hidden: float = setting(0.35, FILTERED)
 
 
 @dataclass(frozen=True)
@@ -152,15 +150,19 @@ class SlipConfig:
     """A stage that lost steps once in a run.
 
     Args:
-        share: of what the law of the depth leaves, explained by that, and more than by any change of the cell. Rigs
-            that are good show 0.65 where softening explains more, 0.26 elsewhere.
+        left: of what the law of the depth leaves, that leaves this share at most.
+        clear: and this share of what any change of the cell leaves: a unit that softens seems a little higher, too.
         least_mm: less is not said.
-        tried_mm: the slope of the law is that over so much.
+        tried_mm: losses that are tried at each moment at which something may change, on so many samples.
+        finer: tries around the best of them.
     """
 
-    share: float = setting(0.5, CHANGED)
+    left: float = setting(0.5, CHANGED)
+    clear: float = setting(0.9, CHANGED)
     least_mm: float = setting(0.05, CHANGED)
-    tried_mm: float = setting(0.05)
+    tried_mm: tuple[float, ...] = setting((-0.4, -0.1, 0.1, 0.2, 0.4, 0.8), CHANGED)
+    samples: int = setting(400, CHANGED)
+    finer: int = setting(60, CHANGED)
 
 
 @dataclass(frozen=True)
@@ -173,7 +175,6 @@ class ResponseConfig:
         constants_s, finer: time constants of a low pass that are tried, and shares of the best one.
         relaxation_s: times with which a unit's force may relax.
         high_pass_s: slower changes than that are left out.
-        before_s: so long before the first sample the law begins.
         tells: a low pass is there that leaves so many times less than none. Good rigs show 1.16 at most.
         share: a labelled run is refused whose labels it makes wrong (RMS) by this share of the force's range: a quarter
             of 2 %, which a good source leaves.
@@ -186,7 +187,6 @@ class ResponseConfig:
     finer: tuple[float, ...] = setting((0.85, 0.93, 1.07, 1.15), FILTERED)
     relaxation_s: tuple[float, ...] = setting((0.05, 0.2, 0.8, 3.0), FILTERED)
     high_pass_s: float = setting(0.3, FILTERED)
-    before_s: float = setting(1.0, FILTERED)
     tells: float = setting(1.3, FILTERED)
     share: float = setting(0.005)
     limit_share: float = setting(0.25)

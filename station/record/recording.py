@@ -1,6 +1,6 @@
 """What a finished run gives: channels on the sensor's own clock, and how they were aligned."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,20 +11,9 @@ from softcal.core.words.reason import Reason, reason
 from softcal.station.clock import CLOCK_SHARE, ClockFit, fit_clock, residual_offset_s
 from softcal.station.device_names import CELL, named
 from softcal.station.interfaces import Sample, StagePosition
-from softcal.station.record.method import METHOD
-from softcal.station.record.proof import (
-    check_converter,
-    check_follows,
-    check_gain,
-    check_lag,
-    check_law,
-    check_output_gain,
-    check_slip,
-    find_output_change,
-    is_output_alone,
-    lag_s,
-)
-from softcal.station.record.response import CellResponse, check_response, fit_response
+from softcal.station.record.method import METHOD, ProofMethod
+from softcal.station.record.proof import PressLaw, check_converter, check_follows, check_gain, check_output_gain
+from softcal.station.record.response import CellResponse, check_lag, check_response, fit_response
 from softcal.station.record.spool import SpooledRun
 from softcal.station.record.trajectory import DrivenMove, StageTrack, Trapezoid, reconstruct
 
@@ -151,7 +140,7 @@ class Raw:
     polls: Sequence[StagePosition]
 
 
-def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
+def assemble(raw: Raw, facts: RunFacts, method: ProofMethod = METHOD) -> StationRecording:
     """Bring all channels onto the sensor's clock and cut the profile out of the run.
 
     Raises:
@@ -164,10 +153,10 @@ def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
     lost = _count_lost(sensor_s, facts)
     track = track_of(raw, facts)
     stage_mm = track.at(host_s) - facts.zero_mm
-    check_converter(sensor_s - sensor_s[0], output, stage_mm, facts.output_unit)
+    check_converter(sensor_s - sensor_s[0], output, stage_mm, facts.output_unit, method)
     follows: BadReply | None = None
     try:
-        check_follows(host_s, output, track.at, facts.contact_mm)
+        check_follows(host_s, output, track.at, facts.contact_mm, method)
     except BadReply as error:
         follows = error  # A cell may know why.
         if not raw.force:
@@ -175,25 +164,21 @@ def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
     force_N, (behind_s, offset_s, cell_drift, cell_late_s) = None, (float("nan"),) * 4
     constant_s, response_N, remarks = 0.0, 0.0, tuple[Reason, ...]()
     if not raw.force:
-        check_output_gain(stage_mm, output[:, 0])
+        check_output_gain(stage_mm, output[:, 0], method.press)
     else:
         cell = _channel(raw.force, CELL)
         if follows is not None:
-            shown = _shown(cell, sensor, facts, facts.force_late_s)
-            raise _named(follows, *shown, track.at, facts.contact_mm) from follows
-        behind_s, late_s = _behind_s(cell, track, facts), facts.force_late_s
-        response = _response(cell, track, facts)
-        constant_s = response.time_constant_s
-        if constant_s:
-            behind_s = response.lag_s
-        if not facts.is_latency_stated and abs(behind_s - late_s) > METHOD.lag.late_s:
+            raise _law(cell, sensor, track, facts, facts.force_late_s, method).name_cause(follows) from follows
+        response, late_s = _response(cell, track, facts, method), facts.force_late_s
+        constant_s, behind_s = response.time_constant_s, response.lag_s
+        if not facts.is_latency_stated and abs(behind_s - late_s) > method.lag.late_s:
             late_s = behind_s
         response_N = response.error_N(late_s)
         if facts.with_reference:
-            check_response(response, response_N)
-        if facts.is_latency_stated and constant_s:
-            check_lag(behind_s, facts.force_late_s, _period_s(cell))
-        remarks = _check_cell(cell, sensor, track, facts, late_s)
+            check_response(response, response_N, method.response)
+        if facts.is_latency_stated:
+            check_lag(response, facts.force_late_s, _period_s(cell), method.lag)
+        remarks = _check_cell(cell, sensor, track, facts, late_s, method)
         force_N = _force_at(host_s, cell, facts, late_s)
         offset_s = residual_offset_s(force_N, output[:, 0], facts.sample_rate_Hz)
         cell_drift, cell_late_s = cell.clock.rate - 1, cell.clock.late_s
@@ -225,7 +210,7 @@ def track_of(raw: Raw, facts: RunFacts) -> StageTrack:
     return reconstruct([poll for poll in raw.polls if poll.host_s >= moves[0].begun_s], moves)
 
 
-def restore(run: SpooledRun) -> StationRecording:
+def restore(run: SpooledRun, method: ProofMethod = METHOD) -> StationRecording:
     """Make the recording of a finished run again from its spool.
 
     Raises:
@@ -237,7 +222,7 @@ def restore(run: SpooledRun) -> StationRecording:
     if not run.is_whole or not run.facts:
         raise InputError(reason("rig.run_ended", serial=serial, end=run.end))
     try:
-        return assemble(Raw(run.output, run.force, run.polls), RunFacts(**run.facts))
+        return assemble(Raw(run.output, run.force, run.polls), RunFacts(**run.facts), method)
     except (IndexError, TypeError, ValueError) as error:
         raise InputError(reason("rig.run_facts", serial=serial)) from error
 
@@ -281,23 +266,14 @@ def _count_lost(sensor_s: Array, facts: RunFacts) -> int:
     return lost
 
 
-def _behind_s(cell: _Channel, track: StageTrack, facts: RunFacts) -> float:
-    """Return how late the load cell is behind the stage, and check it against what was stated."""
-    # The slow press before the profile counts, too: one speed cannot tell a delay from a loop of the unit's.
-    inside = _enough(_in_presses(cell.host_s, facts))
-    found_s = lag_s(cell.host_s[inside], cell.values[inside, 0], track.at, facts.contact_mm)
-    if facts.is_latency_stated:
-        check_lag(found_s, facts.force_late_s, _period_s(cell))
-    return found_s
-
-
 def _period_s(cell: _Channel) -> float:
     return float(np.median(np.diff(cell.device_s)))
 
 
-def _response(cell: _Channel, track: StageTrack, facts: RunFacts) -> CellResponse:
+def _response(cell: _Channel, track: StageTrack, facts: RunFacts, method: ProofMethod) -> CellResponse:
+    # The slow press before the profile counts, too: one speed cannot tell a delay from a loop of the unit's.
     inside = _enough(_in_presses(cell.host_s, facts))
-    return fit_response(cell.host_s[inside], cell.values[inside, 0], track.at, facts.contact_mm)
+    return fit_response(cell.host_s[inside], cell.values[inside, 0], track.at, facts.contact_mm, method)
 
 
 def _in_presses(force_s: Array, facts: RunFacts) -> Indices:
@@ -310,46 +286,33 @@ def _enough(samples: Indices) -> Indices:
 
 
 def _check_cell(
-    cell: _Channel, sensor: _Channel, track: StageTrack, facts: RunFacts, late_s: float
+    cell: _Channel, sensor: _Channel, track: StageTrack, facts: RunFacts, late_s: float, method: ProofMethod
 ) -> tuple[Reason, ...]:
     """Compare all presses, also the slow one before the profile: a gain may change in between; return what is said."""
     force_s, force_N = cell.host_s - late_s, cell.values[:, 0] - facts.zero_N
     inside = _in_presses(force_s, facts)
     if not len(inside):
         return ()
-    force_at_s, fewer_N, shown = _shown(cell, sensor, facts, late_s)
-    law = force_at_s, fewer_N, shown, track.at, facts.contact_mm
-    check_slip(*law)
+    law = _law(cell, sensor, track, facts, late_s, method)
+    law.check_slip()
     try:
-        check_gain(track.at(force_s[inside]) - facts.zero_mm, force_N[inside])
-        check_law(*law)
+        check_gain(track.at(force_s[inside]) - facts.zero_mm, force_N[inside], method.press)
+        law.check()
     except BadReply as error:
-        raise _named(error, *law) from error
-    change = find_output_change(force_at_s, fewer_N, shown)
+        raise law.name_cause(error) from error
+    change = law.find_output_change()
     return () if change is None else (change,)
 
 
-def _shown(cell: _Channel, sensor: _Channel, facts: RunFacts, late_s: float) -> tuple[Array, Array, Array]:
-    """Return (n,) times, force and output of some samples of the cell in the presses."""
+def _law(
+    cell: _Channel, sensor: _Channel, track: StageTrack, facts: RunFacts, late_s: float, method: ProofMethod
+) -> PressLaw:
+    """Return the laws of some samples of the cell in the presses, its lateness taken off."""
     force_s = cell.host_s - late_s
     inside = _enough(_in_presses(force_s, facts))
     output = np.interp(force_s[inside], sensor.host_s, sensor.values[:, 0])
-    return force_s[inside], cell.values[inside, 0] - facts.zero_N, output
-
-
-def _named(
-    error: BadReply,
-    force_s: Array,
-    force_N: Array,
-    output: Array,
-    stage_mm_at: Callable[[Array], Array],
-    contact_mm: float,
-) -> BadReply:
-    """Return what an output says that changed by itself where that is what is odd; else the error as it is."""
-    if len(force_s) < METHOD.change.moments or not is_output_alone(force_s, force_N, output, stage_mm_at, contact_mm):
-        return error
-    change = find_output_change(force_s, force_N, output)
-    return error if change is None else BadReply(change)
+    force_N = cell.values[inside, 0] - facts.zero_N
+    return PressLaw(force_s[inside], force_N, output, track.at, facts.contact_mm, method)
 
 
 def _force_at(host_s: Array, cell: _Channel, facts: RunFacts, late_s: float) -> Array:

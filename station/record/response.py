@@ -14,9 +14,7 @@ from scipy.signal import lfilter
 from softcal.core.errors import BadReply
 from softcal.core.recording import Array
 from softcal.core.words.reason import reason
-from softcal.station.record.method import METHOD
-
-RESPONSE = METHOD.response
+from softcal.station.record.method import CellLagConfig, ProofMethod, ResponseConfig
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +22,8 @@ class CellResponse:
     """The response of a load cell, as one run shows it.
 
     Args:
-        delay_s: pure delay; NaN where the run does not tell.
+        delay_s: pure delay, positive when the force is late; NaN where the run does not tell: too shallow, too slow,
+            too noisy, or presses that come again and again.
         time_constant_s: of the first-order low pass behind it; 0 for none.
         grid_s: (n,) host times.
         true_N, shown_N: (n,) the force by the fitted law, and the same behind delay and low pass.
@@ -35,6 +34,10 @@ class CellResponse:
     grid_s: Array
     true_N: Array
     shown_N: Array
+
+    @property
+    def is_told(self) -> bool:
+        return bool(np.isfinite(self.delay_s))
 
     @property
     def lag_s(self) -> float:
@@ -55,7 +58,9 @@ class CellResponse:
         return np.interp(t_s, self.grid_s, self.true_N)
 
 
-def fit_response(t_s: Array, force_N: Array, stage_mm_at: Callable[[Array], Array], contact_mm: float) -> CellResponse:
+def fit_response(
+    t_s: Array, force_N: Array, stage_mm_at: Callable[[Array], Array], contact_mm: float, method: ProofMethod
+) -> CellResponse:
     """Return delay and time constant that lay the force best over a law of the depth that relaxes.
 
     A solid that relaxes leads its depth, so no relaxing part of the law may be negative: only the cell can lag behind.
@@ -65,27 +70,44 @@ def fit_response(t_s: Array, force_N: Array, stage_mm_at: Callable[[Array], Arra
         t_s, force_N: (n,) samples of the load cell, host clock.
         stage_mm_at: host times -> stage positions, same origin as contact_mm.
     """
-    law = _Law(t_s, force_N, stage_mm_at, contact_mm)
-    if len(t_s) < METHOD.press.samples or not law.is_pressed:
+    law, lag, response = _Law(t_s, force_N, stage_mm_at, contact_mm, method), method.lag, method.response
+    if len(t_s) < method.press.samples or not law.is_pressed:
         return CellResponse(float("nan"), 0.0, t_s, force_N, force_N)
-    latest_s, step_s = METHOD.lag.latest_s, METHOD.lag.coarse_s
-    prompt = law.best(0.0, np.arange(RESPONSE.earliest_s, latest_s, step_s))
+    allowance = lag.tells_samples / len(t_s)
+    delays_s = np.arange(response.earliest_s, lag.latest_s, lag.coarse_s)
+    prompt = law.best(0.0, delays_s)
 
     def filtered(constants_s: Sequence[float]) -> "_Candidate":
-        around = (-1.0, -0.7, -1.0 + step_s / RESPONSE.constants_s[0])
+        around = (-1.0, -0.7, -1.0 + lag.coarse_s / response.constants_s[0])
         return min(law.best(tau, np.array([prompt.delay_s + share * tau for share in around])) for tau in constants_s)
 
-    best = filtered(RESPONSE.constants_s)
-    best = min(best, filtered([share * best.constant_s for share in RESPONSE.finer]))
-    if prompt.misfit < RESPONSE.tells * best.misfit:
+    best = filtered(response.constants_s)
+    best = min(best, filtered([share * best.constant_s for share in response.finer]))
+    if prompt.misfit < (response.tells + allowance) * best.misfit:
         best = prompt
+    # Presses that come again and again fit nearly as well half a press away: every other delay counts.
+    others_s = [best.delay_s - lag.beside_s, best.delay_s + lag.beside_s, *delays_s]
+    beside = law.best_apart(best, others_s, lag.beside_s)
+    if beside < (lag.tells + allowance) * best.misfit:
+        return CellResponse(float("nan"), 0.0, t_s, force_N, force_N)
     true_N, shown_N = law.forces_N(best)
     return CellResponse(best.delay_s, best.constant_s, law.grid_s, true_N, shown_N)
 
 
-def check_response(response: CellResponse, error_N: float) -> None:
+def check_lag(response: CellResponse, declared_s: float, period_s: float, config: CellLagConfig) -> None:
+    """Raise `BadReply` when a cell, read every `period_s`, is later or earlier than declared.
+
+    A unit that relaxes as fast as the cell follows hides some of a low pass.
+    """
+    off_s, slack_s = response.lag_s - declared_s, config.late_s + config.period_share * period_s
+    if off_s > slack_s or off_s < -slack_s - config.hidden * response.time_constant_s:
+        found_s = response.lag_s
+        raise BadReply(reason("rig.behind", found_s=found_s, declared_s=declared_s, latency_s=max(0.0, found_s)))
+
+
+def check_response(response: CellResponse, error_N: float, config: ResponseConfig) -> None:
     """Raise `BadReply` where a low pass leaves labels an RMS error that no source may have."""
-    check_error(response.time_constant_s, error_N, RESPONSE.share * float(np.ptp(response.true_N)))
+    check_error(response.time_constant_s, error_N, config.share * float(np.ptp(response.true_N)))
 
 
 def check_error(constant_s: float, error_N: float, allowed_N: float) -> None:
@@ -104,17 +126,19 @@ class _Candidate:
 class _Law:
     """The columns of a law of the depth on a grid of time, and how well they make a force behind delay and low pass."""
 
-    def __init__(self, t_s: Array, force_N: Array, stage_mm_at: Callable[[Array], Array], contact_mm: float) -> None:
-        self._step_s = METHOD.law.grid_s
-        self.grid_s = np.arange(t_s[0] - RESPONSE.before_s, t_s[-1] + self._step_s, self._step_s)
+    def __init__(
+        self, t_s: Array, force_N: Array, stage_mm_at: Callable[[Array], Array], contact_mm: float, method: ProofMethod
+    ) -> None:
+        self._step_s, self._config, self._latest_s = method.law.grid_s, method.response, method.lag.latest_s
+        self.grid_s = np.arange(t_s[0] - self._latest_s, t_s[-1] + self._step_s, self._step_s)
         depth_mm = np.maximum(0.0, stage_mm_at(self.grid_s) - contact_mm)
         self.is_pressed = bool(np.max(depth_mm) > 0.0)
         share = depth_mm / max(float(np.max(depth_mm)), 1e-9)
-        self._elastic = np.column_stack([share**power for power in METHOD.law.powers])
+        self._elastic = np.column_stack([share**power for power in method.law.powers])
         relaxing = [
             lfilter([1.0, -1.0], [1.0, -np.exp(-self._step_s / time_s)], share**power)
-            for time_s in RESPONSE.relaxation_s
-            for power in METHOD.law.relaxed_powers
+            for time_s in method.response.relaxation_s
+            for power in method.law.relaxed_powers
         ]
         self._columns = np.column_stack([self._elastic, *relaxing])
         self._even_s = max(self._step_s, float(np.median(np.diff(t_s))))
@@ -124,11 +148,17 @@ class _Law:
     def best(self, constant_s: float, delays_s: Array) -> _Candidate:
         """Return the best of these delays and of finer ones around it."""
         columns = low_pass(self._columns, constant_s, self._step_s)
-        allowed_s = np.unique(np.maximum(delays_s, RESPONSE.earliest_s))
+        allowed_s = np.unique(np.maximum(delays_s, self._config.earliest_s))
         coarse = min(self._candidate(columns, constant_s, delay_s) for delay_s in allowed_s.tolist())
-        around_s = [coarse.delay_s + off_s for off_s in RESPONSE.fine_s]
-        near = [self._candidate(columns, constant_s, s) for s in around_s if s >= RESPONSE.earliest_s]
+        around_s = [coarse.delay_s + off_s for off_s in self._config.fine_s]
+        near = [self._candidate(columns, constant_s, s) for s in around_s if s >= self._config.earliest_s]
         return min([coarse, *near])
+
+    def best_apart(self, fit: _Candidate, delays_s: Sequence[float], apart_s: float) -> float:
+        """Return the least misfit of these delays that are so far from the one of a fit."""
+        columns = low_pass(self._columns, fit.constant_s, self._step_s)
+        others_s = [delay_s for delay_s in delays_s if abs(delay_s - fit.delay_s) > 0.99 * apart_s]
+        return min(self._candidate(columns, fit.constant_s, delay_s).misfit for delay_s in others_s)
 
     def forces_N(self, fit: _Candidate) -> tuple[Array, Array]:
         """Return the force on the grid, and the same as the cell shows it."""
@@ -142,21 +172,25 @@ class _Law:
         return _Candidate(self._weights(columns, delay_s)[1], delay_s, constant_s)
 
     def _weights(self, columns: Array, delay_s: float) -> tuple[Array, float]:
-        count = self._elastic.shape[1]
+        count = 1 + self._elastic.shape[1]
         late = np.column_stack([self._later(columns, delay_s), self._force_N])
         r: Array = np.asarray(np.linalg.qr(self._passed(late), mode="r"))
         relaxing, left = nnls(r[count:, count:-1], r[count:, -1])
-        elastic = np.linalg.lstsq(r[:count, :count], r[:count, -1] - r[:count, count:-1] @ relaxing, rcond=None)[0]
-        return np.concatenate([elastic, relaxing]), left**2
+        free = np.linalg.lstsq(r[:count, :count], r[:count, -1] - r[:count, count:-1] @ relaxing, rcond=None)[0]
+        return np.concatenate([free[1:], relaxing]), left**2
 
     def _later(self, columns: Array, delay_s: float) -> Array:
         return np.column_stack([np.interp(self._at_s - delay_s, self.grid_s, column) for column in columns.T])
 
     def _passed(self, columns: Array) -> Array:
-        """Return the columns behind the high pass, but for where that begins."""
-        kept = float(np.exp(-self._even_s / RESPONSE.high_pass_s))
-        begins = round(RESPONSE.high_pass_s / self._even_s)
-        return np.asarray(lfilter([1.0, -1.0], [1.0, -kept], columns, axis=0)[begins:])
+        """Return the columns behind the high pass, after what fades of where that begins.
+
+        What arrives first may belong to a path before these samples, which the law does not know.
+        """
+        first = min(round(self._latest_s / self._even_s), len(columns) // 2)
+        kept = float(np.exp(-self._even_s / self._config.high_pass_s))
+        passed = lfilter([1.0, -1.0], [1.0, -kept], columns[first:], axis=0)
+        return np.column_stack([kept ** np.arange(len(passed)), passed])
 
 
 def low_pass(columns: Array, constant_s: float, step_s: float) -> Array:

@@ -18,8 +18,9 @@ from softcal.station.motion.interlock import State
 from softcal.station.motion.motion import RETRACT_MM_S
 from softcal.station.motion.safety import STUCK_MM
 from softcal.station.motion.watched import WatchedBench
-from softcal.station.record.proof import check_lag, lag_s
+from softcal.station.record.method import METHOD, ProofMethod
 from softcal.station.record.recording import Raw, RunFacts, StationRecording, assemble, device_times_s
+from softcal.station.record.response import check_lag, fit_response
 from softcal.station.record.spool import Spool
 from softcal.station.record.trajectory import DrivenMove, reconstruct
 from softcal.station.tasks.seconds import (
@@ -100,6 +101,7 @@ def record(
     on_progress: OnProgress | None = None,
     spool: Spool | None = None,
     on_wait: OnWait = ignore_wait,
+    method: ProofMethod = METHOD,
 ) -> StationRecording:
     """Press one unit with one profile and return what was read.
 
@@ -108,6 +110,7 @@ def record(
         with_reference: keep the load cell's reading in the recording (source unit); it guards the run in any case.
         on_progress: called about every 0.1 s.
         on_wait: called at every look at the devices; what it raises stops the stage.
+        method: the numbers that decide whether the run is a recording.
 
     Raises:
         CommandRefused: the profile leaves the station's bounds; nothing moved.
@@ -119,7 +122,7 @@ def record(
         raise CommandRefused(Reason("rig.needs_cell"))
     if bench.force is None and not bench.config.safety.without_cell:
         raise CommandRefused(Reason("rig.no_limit"))
-    run = _Run(bench, serial, profile, on_progress, spool, on_wait)
+    run = _Run(bench, serial, profile, on_progress, spool, on_wait, method)
     return run.watched.motion.supervise(lambda: run.perform(with_reference))
 
 
@@ -132,10 +135,11 @@ class _Run:
         on_progress: OnProgress | None,
         spool: Spool | None,
         on_wait: OnWait,
+        method: ProofMethod,
     ) -> None:
         self._bench, self._serial, self._profile, self._spool = bench, serial, profile, spool
         self._clock, self._stage = bench.clock, bench.stage
-        self._on_progress, self._on_wait = on_progress, on_wait
+        self._on_progress, self._on_wait, self._method = on_progress, on_wait, method
         self.watched = WatchedBench(bench, spool, self._on_tick)
         self._motion, self._readings = self.watched.motion, self.watched.readings
         self._moves: list[DrivenMove] = []
@@ -164,7 +168,7 @@ class _Run:
         touch, fixture = self._find_contact(), self._bench.config.fixture
         contact_mm = touch.foot(self.watched.late_s).at_mm
         self.watched.expect_contact(contact_mm)
-        felt_mm, safe_mm_s = self._feel(contact_mm - fixture.clearance_mm, contact_mm, zero_N)
+        felt_mm, safe_mm_s = self._feel(contact_mm - fixture.clearance_mm, touch, zero_N)
         # A late cell shows the contact too deep, and how late it is may be known only now.
         contact_mm = touch.foot(self.watched.late_s).at_mm
         zero_mm = contact_mm - fixture.clearance_mm
@@ -184,7 +188,8 @@ class _Run:
             self._spool.add_facts(asdict(facts))
         self._tell(1.0, 0.0)
         try:
-            return assemble(Raw(self._readings.output, self._readings.force, self._readings.polls), facts)
+            raw = Raw(self._readings.output, self._readings.force, self._readings.polls)
+            return assemble(raw, facts, self._method)
         except BadReply as error:
             raise self.watched.blame(error) from error
 
@@ -276,7 +281,7 @@ class _Run:
         self._moves.clear()
         return search.touch(reconstruct(polls, [move]).at)
 
-    def _feel(self, zero_mm: float, contact_mm: float, zero_N: float) -> tuple[float, float]:
+    def _feel(self, zero_mm: float, touch: Touch, zero_N: float) -> tuple[float, float]:
         """Press once, slowly, as deep as the profile will: only where the unit was felt may the stage go fast.
 
         Returns how deep that was (0 where the profile itself is slow enough, or no load cell reads), and the fastest
@@ -304,7 +309,7 @@ class _Run:
         at = reconstruct(self._readings.polls, self._moves).at
         host_s = np.array([sample.host_s for sample in self._readings.force[began:]]) - self.watched.late_s
         force_N = np.array([sample.values[0] for sample in self._readings.force[began:]])
-        self._measure_latency(began, force_N, at, contact_mm)
+        self._measure_latency(began, force_N, at, touch)
         seen = slice(None, down - began)
         felt_N, stiffness_N_mm = float(np.max(force_N)) - zero_N, stiffest_N_mm(at(host_s[seen]), force_N[seen])
         bounds, fastest_mm_s = self.watched.bounds, self._profile.fastest_mm_s
@@ -337,19 +342,20 @@ class _Run:
                 return False
         return True
 
-    def _measure_latency(self, began: int, force_N: Array, at: Callable[[Array], Array], contact_mm: float) -> None:
+    def _measure_latency(self, began: int, force_N: Array, at: Callable[[Array], Array], touch: Touch) -> None:
         """See how late the cell is in the slow press, by its own clock: lines come late, too."""
-        force = self._bench.config.force
-        if force is None or self._bench.force is None:
+        force, reader, late_s = self._bench.config.force, self._bench.force, self.watched.late_s
+        if force is None or reader is None:
             return
         host_s = device_times_s(self._readings.force)[began:]
-        found_s = lag_s(host_s, force_N, at, contact_mm)
-        is_stated, period_s = force.is_latency_stated, 1.0 / self._bench.force.rate_Hz
-        possible_s = force.latency_s if is_stated else min(max(0.0, found_s), LATEST_S)
-        if np.isfinite(found_s):
-            check_lag(found_s, possible_s, period_s)
-        if not is_stated and np.isfinite(found_s):
-            self.watched.learn_latency(possible_s)
+        for _ in range(2):  # A late cell shows the contact too deep; by a law that begins there it seems slow.
+            response = fit_response(host_s, force_N, at, touch.foot(late_s).at_mm, self._method)
+            if force.is_latency_stated or not response.is_told:
+                break
+            late_s = min(max(0.0, response.lag_s), LATEST_S)
+        check_lag(response, late_s, 1.0 / reader.rate_Hz, self._method.lag)
+        if not force.is_latency_stated and response.is_told:
+            self.watched.learn_latency(late_s)
 
     def _tell(self, fraction: float, remaining_s: float) -> None:
         if self._on_progress is None:

@@ -17,7 +17,7 @@ from softcal.core.recording import Array
 from softcal.core.words.reason import Reason, root_of
 from softcal.station.devices.bench import Bench
 from softcal.station.devices.config import UNKNOWN_S
-from softcal.station.record.method import METHOD
+from softcal.station.record.method import METHOD, ProofMethod
 from softcal.station.record.recording import Raw, RunFacts, device_times_s, track_of
 from softcal.station.record.response import fit_response
 from softcal.station.record.spool import Spool, read_spool
@@ -76,16 +76,13 @@ class QualificationLimits:
     """The largest figures with which a station passes.
 
     Args:
-        delay_s: by which the cell may be off what the station file states, or late where that states nothing.
-        response_share: error that the low pass leaves in labels, share of the largest force (RMS).
+        delay_s: by which the cell may be late where the station file states nothing.
         backlash_mm, lost_mm: at a turn of the stage; between the first and the last press.
         compliance_mm_N: of the frame, where the stiffness of the spring is stated.
         repeatability, noise: of equal presses, and of the resting cell: standard deviation, share of the largest force.
     """
 
     delay_s: float = 0.5
-    off_s: float = METHOD.lag.late_s
-    response_share: float = METHOD.response.share
     backlash_mm: float = 0.05
     lost_mm: float = 0.03
     compliance_mm_N: float = 0.05
@@ -111,6 +108,7 @@ def qualify(
     stiffness_N_mm: float | None = None,
     limits: QualificationLimits = QualificationLimits(),  # noqa: B008 - frozen
     on_progress: OnProgress | None = None,
+    method: ProofMethod = METHOD,
 ) -> Qualification:
     """Press a unit and return what the station showed. Every watch of a run is on.
 
@@ -131,32 +129,42 @@ def qualify(
         path = Path(folder) / "qualification.spool"
         try:
             with Spool(path, {"serial": "qualification", "profile": profile.name}) as spool:
-                record(replace(bench, config=config), "qualification", profile, False, on_progress, spool)
+                record(
+                    replace(bench, config=config), "qualification", profile, False, on_progress, spool, method=method
+                )
         except BadReply as error:
             refusal = root_of(error.reason)
             if not read_spool(path).facts:
                 raise
         run = read_spool(path)
     facts = RunFacts(**run.facts)
-    figures = _figures(
-        Raw(run.output, run.force, run.polls), facts, bench.config.force.latency_s, stiffness_N_mm, limits
-    )
+    raw = Raw(run.output, run.force, run.polls)
+    figures = _figures(raw, facts, bench.config.force.latency_s, stiffness_N_mm, limits, method)
     return Qualification(figures, refusal, bench.clock.now_s() - began_s)
 
 
 def _figures(
-    raw: Raw, facts: RunFacts, latency_s: float, stiffness_N_mm: float | None, limits: QualificationLimits
+    raw: Raw,
+    facts: RunFacts,
+    latency_s: float,
+    stiffness_N_mm: float | None,
+    limits: QualificationLimits,
+    method: ProofMethod,
 ) -> tuple[Figure, ...]:
     track, host_s = track_of(raw, facts), device_times_s(raw.force)
     force_N = np.array([sample.values[0] for sample in raw.force]) - facts.zero_N
     inside = (host_s >= facts.span_s[0]) & (host_s <= facts.span_s[1])
-    response = fit_response(host_s[inside], force_N[inside], track.at, facts.contact_mm)
-    lag_s = response.lag_s if math.isfinite(response.lag_s) else 0.0
-    t_s, force_N = host_s[inside] - lag_s, force_N[inside]
-    presses = _Presses(t_s, track.at(t_s) - facts.zero_mm, force_N)
+    host_s, force_N, backlash_mm = host_s[inside], force_N[inside], 0.0
+    for _ in range(2):  # Backlash makes a prompt cell seem late, and a late cell makes backlash.
+        tip_mm_at = behind_backlash(host_s, track.at(host_s), backlash_mm)
+        response = fit_response(host_s, force_N, tip_mm_at, facts.contact_mm, method)
+        lag_s = response.lag_s if response.is_told else 0.0
+        presses = _Presses(host_s - lag_s, track.at(host_s - lag_s) - facts.zero_mm, force_N)
+        backlash_mm = presses.backlash_mm
     largest_N = presses.largest_N
     stated_s = latency_s if latency_s != UNKNOWN_S else 0.0
-    off_s = limits.delay_s if latency_s == UNKNOWN_S else limits.off_s + METHOD.lag.period_share * presses.period_s
+    off_s = method.lag.late_s + method.lag.period_share * presses.period_s
+    off_s = limits.delay_s if latency_s == UNKNOWN_S else off_s
     first, last = presses.slow[SLOW - 1], presses.slow[-1]
     slope = float(np.median([press.slope_N_mm(*STEEP) for press in presses.slow]))
     known = stiffness_N_mm is not None
@@ -168,7 +176,7 @@ def _figures(
         Figure("time constant of the load cell", response.time_constant_s, "s"),
         Figure("bandwidth of the load cell", _bandwidth_Hz(response.time_constant_s, presses.period_s), "Hz"),
         Figure(
-            "error of labels by the low pass (RMS)", response.error_N(lag_s), "N", limits.response_share * largest_N
+            "error of labels by the low pass (RMS)", response.error_N(lag_s), "N", method.response.share * largest_N
         ),
         Figure("backlash at a turn", presses.backlash_mm, "mm", limits.backlash_mm),
         Figure(
@@ -191,6 +199,14 @@ def _figures(
         Figure("zero return of the load cell", abs(facts.zero_return_N), "N"),
         Figure("largest force", largest_N, "N"),
     )
+
+
+def behind_backlash(t_s: Array, stage_mm: Array, backlash_mm: float) -> Callable[[Array], Array]:
+    """Return where the tip is at a time: it follows a stage, (n,), upwards only when the backlash is taken up."""
+    tip_mm = np.array(stage_mm)
+    for k in range(1, len(tip_mm)):
+        tip_mm[k] = max(stage_mm[k], min(tip_mm[k - 1], stage_mm[k] + backlash_mm))
+    return lambda at_s: np.interp(at_s, t_s, tip_mm)
 
 
 def _bandwidth_Hz(constant_s: float, period_s: float) -> float:

@@ -5,10 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softcal.core.inspection.dropouts import find_dropouts
+from softcal.core.inspection import dropouts
+from softcal.core.inspection.dropouts import DropoutConfig
 
 RATE_HZ = 50.0
 T_S = np.arange(0.0, 40.0, 1 / RATE_HZ)
+
+
+def find_dropouts(output, stage_mm=None):
+    return dropouts.find_dropouts(output, stage_mm, DropoutConfig())
 
 
 def pressed_mm(speed_mm_s, acceleration_mm_s2, depth_mm=3.0, rest_s=1.0):
@@ -55,7 +60,7 @@ def drawn(unit):
 @given(units)
 def test_no_press_however_fast_or_stiff_is_a_dropout(unit):
     output_V, stage_mm, _ = drawn(unit)
-    assert find_dropouts(T_S, output_V, stage_mm) == []
+    assert find_dropouts(output_V, stage_mm) == []
 
 
 @given(units, st.integers(1, 3), st.sampled_from(["0 V", "halved", "rail"]))
@@ -70,7 +75,7 @@ def test_one_to_three_lost_samples_are_found_where_they_are(unit, count, kind):
     broken_V[lost] = {"0 V": 0.0, "halved": 0.5 * output_V[lost], "rail": 5.0}[kind]
     if kind == "rail" and output_V[begin] > 4.0:
         return
-    (dropout,) = find_dropouts(T_S, broken_V, stage_mm)
+    (dropout,) = find_dropouts(broken_V, stage_mm)
     assert (dropout.begin, dropout.end) == (begin, begin + count)
     assert dropout.level in broken_V[lost]
     assert dropout.expected == pytest.approx(output_V[begin], abs=0.05)
@@ -85,7 +90,7 @@ def test_a_converter_that_averages_shows_the_edges_in_between(rate_Hz):
         is_lost = (fine_s > at_s) & (fine_s < at_s + 0.06)
         share = is_lost.reshape(len(t_s), per_sample).mean(axis=1)
         output_V = (2.0 + 0.3 * np.sin(t_s)) * (1.0 - share) + rng.normal(0.0, 0.002, len(t_s))
-        (dropout,) = find_dropouts(t_s, output_V)
+        (dropout,) = find_dropouts(output_V, np.sin(t_s))
         assert dropout.begin - 1 <= int(at_s * rate_Hz) <= dropout.begin
         assert abs(dropout.end - (at_s + 0.06) * rate_Hz) <= 1.0
 
@@ -94,23 +99,34 @@ def test_several_dropouts_are_all_found():
     output_V = np.full(len(T_S), 1.5) + np.random.default_rng(1).normal(0.0, 0.003, len(T_S))
     for begin in (100, 120, 500, 1500):
         output_V[begin : begin + 2] = 0.0
-    assert [dropout.begin for dropout in find_dropouts(T_S, output_V)] == [100, 120, 500, 1500]
+    assert [dropout.begin for dropout in find_dropouts(output_V)] == [100, 120, 500, 1500]
 
 
 @given(st.floats(0.1, 100.0), st.floats(-5.0, 5.0), units)
 def test_neither_unit_nor_zero_of_the_output_matters(gain, zero, unit):
     output_V, stage_mm, _ = drawn((*unit[:6], 0, unit[7]))
     output_V[1000:1002] += 10.0
-    plain = find_dropouts(T_S, output_V, stage_mm)
+    plain = find_dropouts(output_V, stage_mm)
     assert [(d.begin, d.end) for d in plain] == [(1000, 1002)]
-    assert [(d.begin, d.end) for d in find_dropouts(T_S, zero + gain * output_V, stage_mm)] == [(1000, 1002)]
+    assert [(d.begin, d.end) for d in find_dropouts(zero + gain * output_V, stage_mm)] == [(1000, 1002)]
+
+
+def test_without_the_stage_only_a_jump_over_the_whole_range_is_a_dropout():
+    stage_mm = pressed_mm(5.0, 1000.0)
+    output_V = 1.0 + stage_mm + np.random.default_rng(4).normal(0.0, 0.002, len(T_S))
+    still = np.flatnonzero((stage_mm > 2.99) & (np.roll(stage_mm, 20) > 2.99))
+    for level, is_told in ((2.5, False), (0.0, True)):
+        broken_V = output_V.copy()
+        broken_V[still[0] - 5 : still[0] + 5] = level
+        assert len(find_dropouts(broken_V, stage_mm)) == 1
+        assert len(find_dropouts(broken_V)) == is_told
 
 
 def test_a_step_that_stays_a_constant_and_few_samples_are_no_dropouts():
     step = np.where(T_S > 20.0, 1.0, 2.0)
-    assert find_dropouts(T_S, step) == []
-    assert find_dropouts(T_S, np.ones(len(T_S))) == []
-    assert find_dropouts(T_S[:5], np.array([1.0, 1.0, 0.0, 1.0, 1.0])) == []
+    assert find_dropouts(step) == []
+    assert find_dropouts(np.ones(len(T_S))) == []
+    assert find_dropouts(np.array([1.0, 1.0, 0.0, 1.0, 1.0])) == []
 
 
 def test_a_short_press_is_one_only_without_its_stage():
@@ -118,5 +134,5 @@ def test_a_short_press_is_one_only_without_its_stage():
     for begin in (500, 900, 1300):
         stage_mm[begin : begin + 3] = [1.0, 1.2, 1.0]
     output_V = 1.0 + stage_mm + np.random.default_rng(2).normal(0.0, 0.002, len(T_S))
-    assert find_dropouts(T_S, output_V, stage_mm) == []
-    assert len(find_dropouts(T_S, output_V)) == 3
+    assert find_dropouts(output_V, stage_mm) == []
+    assert len(find_dropouts(output_V)) == 3

@@ -12,6 +12,7 @@ import pytest
 from softcal.core.errors import InputError
 from softcal.core.inspection.build import InspectedRecording, build_recording
 from softcal.core.inspection.config import InspectionConfig
+from softcal.core.inspection.dropouts import DropoutConfig
 from softcal.core.inspection.levels import find_flat_ends
 from softcal.core.inspection.words import check_reference
 from softcal.core.recording import Array
@@ -329,7 +330,7 @@ def test_what_is_masked_is_decided_by_the_configuration_that_is_given(press_unit
     output = press_unit(1500, 1.0, 0.5, 3)["output"].to_numpy(copy=True)
     output[700] = 5.0
     t_s = np.arange(len(output)) / 50
-    deaf = replace(InspectionConfig(), spike_share=1e9, jump_factor=1e9)
+    deaf = replace(InspectionConfig(), spike_share=1e9, dropout=DropoutConfig(edge_steps=1e9))
     counts = [
         len(build_recording("U", t_s, output, sample_rate_Hz=50.0, config=config).inspection.masked)
         for config in (InspectionConfig(), deaf)

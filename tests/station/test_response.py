@@ -11,6 +11,8 @@ from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
 from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.devices.config import UNKNOWN_S
+from softcal.station.motion.watched import WatchedBench
+from softcal.station.record.method import METHOD
 from softcal.station.record.response import fit_response
 from softcal.station.tasks.acquisition import record
 from softcal.station.testing.faults import filter_cell
@@ -58,6 +60,15 @@ def test_a_delay_hides_no_low_pass(late_s, constant_s):
         assert why.code == "rig.low_pass" or (why.code == "rig.behind" and latency_s == late_s)
 
 
+@pytest.mark.parametrize("constant_s", [0.1, 0.3])
+def test_a_filtered_cell_is_never_taken_for_a_prompter_one(constant_s, monkeypatch):
+    """What a stop in the fast presses holds rests on it; a slow press that does not tell leaves the latest there is."""
+    learned_s = []
+    monkeypatch.setattr(WatchedBench, "learn_latency", lambda watched, late_s: learned_s.append(late_s))
+    refused(constant_s, 0.06, UNKNOWN_S)
+    assert all(late_s > 0.06 + constant_s - 0.02 for late_s in learned_s)
+
+
 @pytest.mark.parametrize("seconds", layered((40.0, 170.0), (40.0,)))
 def test_the_profile_of_a_source_shows_the_low_pass(seconds):
     profile = source_profile(np.random.default_rng(0), seconds, 3.0)
@@ -101,7 +112,7 @@ def test_delay_and_time_constant_are_told_apart(constant_s, late_s, samples_Hz, 
     filtered_N = behind_low_pass(force_N, constant_s)
     t_s = np.arange(1.0, 29.0, 1.0 / samples_Hz)
     shown_N = np.interp(t_s - late_s, fine_s, filtered_N) + rng.normal(0, 0.005, len(t_s))
-    response = fit_response(t_s, shown_N, lambda at_s: np.interp(at_s, fine_s, stage_mm), 0.0)
+    response = fit_response(t_s, shown_N, lambda at_s: np.interp(at_s, fine_s, stage_mm), 0.0, METHOD)
     assert response.time_constant_s == pytest.approx(constant_s, rel=tolerance, abs=0.01)
     assert response.lag_s == pytest.approx(late_s + constant_s, abs=0.04)
     error_N = np.sqrt(np.mean((filtered_N - force_N)[1000:-1000] ** 2))
