@@ -44,10 +44,9 @@ from softcal.core.challenge.score import (
     shortfalls,
 )
 from softcal.core.errors import InputError
-from softcal.core.gap.diagnosis import diagnose
-from softcal.core.gap.explained import explained_twin
+from softcal.core.gap.diagnosis import Diagnosis, diagnose, diagnose_simulator
+from softcal.core.gap.explained import explained_twin, repaired_twin
 from softcal.core.gap.shared_cause import LotDiagnosis, diagnose_lot
-from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis, diagnose_simulator
 from softcal.core.gap.transfer import CalibrationWorth, LotUnit, PressedLot, Transfer, calibration_worth
 from softcal.core.gap.transfer import transfer as transferred
 from softcal.core.metrics import wilson
@@ -192,7 +191,7 @@ def transfers(seeds: Iterable[int], units: int) -> Iterable[tuple[str, str, Tran
             yield (
                 sealed.causes[0].effect,
                 found.verdict,
-                transferred(pressed, explained_twin(found.base), found.explained),
+                transferred(pressed, explained_twin(found.base), repaired_twin(found)),
             )
         except (InputError, ValueError) as error:
             print(f"seed {seed}, {sealed.causes[0].effect}: no lot: {error}")
@@ -244,7 +243,7 @@ def judged_plants(drawn: Any, seeds: range) -> Iterator[tuple[str, str, int, str
         yield "no candidate for it", "cubic", seed, word
 
 
-def outcome(found: SimulatorDiagnosis, named: set[str], true: set[str]) -> str:
+def outcome(found: Diagnosis, named: set[str], true: set[str]) -> str:
     """Return how an answer stands to the hidden causes."""
     if found.verdict == "ambiguous" and true and true <= named:
         return "set"

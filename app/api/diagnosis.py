@@ -9,11 +9,12 @@ from softcal.core.twin.parameters import ReadoutMetadata
 
 if TYPE_CHECKING:
     from softcal.core.gap.diagnosis import Diagnosis
+    from softcal.core.gap.twin import TwinModel
 
 
 def diagnose(
     case: Any, progress: Callable[[str], None] | None = None, readout: ReadoutMetadata | None = None
-) -> "Diagnosis":
+) -> "Diagnosis[TwinModel]":
     """Diagnose where the simulator differs from the rig that a case was recorded on.
 
     >>> import pathlib, tempfile, softcal

@@ -13,10 +13,10 @@ from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
-    from softcal.core.gap.data_mistake import DataMistake
+    from softcal.core.gap.case import DataMistake
     from softcal.core.gap.diagnosis import Diagnosis
-    from softcal.core.gap.gap_diagnosis import GapDiagnosis
-    from softcal.core.gap.shrink import Shrink
+    from softcal.core.gap.residual import Shrink
+    from softcal.core.gap.twin import TwinModel
     from softcal.core.twin.parameters import ReadoutMetadata
     from softcal.core.twin.simulate import Twin
 
@@ -124,8 +124,8 @@ def _diagnose(options: argparse.Namespace) -> None:
     write_json(options.json, _report(diagnosed, options))
     if options.page:
         write_page(options.page, diagnosed)
-    if failed := diagnosed.failures.count:
-        say(f"{diagnosed.failures.first}; so at {failed} of {diagnosed.failures.of} places, which were avoided")
+    if (calls := diagnosed.model.calls(diagnosed.case)).count:
+        say(f"{calls.first}; so at {calls.count} of {calls.of} places, which were avoided")
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -134,7 +134,7 @@ def _check(options: argparse.Namespace) -> None:
     """
     from softcal.app.gap.diagnose import check_case
     from softcal.app.gap.simulator import check_with, load_simulator
-    from softcal.core.gap.identifiability import reasons
+    from softcal.core.gap.experiments import reasons
 
     if options.simulator:
         _refuse_electronics(options)
@@ -257,9 +257,9 @@ def _contents(twin: "Twin") -> str:
     return ", ".join(held) or "no effect, the refitted base alone"
 
 
-def _show(diagnosis: "GapDiagnosis[Any]") -> None:
+def _show(diagnosis: "Diagnosis[Any]") -> None:
     """Print what a diagnosis of the twin and one of a simulator say alike."""
-    from softcal.core.gap.identifiability import reasons
+    from softcal.core.gap.experiments import reasons
 
     _show_mistakes(diagnosis.mistakes)
     if diagnosis.verdict == "data":
@@ -313,7 +313,7 @@ def _forecast(shrink: "Shrink") -> str:
     return f"; forecast {shrink.predicted:.2f} [{shrink.low:.2f}, {shrink.high:.2f}]"
 
 
-def _report(diagnosis: "GapDiagnosis[Any]", options: argparse.Namespace) -> dict[str, object]:
+def _report(diagnosis: "Diagnosis[Any]", options: argparse.Namespace) -> dict[str, object]:
     """Return the report of a diagnosis with what made it and the hashes of what was read."""
     from softcal.app.files.case_folder import METADATA, RECORDING
     from softcal.app.provenance import record_provenance
@@ -328,14 +328,14 @@ def _report(diagnosis: "GapDiagnosis[Any]", options: argparse.Namespace) -> dict
     return diagnosis.report() | {"provenance": record_provenance(METHOD.id, root, files).to_json()}
 
 
-def _show_twin(diagnosis: "Diagnosis", options: argparse.Namespace) -> None:
+def _show_twin(diagnosis: "Diagnosis[TwinModel]", options: argparse.Namespace) -> None:
     """Print the diagnosis as tables, then write its report; `--json -` prints the report alone."""
     if options.json != "-":
         _show_tables(diagnosis)
     write_json(options.json, _report(diagnosis, options))
 
 
-def _show_tables(diagnosis: "Diagnosis") -> None:
+def _show_tables(diagnosis: "Diagnosis[TwinModel]") -> None:
     _show(diagnosis)
     if diagnosis.verdict == "data":
         return

@@ -23,6 +23,7 @@ from softcal.core.recording import Array
 if TYPE_CHECKING:
     from softcal.app.charts.gap import RunView
     from softcal.core.gap.diagnosis import Diagnosis
+    from softcal.core.gap.twin import TwinModel
     from softcal.db.schema.arrays import Arrays
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,63}")
@@ -109,7 +110,7 @@ def store_upload(name: str, runs: Sequence[bytes], metadata: Mapping[str, object
     return target
 
 
-def kept_of(diagnosis: "Diagnosis") -> "tuple[dict[str, Any], Arrays]":
+def kept_of(diagnosis: "Diagnosis[TwinModel]") -> "tuple[dict[str, Any], Arrays]":
     """Return the report of a diagnosis with a list of runs, and the arrays of their figures."""
     views = run_views(diagnosis)
     runs = [

@@ -11,11 +11,11 @@ from softcal.app.files.case_folder import open_case, open_table
 from softcal.app.tables.options import DETECT, TableOptions
 from softcal.app.texts.catalogue import text
 from softcal.core.errors import InputError
-from softcal.core.gap.case import Case
-from softcal.core.gap.data_mistake import DataMistake
+from softcal.core.gap.case import Case, DataMistake
 from softcal.core.gap.diagnosis import Diagnosis, checked, diagnose
-from softcal.core.gap.gap_diagnosis import GapDiagnosis
-from softcal.core.gap.identifiability import Identifiability
+from softcal.core.gap.experiments import Identifiability
+from softcal.core.gap.explained import described_twin, repaired_twin
+from softcal.core.gap.twin import TwinModel
 from softcal.core.json_input import parse_json
 from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.twin.simulate import Twin, twin_from_record, twin_record
@@ -29,7 +29,7 @@ def diagnose_case(
     progress: Callable[[str], None] | None = None,
     readout: ReadoutMetadata | None = None,
     table: TableOptions = DETECT,
-) -> Diagnosis:
+) -> Diagnosis[TwinModel]:
     """Read a case and diagnose it.
 
     Args:
@@ -58,7 +58,7 @@ def _opened(place: Path, readout: ReadoutMetadata | None, table: TableOptions) -
     return open_table(place, readout, table)
 
 
-def write_page(path: Path, diagnosis: GapDiagnosis[Any]) -> None:
+def write_page(path: Path, diagnosis: Diagnosis[Any]) -> None:
     """Write the page of figures of a diagnosis in English, whole or not at all."""
     from softcal.app.charts.gap_page import gap_page
 
@@ -66,7 +66,7 @@ def write_page(path: Path, diagnosis: GapDiagnosis[Any]) -> None:
     write_text(path, page)
 
 
-def run_views(diagnosis: GapDiagnosis[Any]) -> list["RunView"]:
+def run_views(diagnosis: Diagnosis[Any]) -> list["RunView"]:
     """Return every pressed run as a page shows it: measured, and predicted before and after."""
     from softcal.app.charts.gap import ChannelView, RunView
 
@@ -84,11 +84,7 @@ def run_views(diagnosis: GapDiagnosis[Any]) -> list["RunView"]:
             for block in problem.blocks
             if block.run == k
         }
-        if isinstance(diagnosis, Diagnosis):
-            load_N = run.force_N if run.force_N is not None else diagnosis.elastic_force_N(k)
-            drive = run.stage_mm if run.stage_mm is not None else load_N
-        else:
-            drive = load_N = next(iter(channels.values())).measured
+        drive, load_N = diagnosis.model.axes_of(diagnosis.best, k)
         views.append(RunView(run.name, run.profile, run.elapsed_s, drive, load_N, channels))
     return views
 
@@ -98,7 +94,7 @@ NO_TERMS = "no empirical terms: nothing is left, or no term holds on runs that w
 
 def apply_case(
     folder: Path, out: Path, progress: Callable[[str], None] | None = None, empirical: bool = False
-) -> tuple[Diagnosis, Twin]:
+) -> tuple[Diagnosis[TwinModel], Twin]:
     """Diagnose a case and write the twin that explains it, whole or not at all.
 
     Args:
@@ -108,9 +104,9 @@ def apply_case(
         InputError: the recordings hold a mistake, or there are no such terms.
     """
     diagnosis = diagnose_case(folder, progress)
-    twin = diagnosis.explained
+    twin = repaired_twin(diagnosis)
     if empirical:
-        described = diagnosis.empirical
+        described = described_twin(diagnosis)
         if described is None:
             raise InputError(f"{folder}: {NO_TERMS}")
         twin = described

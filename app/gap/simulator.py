@@ -17,10 +17,12 @@ from softcal.app.tables.options import DETECT, TableOptions
 from softcal.app.tables.read import read_table
 from softcal.app.tables.time_column import find_time_column
 from softcal.core.errors import InputError
-from softcal.core.gap.data_mistake import DataMistake
-from softcal.core.gap.identifiability import Identifiability
-from softcal.core.gap.simulator import Simulator, SimulatorRun, recorded, term_of, with_terms
-from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis, check_simulator, diagnose_simulator
+from softcal.core.gap.case import DataMistake
+from softcal.core.gap.diagnosis import Diagnosis, check_simulator, diagnose_simulator
+from softcal.core.gap.experiments import Identifiability
+from softcal.core.gap.simulator import Simulator, SimulatorRun, recorded
+from softcal.core.gap.simulator_model import SimulatorModel
+from softcal.core.gap.simulator_reach import term_of, with_terms
 from softcal.core.json_input import parse_json
 from softcal.core.recording import Array
 
@@ -67,7 +69,7 @@ def diagnose_with(
     simulator: Simulator,
     progress: Callable[[str], None] | None = None,
     options: TableOptions = DETECT,
-) -> SimulatorDiagnosis:
+) -> Diagnosis[SimulatorModel]:
     """Read the runs of a mechanism and diagnose its simulator.
 
     Args:

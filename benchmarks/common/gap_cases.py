@@ -15,7 +15,7 @@ from softcal.core.challenge.cases import RunPlan, SealedCase
 from softcal.core.challenge.realised import left_over
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
-from softcal.core.gap.explained import explained_twin
+from softcal.core.gap.explained import described_twin, explained_twin, repaired_twin
 from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.twin.simulate import Twin, simulate, twin_from_record, twin_record
 
@@ -78,12 +78,12 @@ def _row(found: Diagnosis, sealed: SealedCase, far: list[tuple[float, float, boo
     hidden = " + ".join(f"{c.effect} ({c.form})" for c in sealed.causes)
     if found.verdict == "data":
         return hidden, "data", "none", "", ""
-    forms = [f"{s.effect_id} ({s.form or 'catalogue'})" for s in found.explained.effects]
-    twin, shrink, what = found.explained, found.shrink, ", ".join(forms)
+    forms = [f"{s.effect_id} ({s.form or 'catalogue'})" for s in repaired_twin(found).effects]
+    twin, shrink, what = repaired_twin(found), found.shrink, ", ".join(forms)
     if sealed.line == "outside":
-        if found.residual is None or found.empirical is None:
+        if found.residual is None:
             return hidden, found.verdict, "no empirical term", "", ""
-        twin, shrink = found.empirical, found.residual.shrink
+        twin, shrink = described_twin(found), found.residual.shrink
         what = "; ".join([*found.residual.beside, *(one.term.formula for one in found.residual.terms)])
     if not twin.effects and not twin.empirical:
         return hidden, found.verdict, "the base alone", "", ""

@@ -1,5 +1,6 @@
-"""A case for diagnosis: several runs of one unit on one rig, checked once when made."""
+"""A case for diagnosis: several runs of one unit on one rig, checked once when made; mistakes in them."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Literal, TypeAlias, get_args
@@ -8,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
-from softcal.core.gap.method import METHOD
 from softcal.core.recording import Array
 from softcal.core.twin.effects import ChainStage
 from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.twin.signals import compiled
+from softcal.core.words.reason import Reason, in_words, reason
 
 Mask: TypeAlias = NDArray[np.bool_]
 """Which samples are meant."""
@@ -150,6 +151,15 @@ class Run:
         return None if self.temperature_C is None else self.temperature_C - self.temperature_C[0]
 
 
+@dataclass(frozen=True)
+class MenuEntry:
+    """One experiment that may be proposed: its run, channels still zeros, and minutes with set-up."""
+
+    name: str
+    run: Run
+    minutes: float
+
+
 @compiled
 def straightened(signal: Array, sigma: float, half: int) -> tuple[Array, Array]:
     """Return the smoothed signal and, per sample, which share of the noise variance is left."""
@@ -237,11 +247,6 @@ class Case:
         return any(log is not None and np.ptp(log) > 0 and np.ptp(log) >= by for log in logs)
 
     @property
-    def has_warmed_dummy(self) -> bool:
-        """Whether a dummy resistor was read while the logged temperature changed by 1 K or more."""
-        return self.changes("temperature_C", "dummy_resistor", METHOD.stranger.warmed_K)
-
-    @property
     def unseen_stages(self) -> tuple[ChainStage, ...]:
         """Stages that the recorded channels cannot show at all."""
         return tuple(stage for stage, channel in SHOWN_BY.items() if not self.has(channel))
@@ -250,3 +255,89 @@ class Case:
     def missing_channels(self) -> tuple[str, ...]:
         """Channels that no pressed run recorded."""
         return tuple(channel for channel in CHANNELS if not self.has(channel))
+
+
+Kind = Literal[
+    "unit_factor",
+    "gain",
+    "zero",
+    "sign",
+    "swapped_columns",
+    "swapped_divider",
+    "other_unit",
+    "swapped_runs",
+    "rate",
+    "out_of_range",
+    "constant",
+]
+
+
+@dataclass(frozen=True)
+class DataMistake:
+    """One mistake: what it is, where it shows, and what would repair it.
+
+    Args:
+        channel: `stage`, `force`, `output`, `temperature` or `time`; `one+other` where exchanged.
+        runs: numbers of the runs; empty for all.
+        factor: repaired values over recorded ones; None where there is no such number.
+    """
+
+    what: Kind
+    channel: str
+    runs: tuple[int, ...]
+    factor: float | None
+    evidence: Reason
+    repair: Reason
+
+    def record(self) -> dict[str, object]:
+        return in_words(vars(self) | {"runs": list(self.runs) or "all"}, "evidence", "repair")
+
+
+def numbers(case: Case) -> list[int]:
+    """Return the numbers of the runs of a case: those of their folders, or their places from 1."""
+    names = [run.name for run in case.runs]
+    return [int(n) for n in names] if all(n.isdigit() for n in names) else list(range(1, len(names) + 1))
+
+
+def apart(
+    channel: str, run: int, factor: float, units: Mapping[str, float], same: float, others: float = 0.0
+) -> DataMistake:
+    """Return what is wrong with one run against the others: its unit, else its gain.
+
+    Args:
+        factor: what brings its values to those of the others.
+        units: what values in each must be multiplied by.
+        same: a ratio this near to the factor of a unit is it.
+        others: logarithm of the factor by which the others differ among themselves.
+    """
+    evidence = reason("data.run.apart", channel=channel, ratio=1.0 / factor)
+    if unit := unit_of(factor, units, same, others):
+        return of_unit(channel, (run,), unit, units[unit], evidence)
+    return of_gain(channel, (run,), factor, evidence)
+
+
+def unit_of(factor: float, units: Mapping[str, float], same: float, others: float = 0.0) -> str:
+    """Return the unit whose factor this is, empty where it is none."""
+    if factor <= 0.0:
+        return ""
+    near = min(units, key=lambda unit: abs(np.log(units[unit] / factor)))
+    return near if abs(np.log(units[near] / factor)) < np.log(same) + others else ""
+
+
+def of_unit(
+    channel: str, runs: tuple[int, ...], unit: str, factor: float, evidence: Reason, repair: str = "data.repair.unit"
+) -> DataMistake:
+    """Return the mistake of a channel that is in another unit."""
+    mended = reason(repair, channel=channel, factor=factor, unit=unit)
+    return DataMistake("unit_factor", channel, runs, factor, evidence, mended)
+
+
+def of_gain(channel: str, runs: tuple[int, ...], factor: float, evidence: Reason) -> DataMistake:
+    """Return the mistake of a channel with a wrong gain."""
+    repair = reason("data.repair.gain", channel=channel, factor=factor)
+    return DataMistake("gain", channel, runs, factor, evidence, repair)
+
+
+def of_sign(channel: str, runs: tuple[int, ...], evidence: Reason) -> DataMistake:
+    """Return the mistake of a channel with the other sign."""
+    return DataMistake("sign", channel, runs, -1.0, evidence, reason("data.repair.sign", channel=channel))

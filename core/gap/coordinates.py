@@ -8,12 +8,15 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from softcal.core.gap.case import Case
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Parameter
+
+if TYPE_CHECKING:
+    from softcal.core.gap.case import Case
 
 LARGEST_LOG = float(np.log(np.finfo(np.float64).max))
 
@@ -67,7 +70,7 @@ class RigScale:
     sizes: tuple[tuple[str, float], ...] = ()
 
     @classmethod
-    def of(cls, case: Case) -> "RigScale":
+    def of(cls, case: "Case") -> "RigScale":
         """Read force and stroke off the runs that are pressed, the others off the metadata."""
         spans = {}
         for unit, channel in (("mm", "stage_mm"), ("N", "force_N")):

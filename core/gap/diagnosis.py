@@ -1,295 +1,393 @@
-"""The diagnosis of a case: where the twin is wrong, why, how sure that is, what to press next."""
+"""The diagnosis: where a model is wrong, why, how sure that is, how far the gap shrinks, what to record next."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Generic, Self, TypeAlias, TypeVar
+
+import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.gap.case import Case
-from softcal.core.gap.data_mistake import DataMistake
-from softcal.core.gap.empirical import learned, terms_of_twin
-from softcal.core.gap.explained import explained_twin, in_catalogue_form, with_constants
-from softcal.core.gap.fit import Fit
-from softcal.core.gap.floor import is_noise
-from softcal.core.gap.gap_diagnosis import (
+from softcal.core.gap.case import Case, DataMistake
+from softcal.core.gap.causes import (
     DiagnosisVerdict,
-    GapDiagnosis,
     GapPlace,
-    Judgement,
     Partial,
     RankedCause,
-    beside_rest,
-    judged,
+    Where,
+    bounds_reached,
     partial_of,
-    places_of,
     ranked_causes,
-    regime_places,
-    under_its_floor,
 )
-from softcal.core.gap.generic_effects import stranger_of
-from softcal.core.gap.identifiability import Identifiability, identifiability, reasons
-from softcal.core.gap.next_experiment import NextExperiment, menu, propose
-from softcal.core.gap.offsets import OFFSET_NAMES, Offsets, offsets
-from softcal.core.gap.outlier_run import outlier_run, outlier_run_beside
-from softcal.core.gap.place import likely_stages, loose_noise
-from softcal.core.gap.plausibility import doubts, mistakes
-from softcal.core.gap.problem import BASE
-from softcal.core.gap.residual import Map, Regime, is_clean, regimes, three_maps
-from softcal.core.gap.screen import is_told, visible_effects
-from softcal.core.gap.search import EffectSearch
-from softcal.core.gap.start import unfitted
-from softcal.core.recording import Array
-from softcal.core.twin.catalogue import EFFECTS, OWN_EFFECTS
-from softcal.core.twin.effects import Alias, Effect
-from softcal.core.twin.empirical_terms import EmpiricalTerm
-from softcal.core.twin.mechanics import elastic_force_at
-from softcal.core.twin.simulate import Twin, twin_record
-from softcal.core.words.reason import Reason, reason, several
+from softcal.core.gap.empirical import LearnedResidual, learned
+from softcal.core.gap.evidence import (
+    confused_pairs,
+    consistency_of,
+    exact_log_evidence,
+    hidden_fraction,
+    list_completeness,
+    log_evidences,
+    probabilities,
+    rest_energy,
+    rivals,
+)
+from softcal.core.gap.experiments import Identifiability, NextExperiment, identifiability, reasons
+from softcal.core.gap.explained import in_catalogue_form, with_constants
+from softcal.core.gap.fit import Fit
+from softcal.core.gap.model import Model
+from softcal.core.gap.residual import ChannelGap, Shrink, gap_of_base, noise_chance
+from softcal.core.gap.search import Progress, Search, under_its_floor
+from softcal.core.gap.shrink import Quantified, held_out_error, on_unseen, quantify, unsupported
+from softcal.core.gap.simulator import Simulator, SimulatorRun
+from softcal.core.gap.simulator_check import check_calls
+from softcal.core.gap.simulator_model import SimulatorModel
+from softcal.core.gap.twin import TWIN, TwinModel
+from softcal.core.words.reason import several
+
+M = TypeVar("M", bound=Model)
+
+Checked: TypeAlias = tuple[tuple[DataMistake, ...], Identifiability | None]
+"""Mistakes or questions, and what runs tell."""
+
+
+SCHEMA = "softcal.gap/1"
+
+NOT_MEASURED = "not measured: the recordings hold a mistake"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Diagnosis(GapDiagnosis[EmpiricalTerm]):
-    """The diagnosis of the soft sensor's twin; `best` has each cause by the equation that fits best.
+class Diagnosis(Generic[M]):
+    """Everything a report or a page needs; with the verdict `data` only what has no default.
 
     Args:
-        named: the best hypothesis with every cause by the catalogue's equation, as reported.
+        chosen: causes that are chosen where each part of the samples in turn is held back.
+        explained_share: of the structured gap energy, 1 when nothing but noise is left.
+        best: each cause by the equation that fits best, as it is handed on.
+        named: the best hypothesis with every cause by the equation that is reported.
         rivals: hypotheses that cannot be told apart, the best first.
-        maps: the three chain relations fitted separately.
+        mistakes: in the recordings; with another verdict than `data` they are questions.
+        residual: empirical terms for what no named cause explains, if they hold on runs held back.
+        told: what the runs tell of the base and of every effect; None where there is a mistake.
+        list_complete: probability that nothing unmodelled is left.
     """
 
+    model: M
+    verdict: DiagnosisVerdict
+    base: Fit
+    best: Fit
     named: Fit
     rivals: tuple[Fit, ...]
-    maps: tuple[Map, ...] = ()
-    regimes: tuple[Regime, ...] = ()
+    causes: tuple[RankedCause, ...]
+    gap: dict[str, ChannelGap]
+    next_experiment: NextExperiment
+    where: Where = Where()
+    shrink: Shrink = Shrink(0.0, 0.0, 0.0, 0.0)
+    protocol: str = NOT_MEASURED
+    chosen: tuple[tuple[str, ...], ...] = ()
+    ambiguous_with: list[list[str]] = field(default_factory=list)
+    hidden_fraction: dict[str, float] = field(default_factory=dict)
+    explained_share: float = 0.0
+    mistakes: tuple[DataMistake, ...] = ()
+    partial: Partial | None = None
+    residual: LearnedResidual[Any] | None = None
+    told: Identifiability | None = None
+    list_complete: float = 0.0
 
-    def elastic_force_N(self, run: int) -> Array:
-        """Return the force that the fitted base gives for one run with a stage position."""
-        stage_mm = self.case.runs[run].stage_mm
-        if stage_mm is None:
-            raise ValueError(f"run {run} has no stage position")
-        return elastic_force_at(stage_mm, self.best.base)
+    @classmethod
+    def stopped(cls, model: M, base: Fit, mistakes: tuple[DataMistake, ...]) -> Self:
+        """Return the diagnosis of mistaken recordings: nothing is named and nothing forecast."""
+        return cls(
+            model=model,
+            verdict="data",
+            base=base,
+            best=base,
+            named=base,
+            rivals=(base,),
+            causes=tuple(RankedCause(effect.id, effect.stage, 0.0, None, {}) for effect in model.candidates),
+            gap=gap_of_base(base),
+            next_experiment=NextExperiment("none", several([one.repair for one in mistakes])),
+            mistakes=mistakes,
+        )
 
     @property
-    def explained(self) -> Twin:
-        """The twin to go on with: the refitted base with the set of causes.
-
-        Raises:
-            InputError: the recordings hold a mistake; a twin of them would hold it too.
-        """
-        if self.verdict == "data":
-            repairs = "; ".join(f"{f.evidence}: {f.repair}" for f in self.mistakes)
-            raise InputError(f"the recordings hold a mistake, so there is no twin of them: {repairs}")
-        return explained_twin(self.best)
+    def places(self) -> tuple[GapPlace, ...]:
+        """Where the gap lies."""
+        return self.where.places
 
     @property
-    def empirical(self) -> Twin | None:
-        """The twin with empirical terms and the causes they stand beside, no diagnosis; None without."""
-        if self.residual is None:
-            return None
-        return explained_twin(self.residual.fit, [one.term for one in self.residual.terms])
+    def on_bound(self) -> dict[str, float]:
+        """Parameters of base and causes left on a bound, with values: often the recordings are to blame."""
+        return bounds_reached(self.best)
 
     @property
-    def offsets(self) -> list[Offsets]:
-        """What every run has of its own and no cause has to explain."""
-        found = self.named
-        return offsets(found.problem, found.base, found.problem.bare.predict(found.hypothesis, found.coordinates))
+    def case(self) -> Case:
+        """The recordings."""
+        return self.base.problem.case
 
     def report(self) -> dict[str, object]:
         """Return the report of the contract, ready for JSON."""
-        is_spoilt, report = self.verdict == "data", super().report()
-        report["gap"] = {_short(channel): vars(gap) for channel, gap in self.gap.items()}
-        if self.residual is not None:
-            first = self.residual.terms[0].term
-            twin = None if self.empirical is None else twin_record(self.empirical)
-            report["residual"] = self.residual.record() | {
-                "load_N": first.load_N,
-                "depth_mm": first.depth_mm,
-                "twin": twin,
-            }
-        return report | {
-            "missing_channels": list(self.case.missing_channels),
-            "unseen_stages": list(self.case.unseen_stages),
-            "plugins": [effect_id for effect_id in EFFECTS if effect_id not in OWN_EFFECTS],
-            "base": {p.name: getattr(self.named.base, p.name) for p in BASE},
-            "noise": {
-                _short(channel): {"white": sigma, "fading": fades.spread, "fading_s": fades.fading_s}
-                for channel, sigma in self.named.problem.sigma.items()
-                if (fades := self.named.problem.colour.get(channel)) is not None
-            },
-            "offsets": [vars(one) | {"run": one.run + 1} for one in self.offsets],
-            "twin": None if is_spoilt else twin_record(self.explained),
-            "base_twin": None if is_spoilt else twin_record(explained_twin(self.base)),
-            "maps": [{"map": m.name, "z": m.structure.z, "structured_sigma": m.structure.rms} for m in self.maps],
+        report: dict[str, object] = {
+            "schema": SCHEMA,
+            "verdict": self.verdict,
+            "serial": self.case.serial,
+            "data": [found.record() for found in self.mistakes],
+            "gap": {channel: vars(gap) for channel, gap in self.gap.items()},
+            "shrink": vars(self.shrink) | {"protocol": self.protocol, "chosen": [list(ids) for ids in self.chosen]},
+            "where": [place.record() for place in self.places],
+            "causes": [
+                vars(c) | {"form": c.form or None, "parameters": {name: vars(p) for name, p in c.parameters.items()}}
+                for c in self.causes
+            ],
+            "ambiguous_with": self.ambiguous_with,
+            "hidden_fraction": self.hidden_fraction,
+            "identifiability": None if self.told is None else self.told.record(),
+            "next_experiment": self.next_experiment.record(),
+            "explained_share": self.explained_share,
+            "partial": None if self.partial is None else vars(self.partial) | {"effects": list(self.partial.effects)},
+            "residual": None if self.residual is None else self.residual.record(),
+            "list_complete": self.list_complete,
+            "on_bound": self.on_bound,
         }
-
-
-def _short(channel: str) -> str:
-    return channel.split("_")[0]
+        return report | self.model.report(self)
 
 
 def diagnose(
     case: Case,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
     on_fits: Callable[[Mapping[tuple[str, ...], Fit]], None] | None = None,
-    effects: Mapping[str, Effect] = EFFECTS,
-) -> Diagnosis:
-    """Diagnose the gap between the base twin and the recordings of a case.
+    model: TwinModel = TWIN,
+) -> Diagnosis[TwinModel]:
+    """Diagnose the gap between the twin of a soft sensor and the recordings of a case.
 
     Args:
         on_fits: called with every hypothesis that was fitted; not where the verdict is `data`.
-        effects: the list that is searched; one that is left out can only be a rest.
+    """
+    return diagnose_with(model, case, progress, on_fits)
+
+
+def diagnose_simulator(
+    simulator: Simulator, runs: Sequence[SimulatorRun], serial: str = "", progress: Progress | None = None
+) -> Diagnosis[SimulatorModel]:
+    """Diagnose the gap between a simulator and recordings of what it simulates.
+
+    Args:
+        runs: made by `recorded`.
+
+    Raises:
+        InputError: no run, or the simulator gives something else than finite channels.
     """
     say = progress or (lambda _: None)
+    say("calling the simulator a few times")
+    return diagnose_with(*_called(simulator, runs, serial), say)
+
+
+def _called(simulator: Simulator, runs: Sequence[SimulatorRun], serial: str = "") -> tuple[SimulatorModel, Case]:
+    if not runs:
+        raise InputError(f"simulator {simulator.name}: no run was given; a diagnosis needs one")
+    check_calls(simulator, runs)
+    return SimulatorModel(simulator.of_runs([run.name for run in runs])), Case(serial, tuple(runs))
+
+
+def checked(case: Case) -> Checked:
+    """Return the mistakes in the recordings and, where there is none, what the runs tell of the twin."""
+    return check_with(TWIN, case)
+
+
+def check_simulator(simulator: Simulator, runs: Sequence[SimulatorRun]) -> Checked:
+    """Return the mistakes in recordings and, without any, what they tell of a simulator; no search.
+
+    Raises:
+        InputError: as for `diagnose_simulator`.
+    """
+    return check_with(*_called(simulator, runs))
+
+
+def check_with(model: Model, case: Case) -> Checked:
+    """Return the mistakes in the recordings and, where there is none, what the runs tell of a model."""
+    if spoilt := model.mistakes(case):
+        return spoilt, None
+    base = model.base_fit(case)
+    spoilt, questions = model.mistakes_by_base(base)
+    return (spoilt, None) if spoilt else (questions, told_by(base))
+
+
+def told_by(base: Fit) -> Identifiability:
+    """Return what the runs of a base fit tell, and which experiments tell the rest."""
+    model = base.problem.model
+    return identifiability(base, model.visible(base.problem.case), model.menu(base))
+
+
+def diagnose_with(
+    model: M,
+    case: Case,
+    progress: Progress | None = None,
+    on_fits: Callable[[Mapping[tuple[str, ...], Fit]], None] | None = None,
+) -> Diagnosis[M]:
+    """Diagnose the gap between a model and recordings."""
+    say = progress or (lambda _: None)
     say("looking for mistakes in the recordings")
-    if spoilt := mistakes(case):
-        return _stopped(unfitted(case), spoilt)
-    search = EffectSearch.of(case, say, effects=effects)
-    runs_tell = told_by(search)
-    for untold in reasons(runs_tell):
+    if spoilt := model.mistakes(case):
+        return Diagnosis.stopped(model, model.base_beside(case), spoilt)
+    say("fitting the base to all runs")
+    base = model.base_fit(case)
+    spoilt, questions = model.mistakes_by_base(base)
+    if spoilt:
+        return Diagnosis.stopped(model, base, spoilt)
+    told = told_by(base)
+    for untold in reasons(told):
         say(str(untold))
-    if (odd := outlier_run(search.base)) is not None:
-        return _stopped(search.base, (odd,))
+    # What every run may have of its own needs no cause: its equation's error would be named as one.
+    search = Search(base, [e for e in model.visible(case) if e.is_episodic or not told[e.id].is_own], say)
     search.run()
-    if not search.is_clean(search.best) or loose_noise(search.best) is not None:
-        search = under_its_floor(search, lambda problem: EffectSearch.of(case, say, problem, effects), is_noise, say)
-    if (odd := outlier_run_beside(search)) is not None:
-        return _stopped(search.base, (odd,))
+    search = under_its_floor(search)
+    if spoilt := model.mistakes_by_search(search):
+        return Diagnosis.stopped(model, search.base, spoilt)
     if search.stranger is None:
         search.hold_open()
-    judgement = judged(search, effects, say, with_constants, lambda fitted: loose_noise(fitted) is not None)
-    verdict, group = judgement.verdict, judgement.group
-    best, told = judgement.best, with_constants(judgement.best)
+    judgement = judged(search)
     if on_fits is not None:
         on_fits(search.fits)
-    say("refitting the three maps separately")
-    maps = three_maps(case)
-    named = tuple(in_catalogue_form(found) for found in group)
-    held_out = judgement.quantified.shrink.held_out
-    causes = ranked_causes(search, best, effects.values(), named, judgement.chances, held_out)
-    found_regimes = tuple(replace(r, channel=_short(r.channel)) for r in regimes(search.base))
+    best, told_on = judgement.best, with_constants(judgement.best)
+    named, quantified = tuple(map(in_catalogue_form, judgement.group)), judgement.quantified
+    causes = ranked_causes(search, best, model.candidates, named, judgement.chances, quantified.shrink.held_out)
+    where = model.where(search, judgement, causes)
     say("describing what is left")
-    beside = {"unknown": (search.base, told), "no_gap": ()}
-    return Diagnosis.of(
-        search.base,
-        judgement,
-        best=told,
+    terms = list(model.terms(search.base))
+    parents = {"unknown": (search.base, told_on), "no_gap": ()}.get(judgement.verdict, (told_on,))
+    return Diagnosis(
+        model=model,
+        verdict=judgement.verdict,
+        base=search.base,
+        best=told_on,
         named=named[0],
-        rivals=group,
+        rivals=judgement.group,
         causes=causes,
-        places=_places(search, causes, maps, found_regimes, judgement),
-        maps=maps,
-        regimes=found_regimes,
-        next_experiment=_next(case, search, group, verdict),
+        gap=quantified.gap,
+        next_experiment=model.next_experiment(search, judgement),
+        where=where,
+        shrink=quantified.shrink,
+        protocol=quantified.protocol,
+        chosen=quantified.chosen,
+        ambiguous_with=confused_pairs(judgement.group),
+        hidden_fraction={i: hidden_fraction(judgement.group[0], i) for i in judgement.group[0].ids},
         explained_share=search.explained_share(best),
-        mistakes=doubts(case),
+        mistakes=questions,
         partial=partial_of(search, judgement),
-        residual=learned(search.base, beside.get(verdict, (told,)), terms_of_twin),
-        told=runs_tell,
+        residual=learned(search.base, parents, terms),
+        told=told,
+        list_complete=judgement.list_complete,
     )
 
 
-def checked(case: Case) -> tuple[tuple[DataMistake, ...], Identifiability | None]:
-    """Return the mistakes in the recordings and, where there is none, what the runs tell."""
-    if spoilt := mistakes(case):
-        return spoilt, None
-    search = EffectSearch.of(case)
-    return doubts(case), told_by(search)
+@dataclass(frozen=True)
+class Judgement:
+    """What a search comes to: the one set of causes that every section of a report is of.
+
+    Args:
+        best: the set of causes, the base alone where none lowers the gap on samples held back.
+        group: the set and what cannot be told apart from it.
+        chances: probability of every effect that it is there, whatever else is left.
+        list_complete: probability that nothing unmodelled is left.
+    """
+
+    best: Fit
+    group: tuple[Fit, ...]
+    quantified: Quantified
+    verdict: DiagnosisVerdict
+    chances: dict[str, float]
+    list_complete: float
 
 
-def told_by(search: EffectSearch) -> Identifiability:
-    """Return what the runs of a search tell of the twin, and which experiments tell the rest."""
-    case = search.base.problem.case
-    return identifiability(search.base, visible_effects(case), menu(case, search.extent), OFFSET_NAMES)
+def judged(search: Search) -> Judgement:
+    """Return the set of causes of a search, the shrink held out, verdict, and chances of effects."""
+    model, config = search.model, search.model.method
+    effects = [effect.id for effect in model.candidates]
+    search.say("holding back samples from every cause")
+    # Causes that lower nothing on unseen samples are taken out of the best hypothesis.
+    gone: set[str] = set()
+    while len(search.best.ids) > 1:
+        rest = search.one_less(search.best)
+        idle = unsupported(search.best, rest)
+        if not idle:
+            break
+        gone.add(idle[0])
+        search.best = rest[idle[0]]
+    logs, best = log_evidences(search.fits), search.best
+    group, added = on_unseen(rivals(search.fits, best, logs, tuple(search.held_open.values())), gone)
+    doubted = gone | added | set(search.held_open)
+    search.say("measuring the shrink on samples no fit has seen")
+    quantified = quantify(search.base, with_constants(best), search.fits.values())
+    verdict = _verdict(search, group, quantified)
+    every = _presence(search, logs, effects)
+    # Of a cause held open beside the best hypothesis the mean counts of two readings: every equation may be a little
+    # wrong, or they hold exactly.
+    larger = [f for f in group if set(f.ids) > set(best.ids)]
+    exact = probabilities({f.ids: exact_log_evidence(f) for f in (best, *larger)}, effects)
+    open_ = {i for f in larger for i in f.ids}.difference(best.ids)
+    every = {i: 0.5 * (p + exact[i]) if i in open_ else p for i, p in every.items()}
+    trust = dict.fromkeys(effects if best.ids and not quantified.stands else doubted, config.verdict.imitated_trust)
+    chances = {i: p * trust.get(i, 1.0) for i, p in every.items()}
+    if verdict == "unknown" and search.stranger is None:
+        if quantified.stands and any(chances[i] >= config.presence.certain for i in best.ids):
+            verdict = "explained_in_part"
+        elif model.hands_on_closest and (best := closest_set(search)) is not search.best:
+            group, quantified = (best,), quantify(search.base, with_constants(best), is_given=True)
+    if best.ids and not quantified.stands:
+        best, group, quantified = search.base, (search.base,), quantify(search.base, search.base)
+    search.best = best
+    return Judgement(best, group, quantified, verdict, chances, _completeness(search, best))
 
 
-def _stopped(base: Fit, found: tuple[DataMistake, ...]) -> Diagnosis:
-    return Diagnosis.stopped(base, EFFECTS.values(), found, named=base, rivals=(base,))
+def closest_set(search: Search) -> Fit:
+    """Return the smallest set whose error on samples held back is near the least: a few sets are tried."""
+    config, every = search.model.method.verdict, list(search.fits.values())
+    tried = {f.ids: f for f in (search.best, *sorted(every, key=lambda f: f.chi2)[: config.most_tried])}
+    for size in {len(f.ids) for f in every}:
+        one = min((f for f in every if len(f.ids) == size), key=lambda f: f.chi2)
+        tried[one.ids] = one
+    errors = {ids: held_out_error(search.base, found) for ids, found in tried.items()}
+    near = min(errors.values()) * (1.0 + config.near_error)
+    return tried[min((ids for ids, error in errors.items() if error <= near), key=lambda i: (len(i), errors[i]))]
 
 
-def _places(
-    search: EffectSearch,
-    causes: tuple[RankedCause, ...],
-    maps: tuple[Map, ...],
-    found: tuple[Regime, ...],
-    judgement: Judgement,
-) -> tuple[GapPlace, ...]:
-    verdict = judgement.verdict
-    if verdict == "no_gap":
-        return ()
-    dirty = [reason("gap.map", map=m.name) for m in maps if m.structure.is_significant]
-    detail = reason("gap.seen.maps", maps=several(dirty or [Reason("gap.map.none")], "gap.list"))
-    channel, regime = _loudest(found)
-    if verdict == "unknown":
-        places = _unknown_places(search, maps, found, detail, partial_of(search, judgement))
-    else:
-        named = [c for c in causes if c.effect in search.best.ids]
-        of_causes = places_of(named, channel, regime, lambda i: reason("gap.seen.effect", effect=i, seen=detail))
-        aliases, places = _open_aliases(search.best), []
-        for c, place in zip(named, of_causes, strict=True):
-            alias = aliases.get(c.effect)
-            if alias is None:
-                places.append(place)
-                continue
-            # The alias takes its share to its own stage.
-            seen = reason("gap.seen.alias", alias=Reason.of(alias.detail))
-            places.append(replace(place, share=(1.0 - alias.share) * place.share))
-            places.append(replace(place, stage=alias.stage, share=alias.share * place.share, detail=seen))
-        if verdict == "explained_in_part":
-            left = 1.0 - search.explained_share(search.best)
-            places = beside_rest(places, GapPlace("unknown", channel, regime, left))
-    at = max(places, key=lambda p: p.share).stage
-    return (*places, *regime_places(at, found, "gap.seen.energy"))
+def _completeness(search: Search, found: Fit) -> float:
+    has_unlisted = search.stranger is not None or search.model.is_uneven(found)
+    gap, chance = max(search.base.chi2 - search.base.problem.count, 1.0), noise_chance(found)
+    rest = min(rest_energy(found, chance) / gap, 1.0) if found.ids else 1.0
+    return list_completeness(chance, rest, has_unlisted, search.model.method.presence)
 
 
-def _loudest(found: tuple[Regime, ...]) -> tuple[str, Reason]:
-    return (found[0].channel, found[0].name) if found else ("output", Reason("gap.regime.everywhere"))
+def _presence(
+    search: Search,
+    logs: Mapping[tuple[str, ...], float],
+    effects: Iterable[str],
+) -> dict[str, float]:
+    """Return for every effect the probability that it is there, an unmodelled rest or not.
+
+    Every hypothesis counts by its evidence. In one that leaves a rest a cause may be what imitates a part of it.
+    """
+    config, top = search.model.method.presence, max(logs.values())
+    weights = {ids: float(np.exp(value - top)) for ids, value in logs.items()}
+    total, chances = sum(weights.values()), dict.fromkeys(effects, 0.0)
+    for ids, weight in weights.items():
+        if ids and weight > config.negligible * total:
+            found = search.fits[ids]
+            complete, rest = _completeness(search, found), rest_energy(found, noise_chance(found))
+            for i in ids:
+                genuine = consistency_of(found, i, rest).genuine_chance(config)
+                chances[i] += weight / total * (complete + (1.0 - complete) * genuine)
+    return chances
 
 
-def _open_aliases(best: Fit) -> dict[str, Alias]:
-    """What a named cause may be outside the catalogue, where no run tells; by cause."""
-    aliases = {i: EFFECTS[i].signs.alias for i in best.ids}
-    return {i: alias for i, alias in aliases.items() if alias is not None and not is_told(best.problem.case, alias)}
-
-
-def _unknown_places(
-    search: EffectSearch,
-    maps: tuple[Map, ...],
-    found: tuple[Regime, ...],
-    detail: Reason,
-    partial: Partial | None,
-) -> list[GapPlace]:
-    """Where a gap lies that nothing in the catalogue explains: the likeliest stage first."""
-    channel, regime = _loudest(found)
-    share = partial.share if partial is not None else 0.0
-    loose = loose_noise(search.best)
-    stages: tuple[str, ...] = likely_stages(search.base, maps)
+def _verdict(search: Search, group: tuple[Fit, ...], quantified: Quantified) -> DiagnosisVerdict:
+    best, base, model = search.best, search.base, search.model
     if search.stranger is not None:
-        stranger = stranger_of(search.stranger)
-        stages = tuple(dict.fromkeys((stranger.stage, *stages)))
-        detail = reason("gap.seen.like", like=Reason(stranger.id), seen=detail)
-    elif loose is not None and (not stages or is_clean(search.best)):
-        stages = tuple(dict.fromkeys((loose.stage, *stages)))
-        detail = reason("gap.seen.noise", noise=loose.detail, seen=detail)
-    if not stages:
-        stages = tuple(dict.fromkeys(EFFECTS[i].stage for i in search.best.ids)) or ("unknown",)
-    code = "gap.seen.left" if search.stranger is None else "gap.seen.better"
-    text = reason(code, seen=detail, share=share)
-    # Nothing measures how a gap splits between stages that may each hold it: the likelier is first.
-    seen = found[0].share if found else 1.0
-    others = [GapPlace(s, channel, regime, seen, Reason("gap.seen.same_maps")) for s in stages[1:]]
-    return [GapPlace(stages[0], channel, regime, seen, text), *others]
-
-
-def _next(case: Case, search: EffectSearch, group: tuple[Fit, ...], verdict: DiagnosisVerdict) -> NextExperiment:
-    # Where something is left besides, causes that look alike are told apart all the same.
-    proposed = propose(case, group, search.extent)
-    if proposed is not None and (verdict not in ("unknown", "explained_in_part") or proposed.profile != "none"):
-        return proposed
-    if verdict in ("unknown", "explained_in_part"):
-        seen, unseen = Reason("gap.next.what_follows"), Reason("gap.next.what_follows_unseen")
-        return NextExperiment("rate_sweep", seen if case.has("stage_mm") else unseen)
-    if verdict == "no_gap":
-        return NextExperiment("long_hold", Reason("gap.next.slow"))
-    for effect_id, alias in _open_aliases(search.best).items():
-        values = {"alias": Reason.of(alias.detail), "advice": Reason.of(alias.advice)}
-        return NextExperiment(alias.told_by, reason("gap.next.alias", effect=effect_id, **values))
-    return NextExperiment("none", Reason("gap.next.separated"))
+        return "unknown"
+    if not best.ids or not quantified.stands:
+        is_sound = model.is_clean(base) and noise_chance(base) > model.method.floor.chance and not model.is_uneven(base)
+        return "no_gap" if is_sound else "unknown"
+    is_small = min(
+        search.share(best), quantified.shrink.held_out
+    ) >= model.method.verdict.down_to_noise and search.is_explained(best)
+    if model.is_uneven(best) or not (is_small or noise_chance(best) >= model.method.verdict.doubted_chance):
+        return "unknown"
+    return "ambiguous" if len(group) > 1 else "explained"

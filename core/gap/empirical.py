@@ -5,11 +5,11 @@ that were held back say. The choice is held back as well: for every run that sco
 terms are chosen anew without it (nested cross-validation; Varma and Simon, BMC Bioinf. 2006).
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise, product
-from typing import Generic, TypeAlias, TypeVar
+from itertools import pairwise
+from typing import Any, Generic, Protocol, TypeAlias, TypeVar, cast
 
 import numpy as np
 from scipy.stats import t as student
@@ -17,20 +17,36 @@ from scipy.stats import t as student
 from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import energy
-from softcal.core.gap.method import METHOD
-from softcal.core.gap.offsets import rows_of_runs
-from softcal.core.gap.problem import Problem
-from softcal.core.gap.residual import is_clean
-from softcal.core.gap.shrink import Shrink
-from softcal.core.gap.simulator import SimulatorTerm
+from softcal.core.gap.method import GapMethod
+from softcal.core.gap.problem import Problem, rows_of_runs
+from softcal.core.gap.residual import Shrink
 from softcal.core.recording import Array
-from softcal.core.twin.empirical_terms import PLACES, VARIABLES, EmpiricalTerm
-from softcal.core.twin.mechanics import elastic_force
+from softcal.core.twin.effects import Effect
 
-CONFIG, SHRINK = METHOD.learn, METHOD.shrink
 
-T = TypeVar("T", bound=EmpiricalTerm | SimulatorTerm)
-"""A term of the twin or of a simulator: place += coefficient · variable."""
+class Term(Protocol):
+    """A term of a model: place += coefficient · variable."""
+
+    @property
+    def place(self) -> str: ...
+
+    @property
+    def variable(self) -> str: ...
+
+    @property
+    def coefficient(self) -> float: ...
+
+    @property
+    def unit(self) -> str: ...
+
+    @property
+    def formula(self) -> str: ...
+
+    @property
+    def effect(self) -> Effect: ...
+
+
+T = TypeVar("T", bound=Term)
 
 Cell: TypeAlias = tuple[int, int]
 """A run, and a quarter of it."""
@@ -87,20 +103,19 @@ class LearnedResidual(Generic[T]):
         return tuple(i for i in self.fit.ids if i not in own)
 
 
-def learned(base: Fit, parents: Sequence[Fit], known: Callable[[Fit], Iterable[T]]) -> LearnedResidual[T] | None:
+def learned(base: Fit, parents: Sequence[Fit], tried: Sequence[T]) -> LearnedResidual[T] | None:
     """Return the terms that describe what is left; None where none holds on samples held back.
 
     Args:
         base: the bare base; the gap is counted from it.
         parents: hypotheses the terms may stand beside, the simplest first.
-        known: the terms that may be tried, without their coefficients.
+        tried: the terms, without their coefficients.
     """
     # A base alone stands for itself, and what belongs to one run says nothing of another.
     parents = [p for k, p in enumerate(parents) if k == 0 or p.ids]
     parents = [p for p in parents if not any(effect.belongs_to_run for effect in p.effects)]
-    if all(map(is_clean, parents)):
+    if all(map(base.problem.model.is_clean, parents)):
         return None
-    tried = list(known(base))
     choices = [_Choice(parent, tried) for parent in parents]
     parent, terms = _chosen(choices, choices[0].all_cells)
     found, terms = _with_terms(parent, terms, None) if terms else (parent, terms)
@@ -115,25 +130,10 @@ def learned(base: Fit, parents: Sequence[Fit], known: Callable[[Fit], Iterable[T
     for term in terms:
         at = found.hypothesis.place_of(term.effect.id)
         chosen = np.mean([any((t.place, t.variable) == (term.place, term.variable) for t in fold) for fold in per_fold])
-        fitted = replace(term, coefficient=float(found.coordinates[at]))
+        fitted = replace(cast(Any, term), coefficient=float(found.coordinates[at]))
         ranked.append(LearnedTerm(fitted, _error(found, term.effect.id), float(chosen)))
     without, *_ = scores.interval("without", "before")
     return LearnedResidual(tuple(ranked), Shrink(total, low, high, total), without, found)
-
-
-def terms_of_twin(base: Fit) -> Iterator[EmpiricalTerm]:
-    """Give the terms that runs can show; a load and a depth of 1 are the base's largest."""
-    problem, case = base.problem, base.problem.case
-    if case.has("stage_mm"):
-        depth_mm = max(float(np.max(np.asarray(run.stage_mm))) for run in case.presses) - base.base.u0_mm
-        depth_mm = max(depth_mm, 1e-9)
-        load_N = float(elastic_force(np.array(depth_mm), base.base.k1_N_mm, base.base.k3_N_mm3))
-    else:
-        load_N = depth_mm = max(float(np.max(run.driving_force.force_N)) for run in case.presses)
-    for place, name in product(PLACES, VARIABLES):
-        is_seen = case.has("stage_mm") if place == "F" else place in problem.scored_channels
-        if is_seen and (not VARIABLES[name].needs or case.has(VARIABLES[name].needs)):
-            yield EmpiricalTerm(place, name, 0.0, load_N, depth_mm)
 
 
 class _Choice(Generic[T]):
@@ -145,6 +145,7 @@ class _Choice(Generic[T]):
         self._bare = fit(parent.problem.bare, parent.hypothesis, parent.coordinates, steps=0)
         # Per run, its samples and, (directions, samples), orthonormal directions of its offsets.
         problem, bare = parent.problem, self._bare
+        self._config, self._parts = problem.method.learn, problem.method.shrink.parts
         along = problem.directions(bare.hypothesis, bare.coordinates, bare.predicted, {})
         rows, self._nuisance = rows_of_runs(problem, along), []
         for run in sorted({block.run for block in problem.blocks}):
@@ -160,7 +161,7 @@ class _Choice(Generic[T]):
             moved = bare.problem.predict(bare.hypothesis.adding(effect), np.append(bare.coordinates, step))
             column = self._cleared(problem.whitened(np.asarray((moved - bare.predicted) / step))[np.newaxis])
             rest = column[0] - orthogonal @ (orthogonal.T @ column[0])
-            if energy(rest) > CONFIG.distinct * max(energy(column[0]), 1e-12):
+            if energy(rest) > self._config.distinct * max(energy(column[0]), 1e-12):
                 self.candidates.append(term)
                 columns.append(column)
         self._rows = np.vstack([self._own, *columns, self._cleared(bare.residual[np.newaxis])])
@@ -176,7 +177,7 @@ class _Choice(Generic[T]):
     def all_cells(self) -> frozenset[Cell]:
         """Every run and quarter of it in which the sensor is pressed."""
         runs = self.parent.problem.case.runs
-        return frozenset((k, q) for k, run in enumerate(runs) if run.kind == "press" for q in range(SHRINK.parts))
+        return frozenset((k, q) for k, run in enumerate(runs) if run.kind == "press" for q in range(self._parts))
 
     @cached_property
     def _products(self) -> dict[Cell, Array]:
@@ -192,7 +193,7 @@ class _Choice(Generic[T]):
     def noise(self, cells: frozenset[Cell]) -> float:
         """Return χ² of noise alone on the cells, each sample as often as it is held back."""
         problem, runs = self.parent.problem, self.parent.problem.case.runs
-        held = {k: sum(1 for cell in cells if cell[0] == k) / SHRINK.parts for k in range(len(runs))}
+        held = {k: sum(1 for cell in cells if cell[0] == k) / self._parts for k in range(len(runs))}
         return len(splits(cells)) * sum(len(runs[b.run]) * held[b.run] for b in problem.blocks)
 
     def forward(self, cells: frozenset[Cell]) -> tuple[list[T], float]:
@@ -203,12 +204,13 @@ class _Choice(Generic[T]):
         folds = [(self._added((*(cells - held), *special)), self._added(held)) for part in parts for held in part]
         taken: list[int] = []
         lost, noise = self._lost(folds, taken), self.noise(cells)
-        while folds and len(taken) < CONFIG.most:
+        config = self._config
+        while folds and len(taken) < config.most:
             tried = {k: self._lost(folds, [*taken, k]) for k in range(len(self.candidates)) if k not in taken}
             if not tried:
                 break
             best = min(tried, key=lambda k: tried[k])
-            if lost - tried[best] <= CONFIG.least * max(lost - noise, 0.0) + CONFIG.chance * len(parts):
+            if lost - tried[best] <= config.least * max(lost - noise, 0.0) + config.chance * len(parts):
                 break
             taken, lost = [*taken, best], tried[best]
         return [self.candidates[k] for k in taken], lost
@@ -239,7 +241,7 @@ def _chosen(choices: Sequence[_Choice[T]], cells: frozenset[Cell]) -> tuple[Fit,
     first, *others = ((choice.parent, *choice.forward(cells)) for choice in choices)
     noise, best = choices[0].noise(cells), first
     for other in others:
-        is_far_better = first[2] - other[2] > CONFIG.simpler * max(first[2] - noise, 0.0)
+        is_far_better = first[2] - other[2] > first[0].problem.method.learn.simpler * max(first[2] - noise, 0.0)
         if is_far_better and other[2] < best[2]:
             best = other
     return best[0], best[1]
@@ -253,7 +255,7 @@ def _with_terms(parent: Fit, terms: Sequence[T], use: Array | None) -> tuple[Fit
         start = np.append(parent.coordinates, start_coordinates(effects, [[0.0]] * len(kept)))
         fitted = fit(problem, parent.hypothesis.adding(*effects), start, steps=12)
         sizes = [abs(fitted.coordinates[fitted.hypothesis.place_of(e.id)]) / _error(fitted, e.id) for e in effects]
-        if not sizes or min(sizes) >= CONFIG.errors:
+        if not sizes or min(sizes) >= problem.method.learn.errors:
             return fitted, kept
         kept.pop(int(np.argmin(sizes)))
 
@@ -272,6 +274,7 @@ class _Scores:
     """(folds, channels) each."""
     counts: Array
     floors: Array
+    method: GapMethod
 
     def shrink(self, of: str, over: str, left_out: int | None = None) -> float:
         """1 − Σ(after − floor)/Σ(before − floor) over channels, each in units of its noise."""
@@ -289,7 +292,8 @@ class _Scores:
         n, value = len(self.counts), self.shrink(of, over)
         each = np.array([self.shrink(of, over, k) for k in range(n)])
         error = float(np.sqrt((n - 1) / n * np.sum((each - each.mean()) ** 2))) if n > 1 else 1.0
-        margin = max(SHRINK.least_margin, float(student.ppf(0.5 + 0.5 * CONFIG.coverage, max(n - 1, 1))) * error)
+        quantile = float(student.ppf(0.5 + 0.5 * self.method.learn.coverage, max(n - 1, 1)))
+        margin = max(self.method.shrink.least_margin, quantile * error)
         return value, value - margin, min(1.0, value + margin)
 
 
@@ -319,12 +323,13 @@ def _held_out(base: Fit, choices: Sequence[_Choice[T]]) -> tuple[_Scores, list[l
             counts[k, at] += np.count_nonzero(hidden)
             for what, found in (("before", before), ("without", without), ("after", after)):
                 squares[what][k, at] += energy((problem.measured - found.predicted)[block.place][hidden])
-    return _Scores(squares, counts, np.array([problem.floor(c) for c in channels])), taken
+    return _Scores(squares, counts, np.array([problem.floor(c) for c in channels]), problem.method), taken
 
 
 def _places_of(problem: Problem) -> Iterator[tuple[Cell, slice]]:
     """Yield the samples of every quarter of every block, with its run and quarter."""
     for block in problem.blocks:
-        ends = [part[0] for part in np.array_split(np.arange(block.place.start, block.place.stop), SHRINK.parts)]
+        samples, parts = np.arange(block.place.start, block.place.stop), problem.method.shrink.parts
+        ends = [part[0] for part in np.array_split(samples, parts)]
         for quarter, (start, stop) in enumerate(pairwise([*ends, block.place.stop])):
             yield (block.run, quarter), slice(start, stop)

@@ -11,16 +11,11 @@ from softcal.core.gap.case import Mask
 from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import energy, wave_sums
-from softcal.core.gap.method import METHOD
 from softcal.core.gap.problem import Block, Episodes
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Placing
-from softcal.core.twin.probes import Extent
 from softcal.core.twin.signals import compiled
 
-CONFIG = METHOD.episode
-
-JUDGED = CONFIG.judged
 PLACEMENTS = 4
 """How often episodes are placed again; they hardly move after the third time."""
 
@@ -35,11 +30,11 @@ SKEW_STEPS = 8
 Place: TypeAlias = Callable[[Fit, str], tuple[list[Array], float]]
 """Find the rows of an episodic effect in every run, and its size."""
 
-Placer: TypeAlias = Callable[[Fit, Effect, Extent], Fit | None]
+Placer: TypeAlias = Callable[[Fit, Effect], Fit | None]
 """Add an effect to a fit where it explains anything, once what must be found of it was found."""
 
 
-def with_losses(found: Fit, effect: Effect, _: Extent) -> Fit | None:
+def with_losses(found: Fit, effect: Effect) -> Fit | None:
     """Add an effect that loses samples: place the losses, fit, place again.
 
     A skew fitted through losses is wrong between them, and steps of one sample stand in for the rest.
@@ -55,7 +50,7 @@ def with_losses(found: Fit, effect: Effect, _: Extent) -> Fit | None:
         placed = found.hypothesis.adding(effect, episodes=_merged(found, effect.id, rows))
         predicted = problem.predict(placed, np.append(coordinates, 0.0))
         left = energy(problem.whitened(problem.measured - predicted))
-        cost = left + METHOD.evidence.episode_cost * float(np.log(problem.count)) * placed.episode_count
+        cost = left + problem.method.evidence.episode_cost * float(np.log(problem.count)) * placed.episode_count
         if cost < least:
             best, least = start, cost
     return _placed(best, effect, _lost_samples)
@@ -65,7 +60,7 @@ def _clocks(found: Fit, kind: str) -> list[str]:
     return [e.id for e in found.effects if e.signs.clock == kind]
 
 
-def with_intervals(found: Fit, effect: Effect, _: Extent) -> Fit | None:
+def with_intervals(found: Fit, effect: Effect) -> Fit | None:
     """Add an effect that acts in a few intervals: place, fit, again; None where nothing jumps."""
     grown = _placed(found, effect, _bad_contacts)
     if grown is None:
@@ -82,7 +77,8 @@ def with_intervals(found: Fit, effect: Effect, _: Extent) -> Fit | None:
         pull, power = pull + float(fitted @ seen), power + energy(fitted)
     # Neighbouring differences share most of their noise: their sum has that of Σ|w|² as many.
     error = np.sqrt(energy(ACROSS) * len(ACROSS) * power)
-    is_bad = power > 0.0 and pull > CONFIG.event_share * power and pull > CONFIG.event_sigma * error
+    config = problem.method.episode
+    is_bad = power > 0.0 and pull > config.event_share * power and pull > config.event_sigma * error
     return grown if is_bad else None
 
 
@@ -152,13 +148,15 @@ def _lost_samples(found: Fit, effect_id: str) -> tuple[list[Array], float]:
     blocks = found.problem.blocks_of("output_V", "press")
     level = _robust_noise(found, blocks)
     # A delay fitted through the losses lies in their middle: the first samples stand before it.
-    lead = CONFIG.longest_lead if _clocks(found, "delay") else 0
+    config = found.problem.method.episode
+    lead = config.longest_lead if _clocks(found, "delay") else 0
     for block in blocks:
         measured = found.problem.measured[block.place]
         noise = found.problem.noise[block.place] * level
         known = closed[block.place] + float(np.median(own[block.place]))
         ahead = np.concatenate([np.full(lead, known[0]), known])
-        shifts = lag_path(measured, ahead, noise, lead, CONFIG.longest_loss, 4.0 * np.log(len(measured)))
+        penalty = 4.0 * np.log(len(measured))
+        shifts = lag_path(measured, ahead, noise, lead, config.longest_loss, penalty, config.judged)
         at = np.flatnonzero(np.diff(shifts) > 0) + 1
         t_s = case.runs[block.run].elapsed_s
         rows[block.run] = np.array([(t_s[k], shifts[k] - shifts[k - 1]) for k in at]).reshape(-1, 2)
@@ -166,7 +164,9 @@ def _lost_samples(found: Fit, effect_id: str) -> tuple[list[Array], float]:
 
 
 @compiled
-def lag_path(measured: Array, predicted: Array, noise: Array, lead: int, longest: int, penalty: float) -> Array:
+def lag_path(
+    measured: Array, predicted: Array, noise: Array, lead: int, longest: int, penalty: float, judged: int
+) -> Array:
     """Return how many samples were lost before each sample: the cheapest path that never falls.
 
     Viterbi over the loss so far; a further loss costs `penalty`, a sample at most 25: an outlier.
@@ -176,6 +176,7 @@ def lag_path(measured: Array, predicted: Array, noise: Array, lead: int, longest
         predicted: (lead + n,) without any loss, `lead` samples of rest before the first.
         lead: most samples by which the path may start late; it starts at 0 where this is 0.
         longest: largest loss.
+        judged: samples that must follow a loss to judge it by.
     """
     n = len(measured)
     back = np.zeros((n, longest + 1), dtype=np.int16)
@@ -186,7 +187,7 @@ def lag_path(measured: Array, predicted: Array, noise: Array, lead: int, longest
         moved = np.empty(longest + 1)
         for s in range(longest + 1):
             stay = cost[s]
-            if 0 < k < n + lead - s - JUDGED and cheapest + penalty < stay:
+            if 0 < k < n + lead - s - judged and cheapest + penalty < stay:
                 moved[s], back[k, s] = cheapest + penalty, source
             else:
                 moved[s], back[k, s] = stay, s
@@ -267,13 +268,14 @@ def step_path(error: Array, sigma: Array, size: float, penalty: float) -> Mask:
     return out
 
 
-def with_line(found: Fit, effect: Effect, _: Extent) -> Fit | None:
+def with_line(found: Fit, effect: Effect) -> Fit | None:
     """Add the strongest line of the output near an alias of the mains, its phase free by run."""
     case, problem = found.problem.case, found.problem
     blocks = problem.blocks_of("output_V")
     longest_s = max(float(case.runs[b.run].elapsed_s[-1]) for b in blocks)
     # Where mains may stand in the spectrum: nowhere at 0 and at half the rate.
-    rate_Hz, within_Hz, parts = case.readout.sample_rate_Hz, CONFIG.mains_tolerance_Hz, [np.empty(0)]
+    config = problem.method.episode
+    rate_Hz, within_Hz, parts = case.readout.sample_rate_Hz, config.mains_tolerance_Hz, [np.empty(0)]
     for mains_Hz in MAINS_Hz:
         alias_Hz = abs(mains_Hz - rate_Hz * round(mains_Hz / rate_Hz))
         if within_Hz < alias_Hz < rate_Hz / 2 - within_Hz:
@@ -294,7 +296,7 @@ def with_line(found: Fit, effect: Effect, _: Extent) -> Fit | None:
         power += np.abs(sums[block.run]) ** 2 / (block.place.stop - block.place.start)
     at = int(np.argmax(power))
     level = max(problem.floor("output_V") ** 2, float(np.median(power)) / len(blocks))
-    if 2 * power[at] / level < CONFIG.line_gain:
+    if 2 * power[at] / level < config.line_gain:
         return None
     effect = effect if effect.of_runs is None else effect.of_runs(len(case.runs))
     values = [float(np.sqrt(2 * power[at] / sum(b.place.stop - b.place.start for b in blocks))), float(grid[at])]
@@ -305,29 +307,31 @@ def with_line(found: Fit, effect: Effect, _: Extent) -> Fit | None:
     return fit(problem, found.hypothesis.adding(effect), start)
 
 
-def with_level(found: Fit, effect: Effect, extent: Extent) -> Fit | None:
+def with_level(found: Fit, effect: Effect) -> Fit | None:
     """Add an effect that clips the output: fit without the flat tops, then set the level there."""
     side = 1 if effect.signs.placing == Placing.CEILING else -1
     problem = found.problem
     blocks = problem.blocks_of("output_V", "press")
     if not blocks:
         return None
+    every_V = np.concatenate([problem.measured[b.place] for b in blocks])
     # Noise on a flat top reaches 3.5 σ above it and as far below.
     margin_V = 7 * problem.floor("output_V") + problem.case.readout.step_V
     near = np.zeros(len(problem.measured), dtype=np.bool_)
     for block in blocks:
         if side > 0:
-            near[block.place] = problem.measured[block.place] > extent.highest_V - margin_V
+            near[block.place] = problem.measured[block.place] > every_V.max() - margin_V
         else:
-            near[block.place] = problem.measured[block.place] < extent.lowest_V + margin_V
-    if not CONFIG.flat_samples <= np.count_nonzero(near) < 0.7 * len(near):
+            near[block.place] = problem.measured[block.place] < every_V.min() + margin_V
+    flat_samples = problem.method.episode.flat_samples
+    if not flat_samples <= np.count_nonzero(near) < 0.7 * len(near):
         return None
     open_use = ~near if problem.use is None else problem.use * ~near
     rest = fit(problem.seeing(open_use.astype(np.float64)), found.hypothesis, found.coordinates)
     excess = side * (rest.predicted - problem.measured) / problem.whole_noise
     over = near & (excess > 0)
     excess = excess[over]
-    if np.count_nonzero(excess > 3) < CONFIG.flat_samples:
+    if np.count_nonzero(excess > 3) < flat_samples:
         return None
     level_V = float(np.median(problem.measured[over]))
     start = np.concatenate([rest.coordinates, start_coordinates([effect], [[level_V]])])

@@ -1,17 +1,18 @@
-"""Fit base parameters and effects jointly to all runs: Levenberg–Marquardt within bounds."""
+"""Fit base parameters and effects jointly to all runs; where a fit can move; the structure that it leaves."""
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from softcal.core.gap.coordinates import fit_scale, to_fit
-from softcal.core.gap.linear import dots, energy, gram
-from softcal.core.gap.method import METHOD
-from softcal.core.gap.problem import Around, Hypothesis, Problem
+from softcal.core.gap.coordinates import fit_scale, start_coordinates, to_fit
+from softcal.core.gap.linear import combine, dots, energy, gram
+from softcal.core.gap.problem import Around, Block, Hypothesis, Problem
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
 from softcal.core.twin.parameters import BaseParameters
+from softcal.core.words.reason import Reason
 
 DIFFERENCE = 2e-4
 """Step of a derivative, in usual sizes of a parameter: beyond corners of play and clipping."""
@@ -91,11 +92,12 @@ class Fit:
     def penalty(self) -> float:
         """p·ln(n) of Schwarz for the flexibility, and −2·ln of the prior odds of the causes."""
         # Many causes are tried: without prior odds the luckiest would often win by chance.
-        each = -2.0 * float(np.log(METHOD.evidence.prior_odds))
-        each += METHOD.evidence.driven_cost if self.problem.is_driven_by_force else 0.0
+        evidence = self.problem.method.evidence
+        each = -2.0 * float(np.log(evidence.prior_odds))
+        each += evidence.driven_cost if self.problem.is_driven_by_force else 0.0
         # An episode counts as many parameters, for it was searched for all over the runs.
         added = sum(p.weight for effect in self.effects for p in effect.parameters)
-        count = int(self.problem.is_free.sum()) + added + METHOD.evidence.episode_cost * self.hypothesis.episode_count
+        count = int(self.problem.is_free.sum()) + added + evidence.episode_cost * self.hypothesis.episode_count
         return count * float(np.log(self.problem.count)) + each * len(self.ids)
 
     @property
@@ -202,3 +204,166 @@ class _Space:
                 break
             free &= ~held
         return candidate
+
+
+@dataclass(frozen=True)
+class Probe:
+    """An effect at a small size and one shape, to see which way it would move the prediction."""
+
+    effect: Effect
+    values: tuple[float, ...]
+    is_one_sided: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Lead:
+    """A probe that would lower χ².
+
+    Args:
+        gain: expected drop of χ² when the effect is added and all is refitted, to first order.
+        hidden: share of its signature that the fitted parameters imitate.
+        shift: (parameters of the fit,) how its coordinates would move along.
+    """
+
+    effect: Effect
+    values: tuple[float, ...]
+    gain: float
+    hidden: float
+    shift: Array
+
+    def start(self, found: Fit, share: float = 1.0) -> Array:
+        """Return where a fit of the larger hypothesis begins, at a share of the promised size."""
+        _, left = found.hypothesis.without(self.effect.id)
+        kept = (found.coordinates + share * self.shift)[left]
+        first = self.effect.parameters[0]
+        size = self.values[0] * share if first.neutral == 0.0 else self.values[0] / share
+        values = (size, *self.values[1:]) if first.neutral in (0.0, np.inf) and share < 1.0 else self.values
+        return np.concatenate([kept, start_coordinates([self.effect], [values])])
+
+
+class Tangent:
+    """The directions in which a fit can move, and how a signature stands to them."""
+
+    def __init__(self, found: Fit, base_only: bool = False) -> None:
+        self._found = found
+        jacobian = found.jacobian
+        normal = gram(jacobian)
+        scale = np.sqrt(np.diag(normal))
+        if base_only:
+            scale[found.hypothesis.of_base.stop :] = 0.0
+        self._rows = np.flatnonzero(scale > 0)
+        scale = scale[self._rows]
+        strength, axes = np.linalg.eigh(normal[np.ix_(self._rows, self._rows)] / np.outer(scale, scale))
+        keep = strength > 1e-10 * strength.max(initial=0.0)
+        # Rows of `turn` times the Jacobian are orthonormal.
+        self._turn = (axes[:, keep] / np.sqrt(strength[keep])).T / scale
+        self._basis = np.array([combine(row, jacobian[self._rows]) for row in self._turn])
+        self._residual = found.residual
+
+    @cached_property
+    def _around(self) -> Around:
+        return self._found.problem.predict_around(self._found.hypothesis, self._found.coordinates)[1]
+
+    def signature(self, probe: Probe) -> Array:
+        """(samples,) change of the whitened prediction when the probe is switched on."""
+        found = self._found
+        hypothesis = found.hypothesis.adding(probe.effect)
+        x = np.concatenate([found.coordinates, start_coordinates([probe.effect], [probe.values])])
+        change = found.problem.whitened(self._around(hypothesis, x) - found.predicted)
+        return change if np.all(np.isfinite(change)) else np.zeros(len(change))
+
+    def visible(self, signature: Array) -> Array:
+        """Return the part of a signature that the fitted parameters cannot imitate."""
+        return signature - combine(dots(self._basis, signature), self._basis)
+
+    def lead(self, probe: Probe) -> Lead | None:
+        """Return what this probe promises, None if it promises nothing."""
+        signature = self.signature(probe)
+        size = energy(signature)
+        seen = self.visible(signature)
+        power = energy(seen)
+        if power <= 1e-9 * max(size, 1e-30) or power <= 1e-12:
+            return None
+        times = float(dots(seen.reshape(1, -1), self._residual)[0]) / power
+        if probe.is_one_sided and times <= 0:
+            return None
+        # The probe is linear for small effects only: begin within a decade of it.
+        stretch = float(np.clip(times, -30.0, 30.0))
+        shift = np.zeros(len(self._found.coordinates))
+        shift[self._rows] = -stretch * (self._turn.T @ dots(self._basis, signature))
+        first, usual = self._found.problem.scale.sized(probe.effect.parameters[0]), probe.values[0]
+        if first.scale == "inverse_square":
+            value = usual / max(stretch, 1e-3) ** 0.5
+        else:
+            # A level does not scale with what it cuts off.
+            value = usual if first.neutral == np.inf else usual * stretch
+        values = (float(np.clip(value, first.low, first.high)), *probe.values[1:])
+        return Lead(probe.effect, values, times**2 * power, 1.0 - power / size, shift)
+
+
+@dataclass(frozen=True)
+class Structure:
+    """How much of a residual is not noise: excess in standard errors, rms in units of the noise."""
+
+    z: float
+    rms: float
+    is_significant: bool
+
+
+def structure(found: Fit, channel: str | None = None) -> Structure:
+    """Measure the structure left in the residual of a fit, of one channel or of all."""
+    parts = [found.residual[b.place] for b in found.problem.blocks if channel in (None, b.channel)]
+    config, largest = found.problem.method.structure, -np.inf
+    for length in config.block_samples:
+        # Block sums of white noise keep variance 1 at any length; structure adds up in them.
+        sums = [_block_sums(part, length) for part in parts]
+        every = np.concatenate(sums)
+        if len(every) > 3:
+            largest = max(largest, float((np.mean(every**2) - 1.0) / np.sqrt(2.0 / len(every))))
+    short = np.concatenate([_block_sums(part, config.block_samples[0]) for part in parts])
+    excess = max(0.0, float(np.mean(short**2)) - 1.0) / config.block_samples[0] if len(short) else 0.0
+    return Structure(largest, float(np.sqrt(excess)), largest > config.dirty_z)
+
+
+def _block_sums(values: Array, length: int) -> Array:
+    whole = len(values) // length * length
+    return np.asarray(values[:whole].reshape(-1, length).sum(axis=1) / np.sqrt(length))
+
+
+@dataclass(frozen=True)
+class Map:
+    """One chain relation fitted alone: stage→force, force→output or stage→output."""
+
+    name: str
+    structure: Structure
+
+
+@dataclass(frozen=True)
+class Regime:
+    """A condition in which a channel's gap stands out: share of its energy, and over that of time."""
+
+    channel: str
+    name: Reason
+    share: float
+    lift: float
+
+
+def shares_of_gap(
+    found: Fit, blocks: list[Block], conditions: Mapping[Reason, Array]
+) -> Iterator[tuple[Reason, float, float]]:
+    """Yield each condition with its share of the structured energy of these blocks, and of the time."""
+    excess = np.concatenate([found.residual[b.place] ** 2 - 1.0 for b in blocks])
+    total = float(excess.sum())
+    # Within four standard errors of the sum of squares there is no gap to divide.
+    if total > 4 * np.sqrt(2 * len(excess)):
+        for name, members in conditions.items():
+            time_share = float(np.mean(members))
+            # A regime of next to no time, or of nearly all, says nothing of where a gap lies.
+            if 0.01 < time_share < 0.95:
+                yield name, float(excess[members].sum()) / total, time_share
+
+
+def form_of(found: Fit, effect: Effect) -> str:
+    """Return the form by which an effect of a fit acts, empty for the list's own equation."""
+    names = (form.effect.equation for form in found.problem.model.forms.get(effect.id, ()))
+    return effect.equation if effect.equation in names else ""

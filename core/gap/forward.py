@@ -7,7 +7,8 @@ From σ = 0.45 q on the stairs are below 1 % of a step.
 """
 
 from collections.abc import Mapping
-from typing import TypeAlias
+from functools import lru_cache
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from scipy.optimize import brentq
@@ -18,6 +19,9 @@ from softcal.core.twin.effects import Flow, Hook
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.signals import compiled
 from softcal.core.twin.simulate import Chain, Values
+
+if TYPE_CHECKING:
+    from softcal.core.gap.problem import Problem
 
 RETRACTED_mm = -1e3
 """Stage position that stands for a rest: far above the pad."""
@@ -33,7 +37,7 @@ Prediction: TypeAlias = dict[str, Array]
 stage must be when this force is read."""
 
 
-def predict(
+def predict_run(
     run: Run, index: int, base: BaseParameters, chain: Chain, values: Values, episodes: Mapping[str, Array]
 ) -> Prediction:
     """Return what the base twin with the effects of a chain says of one run.
@@ -100,6 +104,7 @@ SHARPEST = 0.05
 HARMONICS = 12
 
 
+@lru_cache(maxsize=256)
 def dither_V(sigma_V: float, step_V: float) -> float | None:
     """Return the noise before the ADC from that of its codes, None where the stairs are smooth."""
     target = (sigma_V / step_V) ** 2
@@ -108,6 +113,13 @@ def dither_V(sigma_V: float, step_V: float) -> float | None:
     if target <= _variance(SHARPEST):
         return SHARPEST * step_V
     return step_V * float(brentq(lambda noise: _variance(noise) - target, SHARPEST, SMOOTH))
+
+
+def dither_of(problem: "Problem") -> float | None:
+    """Return the noise before an ADC that is coarse against it; None where its stairs do not show."""
+    if "output_V" not in problem.sigma:
+        return None
+    return dither_V(problem.floor("output_V"), problem.case.readout.step_V)
 
 
 def _variance(noise: float) -> float:
@@ -128,4 +140,34 @@ def mean_code_V(clean_V: Array, noise_V: float, step_V: float) -> Array:
         height = -height if k % 2 else height
         for i in range(len(out)):
             out[i] += height * np.sin(2.0 * np.pi * k * clean_V[i] / step_V)
+    return out
+
+
+def bases_of(base: BaseParameters, sizes: Mapping[int, Array]) -> dict[int, BaseParameters]:
+    """Return the base of every run that has one of its own."""
+    return {
+        run: base.with_values(u0_mm=base.u0_mm + seat, r0_ohm=base.r0_ohm * (1.0 + resistance))
+        for run, (_, resistance, seat) in sizes.items()
+    }
+
+
+@compiled
+def offset_rows(
+    kinds: tuple[bool, bool], stage_mm: Array, clean: Array, vref_V: float, base: tuple[float, float, float, float]
+) -> Array:
+    """(3, n) change of a channel per N of tare, share of R0 and mm of seat, by the base."""
+    is_force, is_strain = kinds
+    u0_mm, k1_N_mm, k3_N_mm3, kappa_per_N = base
+    out = np.zeros((3, len(clean)))
+    for k in range(len(clean)):
+        depth_mm = max(stage_mm[k] - u0_mm, 0.0)
+        force_per_mm = -(k1_N_mm + 3.0 * k3_N_mm3 * depth_mm**2) if depth_mm > 0.0 else 0.0
+        if is_force:
+            out[0, k], out[2, k] = 1.0, force_per_mm
+        elif not np.isnan(clean[k]):
+            out[1, k] = clean[k] * (1.0 - clean[k] / vref_V)
+            drive = depth_mm if is_strain else k1_N_mm * depth_mm + k3_N_mm3 * depth_mm**3
+            per_mm = (-1.0 if depth_mm > 0.0 else 0.0) if is_strain else force_per_mm
+            # A fit on its way may drive the base's resistance to infinity.
+            out[2, k] = out[1, k] * kappa_per_N / max(1.0 - kappa_per_N * drive, 0.05) * per_mm
     return out

@@ -1,4 +1,12 @@
-"""Small products over long vectors, compiled: a few rows are too thin for a threaded BLAS."""
+"""Small products over long vectors, compiled, for a few rows are too thin for a threaded BLAS; and coloured noise.
+
+Noise that is not white has a part that fades beside a white one: a first-order process, correlation exp(−t/τ). A Kalman
+filter turns the sum into independent values of variance 1; it is the exact likelihood, for any step of time and with
+samples left out (Brockwell and Davis, Time Series: Theory and Methods, 2nd ed. 1991, ch. 12).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,3 +79,176 @@ def wave_sums(grid_Hz: Array, t_s: Array, values: Array) -> NDArray[np.complex12
 def energy(vector: Array) -> float:
     """Return the sum of squares."""
     return float(dots(vector.reshape(1, -1), vector)[0])
+
+
+def projected(rows: Sequence[Array], held: Array) -> Array:
+    """Return (k, n) orthonormal rows that span what others, (m, n), leave of these."""
+    away = orthonormal(np.asarray(held))
+    left = [row - combine(dots(away, row), away) for row in rows] if len(away) else list(rows)
+    # What the fit imitates to a ten-thousandth of its energy is rounding.
+    stand = [row for row, whole in zip(left, rows, strict=True) if float(row @ row) > 1e-4 * float(whole @ whole) > 0.0]
+    return orthonormal(np.array(stand))
+
+
+def orthonormal(rows: Array) -> Array:
+    """Return (k, n) orthonormal rows that span rows, but for those a millionth as strong."""
+    if not len(rows):
+        return np.zeros((0, 0))
+    size = np.sqrt(np.sum(rows**2, axis=1))
+    unit = rows[size > 0.0] / size[size > 0.0][:, None]
+    if not len(unit):
+        return np.zeros((0, rows.shape[1]))
+    strength, axes = np.linalg.eigh(unit @ unit.T)
+    keep = strength > 1e-6 * strength[-1]
+    return np.asarray((axes[:, keep] / np.sqrt(strength[keep])).T @ unit)
+
+
+@compiled
+def most_moved(rows: Array, sizes: Array, bending: NDArray[np.int64], noise: Array) -> float:
+    """Return the most that one of these offsets moves a sample by, in units of the least noise."""
+    most, least = 0.0, np.inf
+    for k in range(rows.shape[1]):
+        for i in bending:
+            most = max(most, abs(rows[i, k] * sizes[i]))
+        least = min(least, noise[k])
+    return most / least
+
+
+@compiled
+def bounded_sizes(normal: Array, slope: Array, has: Array, largest: Array, are_relative: NDArray[np.bool_]) -> Array:
+    """Solve (runs, k, k) normal equations within bounds; a direction that a run lacks gets 0.
+
+    Of those that are relative the middle run is taken off: one far off must not move the others.
+    """
+    count, kinds = slope.shape
+    free = np.zeros((count, kinds))
+    for run in range(count):
+        scale = np.ones(kinds)
+        for i in range(kinds):
+            if normal[run, i, i] > 0.0:
+                scale[i] = np.sqrt(normal[run, i, i])
+        # The ridge divides what two directions that look alike share among both.
+        alike = normal[run] / np.outer(scale, scale) + 1e-6 * np.eye(kinds)
+        free[run] = np.linalg.solve(alike, slope[run] / scale) / scale + has[run]
+    for i in range(kinds):
+        is_shown = normal[:, i, i] > 0.0
+        if are_relative[i] and is_shown.any():
+            free[is_shown, i] -= np.median(free[is_shown, i])
+        free[:, i] = np.minimum(np.maximum(free[:, i], -largest[i]), largest[i])
+    return free - has
+
+
+@compiled
+def add_normal_equations(normal: Array, slope: Array, rows: Array, measured: Array, clean: Array, noise: Array) -> None:
+    """Add RRᵀ and R·e of rows and errors over the noise; errors that nobody knows are left out."""
+    weighted, error = np.empty(rows.shape), np.empty(len(measured))
+    for k in range(len(measured)):
+        error[k] = (measured[k] - clean[k]) / noise[k]
+        is_known = not np.isnan(error[k])
+        for i in range(rows.shape[0]):
+            weighted[i, k] = rows[i, k] / noise[k] if is_known else 0.0
+        if not is_known:
+            error[k] = 0.0
+    normal += gram(weighted)
+    slope += dots(weighted, error)
+
+
+COMMON_STEP_s = 0.02
+"""Time between two samples of a common rig."""
+
+
+@dataclass(frozen=True)
+class Colour:
+    """The part of a channel's noise that fades: its SD, and the time to a correlation of 1/e."""
+
+    spread: float
+    fading_s: float
+
+    def slow_variance(self, step_s: float) -> float:
+        """Return the variance of white noise that is as strong as this one near zero frequency."""
+        keep = float(np.exp(-step_s / self.fading_s))
+        return float(self.spread**2 * (1.0 + keep) / (1.0 - keep))
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """A residual of one channel of one run, or a part: (n,) each; `use` is 1 where a sample counts."""
+
+    error: Array
+    step_s: Array
+    use: Array
+
+
+@dataclass(frozen=True)
+class Noise:
+    """White and fading noise of one channel; `gain` is log likelihood above white noise alone."""
+
+    white: float
+    colour: Colour
+    log_likelihood: float
+    gain: float
+
+
+def log_likelihood(stretches: Sequence[Stretch], white: float, colour: Colour) -> float:
+    """Return the log likelihood of stretches under noise that is given."""
+    total = 0.0
+    for s in stretches:
+        begins = np.zeros(len(s.error))
+        begins[:1] = 1.0
+        squares, log_det = noise_terms(s.error, s.step_s, s.use, begins, colour.spread / white, colour.fading_s)
+        total -= 0.5 * (squares / white**2 + log_det + float(s.use.sum()) * 2.0 * float(np.log(white)))
+    return total
+
+
+@compiled
+def noise_terms(
+    error: Array, step_s: Array, use: Array, begins: Array, ratio: float, fading_s: float
+) -> tuple[float, float]:
+    """Return Σ e²/S and Σ ln S of innovations; white noise has variance 1, the other `ratio`²."""
+    squares, log_det = 0.0, 0.0
+    level = ratio * ratio
+    mean, variance = 0.0, level
+    for k in range(len(error)):
+        if begins[k] > 0.0:
+            mean, variance = 0.0, level
+        else:
+            keep = np.exp(-step_s[k] / fading_s)
+            mean, variance = keep * mean, keep * keep * variance + level * (1.0 - keep * keep)
+        if use[k] > 0.0:
+            total = variance + 1.0
+            off = error[k] - mean
+            squares += off * off / total
+            log_det += np.log(total)
+            mean += variance / total * off
+            variance -= variance * variance / total
+    return squares, log_det
+
+
+@compiled
+def filter_of(noise: Array, use: Array, step_s: Array, spread: float, fading_s: float) -> Array:
+    """Return (3, n): what the filter keeps of its state, takes of an innovation, divides it by."""
+    out = np.zeros((3, len(noise)))
+    variance = spread * spread
+    for k in range(len(noise)):
+        keep = np.exp(-step_s[k] / fading_s) if k > 0 else 0.0
+        if k > 0:
+            variance = keep * keep * variance + spread * spread * (1.0 - keep * keep)
+        out[0, k] = keep
+        if use[k] > 0.0:
+            total = variance + noise[k] * noise[k]
+            out[1, k], out[2, k] = variance / total, 1.0 / np.sqrt(total)
+            variance -= variance * variance / total
+    return out
+
+
+@compiled
+def filtered(values: Array, steps: Array) -> Array:
+    """Return (n,) innovations over their standard deviation; 0 where a sample is left out."""
+    out = np.empty(len(values))
+    mean = 0.0
+    for k in range(len(values)):
+        mean = steps[0, k] * mean
+        off = values[k] - mean
+        out[k] = off * steps[2, k]
+        mean += steps[1, k] * off
+    return out

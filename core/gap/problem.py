@@ -3,20 +3,40 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from softcal.core.gap.case import Case, Mask, Run, RunKind
-from softcal.core.gap.colour import Colour, ColourConfig, filter_of, filtered
 from softcal.core.gap.coordinates import RigScale, from_fit
-from softcal.core.gap.forward import dither_V, mean_code_V, predict
-from softcal.core.gap.method import METHOD
-from softcal.core.gap.offsets import IS_RELATIVE, Directions, Sizes, bases_of, directions, largest_offsets, with_offsets
+from softcal.core.gap.linear import (
+    Colour,
+    add_normal_equations,
+    bounded_sizes,
+    combine,
+    filter_of,
+    filtered,
+    most_moved,
+)
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Parameter
-from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import Chain
+
+if TYPE_CHECKING:
+    from softcal.core.gap.method import ColourConfig, GapMethod
+    from softcal.core.gap.model import Directions, Model, Sizes
+
+STRAIGHT_SIGMA = 0.5
+"""Share of its noise that an offset may move a sample along the slope: bends err far less."""
+
+PASSES = 3
+"""How often offsets that bend a channel are taken up anew: what is left shrinks by its square."""
+
+Episodes = tuple[Mapping[str, Array], ...]
+
+Around: TypeAlias = Callable[["Hypothesis", Array], Array]
+"""Predict, (samples,), near to other coordinates, with a small effect more or less."""
+
 
 BASE = (
     Parameter("u0_mm", "mm", -1e4, 1e4, 0.3),
@@ -25,17 +45,6 @@ BASE = (
     Parameter("r0_ohm", "ohm", 1e-6, 1e9, 4.0, scale="log"),
     Parameter("kappa_per_N", "1/N", 0.0, 1e3, 0.07),
 )
-
-QUIETEST = 1e-6
-"""Least noise of a force that is believed, N on the common rig."""
-
-SHOWN_ALONE = {"rigid_block": "stage_mm", "dead_weights": "force_N", "dummy_resistor": "output_V"}
-"""The one channel that a special run shows."""
-
-Episodes = tuple[Mapping[str, Array], ...]
-
-Around: TypeAlias = Callable[["Hypothesis", Array], Array]
-"""Predict, (samples,), near to other coordinates, with a small effect more or less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,29 +135,37 @@ class Problem:
     Args:
         sigma: per channel, standard deviation of the white noise, in the channel's unit.
         use: (samples,) which samples a fit may see; all where None.
+        extra_variance: (samples,) variance that comes with the noise of the driving channel.
+        has_offsets: whether every run may have something of its own, such as a zero.
         colour: per channel whose noise is not white, the part that fades.
+        of_rig: the size of the rig; read off the runs where None.
+        of_base: of every offset, whether the base has what all runs share of it; as its kind says where empty.
     """
 
+    model: "Model"
     case: Case
     sigma: Mapping[str, float]
     use: Array | None = None
     extra_variance: Array | None = None
-    """(samples,) variance that comes with the noise of the driving channel."""
     has_offsets: bool = True
-    """Whether every run may have a zero, an unloaded resistance and a seat of its own."""
     colour: Mapping[str, Colour] = field(default_factory=dict)
     of_rig: RigScale | None = None
-    """The size of the rig; read off the runs where None."""
+    of_base: tuple[bool, ...] = ()
+
+    @property
+    def method(self) -> "GapMethod":
+        """Every number of the diagnosis."""
+        return self.model.method
 
     @cached_property
     def scale(self) -> RigScale:
-        return self.of_rig or RigScale.of(self.case)
+        return self.of_rig or self.model.scale_of(self.case)
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
         blocks, at = [], 0
         for k, run in enumerate(self.case.runs):
-            for channel in self.channels_of_runs[k]:
+            for channel in self.model.channels_of(run):
                 blocks.append(Block(k, channel, slice(at, at + len(run))))
                 at += len(run)
         return tuple(blocks)
@@ -163,45 +180,28 @@ class Problem:
         """(samples,) all channels of all runs, block by block."""
         return np.concatenate([self.recorded(b.run, b.channel) for b in self.blocks])
 
-    @cached_property
-    def channels_of_runs(self) -> list[tuple[str, ...]]:
-        """Per run, the recorded channels that are predicted."""
-        out: list[tuple[str, ...]] = []
-        for run in self.case.runs:
-            # What drives the twin is not predicted.
-            alone = "output_V" if run.kind == "press" and run.stage_mm is None else SHOWN_ALONE.get(run.kind)
-            of_press = (channel for channel in ("force_N", "output_V") if getattr(run, channel) is not None)
-            out.append((alone,) if alone else tuple(of_press))
-        return out
-
     def recorded(self, run: int, channel: str) -> Array:
         """Return a recorded channel of a run, (n,)."""
-        return np.asarray(getattr(self.case.runs[run], channel))
+        return self.model.recorded(self.case.runs[run], channel)
 
     @cached_property
-    def colour_config(self) -> ColourConfig:
+    def colour_config(self) -> "ColourConfig":
         """How noise that fades is read."""
-        return METHOD.colour
-
-    @property
-    def smooth_order(self) -> int:
-        """Which differences of a residual hold noise alone: second ones where all is quick."""
-        return 1
+        return self.method.colour.slower(self.model.times_slower(self.case))
 
     def least_noise(self, channel: str) -> float:
         """Return the least noise of a channel that is believed: one without any has no weight."""
-        return 0.1 * self.case.readout.step_V if channel == "output_V" else QUIETEST * self.scale.factor("N")
+        return self.model.least_noise(self, channel)
 
     @property
     def scored_channels(self) -> list[str]:
-        """Channels whose gap is measured; where the stage stands on a rigid block is none."""
-        return [c for c in ("output_V", "force_N") if any(b.channel == c for b in self.blocks)]
+        """Channels whose gap is measured."""
+        return self.model.scored_channels(self)
 
     def of_run(self, run: Run) -> "Problem":
         """Return the problem of a run that is not recorded yet, under the same noise."""
-        return Problem(
-            Case(self.case.serial, (run,), is_planned=True), self.sigma, colour=self.colour, of_rig=self.scale
-        )
+        case = Case(self.case.serial, (run,), is_planned=True)
+        return replace(self, case=case, use=None, extra_variance=None, has_offsets=True, of_rig=self.scale)
 
     @cached_property
     def noise(self) -> Array:
@@ -256,38 +256,23 @@ class Problem:
 
     @cached_property
     def is_free(self) -> Array:
-        """(5,) which base parameters these channels determine."""
-        case = self.case
-        stage, force, output = (case.has(c) for c in ("stage_mm", "force_N", "output_V"))
-        # Without a force only κ·k1 and κ·k3 act; k1 stays and κ takes their common factor.
-        return np.array([stage, stage and force, stage, output, output])
+        """(base,) which base parameters these channels determine."""
+        return self.model.is_free(self.case)
 
     @cached_property
     def largest_offsets(self) -> Array:
-        """(k,) bounds of what every run has of its own: here a zero, a resistance and a seat."""
-        return largest_offsets(self.case)
+        """(k,) bounds of what every run has of its own."""
+        return self.model.largest_offsets(self.case)
 
     @property
     def are_relative(self) -> Mask:
         """(k,) of which offsets only what the runs differ by is taken off."""
-        return IS_RELATIVE
-
-    @property
-    def are_bending(self) -> Mask:
-        """(k,) which offsets move a channel other than in proportion."""
-        return IS_RELATIVE
+        return np.array(self.of_base, dtype=np.bool_) if self.of_base else self.model.are_relative
 
     @property
     def is_driven_by_force(self) -> bool:
         """Whether a measured force, with its noise, drives the chain in place of a stage."""
         return self.extra_variance is not None
-
-    @cached_property
-    def dither_V(self) -> float | None:
-        """Noise before an ADC that is coarse against it; None where its stairs do not show."""
-        if "output_V" not in self.sigma:
-            return None
-        return dither_V(self.floor("output_V"), self.case.readout.step_V)
 
     @property
     def count(self) -> int:
@@ -302,14 +287,14 @@ class Problem:
         """Return the clean prediction, (samples,), and what foretells it nearby in one pass."""
         out = self.clean(hypothesis, coordinates, {})
         if not self.has_offsets or self.case.is_planned or not len(self.largest_offsets):
-            return self._known(out), self.predict
+            return self.model.with_unknown(self, out), self.predict
         out, nearby = with_offsets(self, hypothesis, coordinates, out)
         out = nearby.added(self, out)
 
         def around(other: Hypothesis, near: Array) -> Array:
-            return self._known(nearby.added(self, self.clean(other, near, nearby.moved)))
+            return self.model.with_unknown(self, nearby.added(self, self.clean(other, near, nearby.moved)))
 
-        return self._known(out), around
+        return self.model.with_unknown(self, out), around
 
     def offset_sizes(self, hypothesis: Hypothesis, coordinates: Array) -> dict[int, Array]:
         """Return by run, (k,), what it has of its own at these coordinates."""
@@ -317,34 +302,13 @@ class Problem:
         sizes = nearby.sizes(self, clean)
         return {run: size + nearby.moved.get(run, 0.0) for run, size in sizes.items()}
 
-    def _known(self, out: Array) -> Array:
-        # A sample nobody can foretell costs what a right prediction would: ignorance wins nothing.
-        unknown = np.isnan(out)
-        return np.where(unknown, self.measured - self.noise, out) if unknown.any() else out
-
-    def directions(self, hypothesis: Hypothesis, coordinates: Array, clean: Array, sizes: Sizes) -> Directions:
+    def directions(self, hypothesis: Hypothesis, coordinates: Array, clean: Array, sizes: "Sizes") -> "Directions":
         """Return how a prediction with these offsets in it changes with each of them."""
-        return directions(self, BaseParameters(*hypothesis.split(coordinates)[0]), clean, sizes)
+        return self.model.directions(self, hypothesis, coordinates, clean, sizes)
 
-    def clean(self, hypothesis: Hypothesis, coordinates: Array, sizes: Sizes) -> Array:
+    def clean(self, hypothesis: Hypothesis, coordinates: Array, sizes: "Sizes") -> Array:
         """Return the (samples,) prediction with these offsets in it, NaN where nobody can know."""
-        given, values = hypothesis.split(coordinates)
-        base = BaseParameters(*given)
-        own = bases_of(base, sizes)
-        out = np.empty(len(self.measured))
-        last, channels = -1, {}
-        for block in self.blocks:
-            # One pass of the chain gives all channels of a run.
-            if block.run != last:
-                run, last, mine = self.case.runs[block.run], block.run, own.get(block.run, base)
-                channels = predict(run, last, mine, hypothesis.chain, values, hypothesis.episodes_of(last))
-            channel = channels.get(block.channel)
-            if block.channel == "output_V" and self.dither_V is not None and channel is not None:
-                channel = mean_code_V(channel, self.dither_V, self.case.readout.step_V)
-            out[block.place] = self.measured[block.place] if channel is None else channel
-            if block.channel == "force_N" and block.run in sizes:
-                out[block.place] += sizes[block.run][0]
-        return out
+        return self.model.clean(self, hypothesis, coordinates, sizes)
 
     def seeing(self, use: Array) -> "Problem":
         """Return the same problem with other samples open to the fit."""
@@ -358,3 +322,77 @@ class Problem:
     def with_noise(self, sigma: Mapping[str, float], colour: Mapping[str, Colour] | None = None) -> "Problem":
         """Return the same problem under other noise, of the same colour where none is given."""
         return replace(self, sigma=sigma, colour=self.colour if colour is None else colour)
+
+
+@dataclass(frozen=True, eq=False)
+class Nearby:
+    """The offsets around one prediction, and along what they move nearby; `moved` is in it already."""
+
+    directions: "Directions"
+    moved: "Sizes" = field(default_factory=dict)
+
+    def sizes(self, problem: Problem, clean: Array) -> dict[int, Array]:
+        """Return what is still to be added to a prediction, (samples,) with `moved` in it."""
+        pairs = list(zip(problem.blocks, self.directions, strict=True))
+        runs, count = list(dict.fromkeys(b.run for b, rows in pairs if rows is not None)), len(problem.largest_offsets)
+        normal, slope = np.zeros((len(runs), count, count)), np.zeros((len(runs), count))
+        for block, rows in pairs:
+            if rows is not None:
+                k, at = runs.index(block.run), block.place
+                noise = problem.slow_noise[at]
+                add_normal_equations(normal[k], slope[k], rows, problem.measured[at], clean[at], noise)
+        has = np.array([self.moved.get(run, np.zeros(count)) for run in runs]).reshape(len(runs), count)
+        sizes = bounded_sizes(normal, slope, has, problem.largest_offsets, problem.are_relative)
+        return dict(zip(runs, sizes, strict=True))
+
+    def added(self, problem: Problem, clean: Array) -> Array:
+        """Return a prediction, (samples,) with `moved` in it, with what the offsets add to it."""
+        out, sizes = clean.copy(), self.sizes(problem, clean)
+        for block, rows in zip(problem.blocks, self.directions, strict=True):
+            if rows is not None:
+                out[block.place] += combine(sizes[block.run], rows)
+        return out
+
+
+def with_offsets(problem: Problem, hypothesis: Hypothesis, coordinates: Array, clean: Array) -> tuple[Array, Nearby]:
+    """Return a (samples,) prediction with the offsets that bend it, and how all move nearby."""
+    near = Nearby(problem.directions(hypothesis, coordinates, clean, {}))
+    for _ in range(PASSES - 1):
+        sizes, bending = near.sizes(problem, clean), np.flatnonzero(problem.model.are_bending)
+        # Where no offset moves a channel further than its slope foretells, the slope will do.
+        if not len(bending) or not any(
+            rows is not None
+            and most_moved(rows, sizes[block.run], bending, problem.noise[block.place]) > STRAIGHT_SIGMA
+            for block, rows in zip(problem.blocks, near.directions, strict=True)
+        ):
+            break
+        # A lower surface moves the corner of first touch, which a step along the slope would leave.
+        moved = {run: step + near.moved.get(run, 0.0) for run, step in sizes.items()}
+        clean = problem.clean(hypothesis, coordinates, moved)
+        near = Nearby(problem.directions(hypothesis, coordinates, clean, moved), moved)
+    return clean, near
+
+
+def rows_of_runs(problem: Problem, directions: "Directions") -> dict[int, Array]:
+    """Return by run, (k, samples), how a prediction changes with its offsets; 0 in other runs."""
+    out: dict[int, Array] = {}
+    for block, rows in zip(problem.blocks, directions, strict=True):
+        if rows is not None:
+            out.setdefault(block.run, np.zeros((len(rows), len(problem.measured))))[:, block.place] = rows
+    return out
+
+
+def own_rows(problem: Problem, directions: "Directions") -> tuple[list[Array], tuple[int, ...]]:
+    """Return (samples,) rows along which runs may move on their own, and the kind of each.
+
+    Of what is relative they move by what they differ by alone; one run alone by all of it.
+    """
+    of_run = rows_of_runs(problem, directions).values()
+    out: list[Array] = []
+    kinds: list[int] = []
+    for kind, is_relative in enumerate(problem.are_relative):
+        each = [rows[kind] for rows in of_run if rows[kind].any()]
+        if is_relative and not problem.case.is_planned:
+            each = [row - each[0] for row in each[1:]]
+        out, kinds = out + each, kinds + [kind] * len(each)
+    return out, tuple(kinds)

@@ -1,190 +1,251 @@
-"""Where the gap lies: three maps refitted separately, and where the residual stands out."""
+"""What a hypothesis leaves: is it noise, and is it the same noise everywhere; when does it stand out; how large is it?
 
-from collections.abc import Iterator, Mapping
+What is left counts as noise where it is no larger than its level and follows nothing that is known
+of the runs: depth, speed, load, time, temperature, what came before, its own past, another channel.
+What fades of it fades in time and is as strong at rest as under load.
+"""
+
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from math import comb
 
 import numpy as np
+from scipy.optimize import minimize, minimize_scalar
+from scipy.special import ndtr
 
-from softcal.core.gap.case import Case, Run
+from softcal.core.gap.case import HALF_WIDTH
 from softcal.core.gap.fit import Fit
-from softcal.core.gap.method import METHOD
-from softcal.core.gap.problem import Block
-from softcal.core.gap.start import base_fit
-from softcal.core.profiles import pressed
+from softcal.core.gap.linear import Colour, Noise, Stretch, dots, log_likelihood, noise_terms, projected
+from softcal.core.gap.method import ColourConfig, ShrinkConfig
+from softcal.core.gap.problem import Block, Problem
 from softcal.core.recording import Array
-from softcal.core.twin.effects import ChainStage
-from softcal.core.twin.parameters import SensorType
-from softcal.core.words.reason import Reason, reason
 
-CONFIG = METHOD.structure
-
-TIED = 1e-6
-"""Share of the largest speed by which two samples of one ramp differ in rounding alone."""
+TRIMMED = 0.02
+"""Share of squared differences, the largest, left out of a noise estimate: steps are not noise."""
 
 
 @dataclass(frozen=True)
-class Structure:
-    """How much of a residual is not noise: excess in standard errors, rms in units of the noise."""
+class ChannelGap:
+    """The gap of one channel on samples held back, root mean square in the channel's unit."""
 
-    z: float
-    rms: float
-
-    @property
-    def is_significant(self) -> bool:
-        return self.z > CONFIG.dirty_z
+    rmse_before: float
+    rmse_after: float
+    noise_floor: float
 
 
 @dataclass(frozen=True)
-class Map:
-    """One chain relation fitted alone: stage→force, force→output or stage→output."""
+class Shrink:
+    """1 − (after − floor)/(before − floor): forecast with 90 % interval, and on unseen samples.
 
-    name: str
-    structure: Structure
-
-
-@dataclass(frozen=True)
-class Regime:
-    """A condition in which a channel's gap stands out: share of its energy, and over that of time."""
-
-    channel: str
-    name: Reason
-    share: float
-    lift: float
-
-
-def structure(found: Fit, channel: str | None = None) -> Structure:
-    """Measure the structure left in the residual of a fit, of one channel or of all."""
-    parts = [found.residual[b.place] for b in found.problem.blocks if channel in (None, b.channel)]
-    largest = -np.inf
-    for length in CONFIG.block_samples:
-        # Block sums of white noise keep variance 1 at any length; structure adds up in them.
-        sums = [_block_sums(part, length) for part in parts]
-        every = np.concatenate(sums)
-        if len(every) > 3:
-            largest = max(largest, float((np.mean(every**2) - 1.0) / np.sqrt(2.0 / len(every))))
-    short = np.concatenate([_block_sums(part, CONFIG.block_samples[0]) for part in parts])
-    energy = max(0.0, float(np.mean(short**2)) - 1.0) / CONFIG.block_samples[0] if len(short) else 0.0
-    return Structure(largest, float(np.sqrt(energy)))
-
-
-def is_clean(found: Fit) -> bool:
-    """Whether a fit leaves no structure."""
-    return not structure(found).is_significant
-
-
-def _block_sums(values: Array, length: int) -> Array:
-    whole = len(values) // length * length
-    return np.asarray(values[:whole].reshape(-1, length).sum(axis=1) / np.sqrt(length))
-
-
-def three_maps(case: Case) -> tuple[Map, ...]:
-    """Fit each chain relation of the base alone, without any effect, and measure what it leaves."""
-    stage, force, output = (case.has(channel) for channel in ("stage_mm", "force_N", "output_V"))
-    is_pressure, runs = case.readout.sensor_type == "pressure", {}
-    if stage and force:
-        runs["stage→force"] = [replace(run, output_V=None) for run in case.presses]
-    if force and output and is_pressure:
-        runs["force→output"] = [replace(run, stage_mm=None) for run in case.presses]
-    if stage and output:
-        runs["stage→output"] = [replace(run, force_N=None) for run in case.presses]
-    return tuple(Map(name, structure(base_fit(Case(case.serial, tuple(of))))) for name, of in runs.items())
-
-
-BEFORE: tuple[ChainStage, ...] = ("mechanics", "motion")
-BEHIND: tuple[ChainStage, ...] = ("transduction", "electronics", "acquisition")
-
-
-def suspects(maps: tuple[Map, ...], sensor_type: SensorType = "pressure") -> tuple[ChainStage, ...]:
-    """Return the stages that the pattern of dirty maps points to; none when all are clean.
-
-    A dirty stage→force with a clean force→output is motion or mechanics, the reverse is the channel or
-    its electronics; when stage→output alone is clean, the load cell is what both others share.
+    There is no forecast where the unseen samples of the same runs contradict it already.
     """
-    z = {m.name: m.structure.z for m in maps}
-    dirty = {m.name for m in maps if m.structure.is_significant}
-    if not dirty:
-        return ()
-    if sensor_type == "strain":
-        # A strain sensor does not feel the force: pad and cell look alike.
-        pad_or_behind = BEFORE if "stage→force" in dirty else BEHIND
-        return pad_or_behind if "stage→output" in dirty else ("mechanics", "load_cell")
-    if len(z) < 3:
-        # One map alone: what lies on its own side, and the cell that reads its force.
-        side = {"stage→force": BEFORE, "force→output": BEHIND}.get(next(iter(z)))
-        return (*BEFORE, *BEHIND) if side is None else (*side, "load_cell")
-    loud = max(z.values())
-    left_out: dict[str, tuple[ChainStage, ...]]
-    left_out = {"stage→output": ("load_cell",), "force→output": BEFORE, "stage→force": BEHIND}
-    for name, stages in left_out.items():
-        if name not in dirty or z[name] <= CONFIG.quiet * loud:
-            return stages
-    # All three are dirty: the cleanest of them leaves out the stage that the other two share.
-    quietest = min(z, key=lambda name: z[name])
-    return left_out[quietest] if z[quietest] < 5 * CONFIG.quiet * loud else (*BEFORE, *BEHIND)
+
+    predicted: float | None
+    low: float | None
+    high: float | None
+    held_out: float
+
+    @classmethod
+    def checked(cls, forecast: tuple[float, float, float], held_out: float, config: ShrinkConfig) -> "Shrink":
+        """Return a forecast beside what was measured, left out where that lies far outside its interval."""
+        _, low, high = forecast
+        far = max(high - low, config.contradicts)
+        if low - far <= held_out <= high + far:
+            return cls(*forecast, held_out)
+        return cls(None, None, None, held_out)
 
 
-def regimes(found: Fit) -> tuple[Regime, ...]:
-    """Return the regimes in which the residual of a fit stands out, the strongest first."""
-    out = []
-    for channel in ("force_N", "output_V"):
-        blocks = found.problem.blocks_of(channel, "press")
-        if not blocks:
+def gap_of_base(base: Fit) -> dict[str, ChannelGap]:
+    """Return what a base leaves, where nothing else was fitted."""
+    problem, gap = base.problem, {}
+    for channel in problem.scored_channels:
+        parts = [(problem.measured - base.predicted)[b.place] for b in problem.blocks_of(channel)]
+        rms = float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+        gap[channel] = ChannelGap(rms, rms, problem.floor(channel))
+    return gap
+
+
+def noise_levels(found: Fit) -> dict[str, float]:
+    """Return σ of the white noise per channel from the differences of neighbouring residuals.
+
+    A structured residual is smooth and hardly enters.
+    """
+    problem, order = found.problem, found.problem.model.smooth_order
+    squares: dict[str, list[Array]] = {}
+    for block in problem.blocks:
+        error = (problem.measured - found.predicted)[block.place]
+        # White noise of variance 1 gives differences of variance 2, second ones of 6.
+        squares.setdefault(block.channel, []).append(np.diff(error, order) ** 2 / comb(2 * order, order))
+    levels = dict(problem.sigma)
+    for channel, parts in squares.items():
+        every = np.sort(np.concatenate(parts))
+        trimmed = every[: max(1, int(len(every) * (1 - TRIMMED)))]
+        # A Gaussian without its largest 2 % of squares keeps 0.873 of its variance.
+        variance = float(np.mean(trimmed)) / 0.873
+        levels[channel] = max(float(np.sqrt(variance)), problem.least_noise(channel))
+    return levels
+
+
+def noise_of(found: Fit, channels: Iterable[str] | None = None) -> tuple[dict[str, float], dict[str, Colour]]:
+    """Return white noise and, in these channels or where there already is one, the fading part."""
+    levels, colours, config = noise_levels(found), {}, found.problem.colour_config
+    for channel in found.problem.colour if channels is None else channels:
+        noise = read_noise([_stretch(found, b) for b in found.problem.blocks_of(channel)], config)
+        if noise.gain > config.gain:
+            levels[channel], colours[channel] = noise.white, noise.colour
+    return levels, colours
+
+
+def coloured(found: Fit) -> Problem | None:
+    """Return the problem with noise that fades, read from what is left; None where it is white."""
+    problem = found.problem
+    # The noise of a measured force that drives the chain cannot be told from the output's.
+    if problem.is_driven_by_force:
+        return None
+    levels, colours = noise_of(found, problem.scored_channels)
+    return problem.with_noise(levels, colours) if colours else None
+
+
+def _stretch(found: Fit, block: Block, use: Array | None = None) -> Stretch:
+    error = (found.problem.measured - found.predicted)[block.place]
+    step_s = found.problem.case.runs[block.run].step_s
+    return Stretch(error, step_s, np.ones(len(error)) if use is None else use)
+
+
+def read_noise(stretches: Sequence[Stretch], config: ColourConfig) -> Noise:
+    """Return the likeliest noise; the white part sets the scale: two numbers are searched for."""
+    error, step_s, use = (np.concatenate([getattr(s, name) for s in stretches]) for name in ("error", "step_s", "use"))
+    begins = np.zeros(len(error))
+    begins[np.cumsum([0, *(len(s.error) for s in stretches)])[:-1]] = 1.0
+    count = max(float(use.sum()), 1.0)
+
+    def scale(ratio: float, fading_s: float) -> tuple[float, float]:
+        squares, log_det = noise_terms(error, step_s, use, begins, ratio, fading_s)
+        variance = max(squares / count, 1e-300)
+        return variance, -0.5 * (count * (1.0 + float(np.log(variance))) + log_det)
+
+    def lost(x: Array) -> float:
+        outside = max(np.log(config.shortest_s) - x[1], x[1] - np.log(config.longest_s), 0.0)
+        held = float(np.exp(np.clip(x[1], np.log(config.shortest_s), np.log(config.longest_s))))
+        return float(count * outside**2 - scale(float(np.exp(x[0])), held)[1])
+
+    starts = [np.log([ratio, fading_s]) for ratio in config.ratios for fading_s in config.fading_s]
+    start = min(starts, key=lost)
+    # Half a natural logarithm: less than the distance of two starts.
+    simplex = start + 0.5 * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    options = {"xatol": 0.02, "fatol": 0.05, "initial_simplex": simplex}
+    minimum = minimize(lost, start, method="Nelder-Mead", options=options)
+    ratio, fading_s = float(np.exp(minimum.x[0])), float(np.exp(minimum.x[1]))
+    fading_s = float(np.clip(fading_s, config.shortest_s, config.longest_s))
+    variance, log_likelihood = scale(ratio, fading_s)
+    white = float(np.sqrt(variance))
+    alone = scale(0.0, 1.0)[1]
+    return Noise(white, Colour(ratio * white, fading_s), log_likelihood, log_likelihood - alone)
+
+
+def is_noise(found: Fit) -> bool:
+    """Whether what a fit leaves in channels of fading noise fades alike everywhere and is noise."""
+    # What has not faded by the longest time tried is no noise but a wander: an R0 that walks.
+    problem, config = found.problem, found.problem.method.floor
+    longest_s = config.wanders * problem.colour_config.longest_s
+    if any(colour.fading_s > longest_s for colour in problem.colour.values()):
+        return False
+    is_even = all(_is_even(found, channel) for channel in problem.colour)
+    return is_even and noise_chance(found, tuple(problem.colour)) > config.chance
+
+
+def noise_chance(found: Fit, channels: Sequence[str] = ()) -> float:
+    """Return how likely noise leaves as much as a fit does, in these channels or all scored ones."""
+    problem, chances = found.problem, []
+    for channel in channels or problem.scored_channels:
+        # By how many standard errors what is left is more than noise. A filter has taken the memory out of noise that
+        # fades, and its size was read off what is left.
+        blocks, tests = problem.blocks_of(channel), []
+        if channel not in problem.colour:
+            squares = np.concatenate([found.residual[b.place] for b in blocks]) ** 2
+            count = int(np.count_nonzero(squares))
+            # The noise level is of the same samples: its error adds as much as it takes.
+            tests.append((float(np.sum(squares)) - count) / float(np.sqrt(2.0 * max(count, 1))))
+        if tests and not problem.is_driven_by_force:
+            tests.append(_remembers(found, blocks))
+        # What another channel leaves of the same runs: their noises have nothing in common.
+        elsewhere = np.zeros(len(problem.measured))
+        others = {b.run: b for name in problem.scored_channels if name != channel for b in problem.blocks_of(name)}
+        for block in blocks:
+            if block.run in others and problem.case.runs[block.run].kind == "press":
+                elsewhere[block.place] = (problem.measured - found.predicted)[others[block.run].place]
+        # A measured force that drives the chain is smoothed: what is left of its noise has a memory.
+        for group in () if problem.is_driven_by_force else problem.model.followed(found, channel):
+            columns = [*group, elsewhere] if elsewhere.any() else group
+            seen = projected([problem.whitened(column) for column in columns], found.jacobian)
+            # A direction takes 1 off χ² by chance.
+            chi2 = float(np.sum(dots(seen, found.residual) ** 2)) if len(seen) else 0.0
+            tests.append(_standard(chi2, len(seen)) if len(seen) else 0.0)
+        # The worst of several tests (Bonferroni).
+        chances.append(min(1.0, len(tests) * float(ndtr(-max(tests)))) if tests else 1.0)
+    return min(chances)
+
+
+def _is_even(found: Fit, channel: str) -> bool:
+    """Whether one fading noise fits both of two conditions alike; white noise may grow with the load."""
+    problem, config = found.problem, found.problem.method.floor
+    white, colour = problem.sigma[channel], problem.colour[channel]
+    blocks = problem.blocks_of(channel)
+    for halves in zip(*(list(problem.model.halves(found, block)) for block in blocks), strict=True):
+        pairs = [(b, is_in) for b, is_in in zip(blocks, halves, strict=True) if is_in is not None]
+        sides = [[(b, (is_in == side).astype(np.float64)) for b, is_in in pairs] for side in (False, True)]
+        parts = [[_stretch(found, b, use) for b, use in side] for side in sides]
+        if any(sum(float(s.use.sum()) for s in part) < config.fewest for part in parts):
             continue
-        for name, share, time_share in shares_of_gap(found, blocks, _conditions(found, blocks)):
-            out.append(Regime(channel, name, float(np.clip(share, 0.0, 1.0)), share / time_share))
-    return tuple(sorted(out, key=lambda r: -r.share * np.log(max(r.lift, 1.0) + 1e-9)))
+        gain = 0.0
+        for part in parts:
+            # Against this fading noise beside any white one.
+            lost = partial(lambda x, part: -log_likelihood(part, white * float(np.exp(x)), colour), part=part)
+            common = minimize_scalar(lost, bounds=(-2.0, 2.0), method="bounded")
+            gain += read_noise(part, problem.colour_config).log_likelihood + float(common.fun)
+        if gain >= config.uneven:
+            return False
+    return True
 
 
-def shares_of_gap(
-    found: Fit, blocks: list[Block], conditions: Mapping[Reason, Array]
-) -> Iterator[tuple[Reason, float, float]]:
-    """Yield each condition with its share of the structured energy of these blocks, and of the time."""
-    excess = np.concatenate([found.residual[b.place] ** 2 - 1.0 for b in blocks])
-    total = float(excess.sum())
-    # Within four standard errors of the sum of squares there is no gap to divide.
-    if total > 4 * np.sqrt(2 * len(excess)):
-        for name, members in conditions.items():
-            time_share = float(np.mean(members))
-            # A regime of next to no time, or of nearly all, says nothing of where a gap lies.
-            if 0.01 < time_share < 0.95:
-                yield name, float(excess[members].sum()) / total, time_share
+def _remembers(found: Fit, blocks: Sequence[Block]) -> float:
+    """Return by how many standard errors a residual follows its own past (Box and Pierce 1970)."""
+    lags = found.problem.method.floor.lags
+    parts = [found.residual[b.place] for b in blocks]
+    products, count, energy = np.zeros(lags), 0, 0.0
+    for part in parts:
+        count, energy = count + len(part), energy + float(part @ part)
+        products += [float(part[k:] @ part[:-k]) for k in range(1, lags + 1)]
+    return _standard(count * float(np.sum((products / energy) ** 2)), lags) if energy > 0.0 else 0.0
 
 
-def _conditions(found: Fit, blocks: list[Block]) -> dict[Reason, Array]:
-    case = found.problem.case
-    runs = [case.runs[b.run] for b in blocks]
-    drive = np.concatenate([_drive(run) for run in runs])
-    speed = np.concatenate([np.gradient(_drive(run), run.t_s) for run in runs])
-    part = np.concatenate([run.elapsed_s / run.elapsed_s[-1] for run in runs])
-    # Without a stage the load tells: a fiftieth of the largest counts as contact.
-    contact = found.base.u0_mm if case.has("stage_mm") else 0.02 * float(drive.max())
-    touching = drive > contact
-    # Quantiles of this recording: no speed in mm/s is fast for every rig.
-    quick = np.abs(speed[touching & (np.abs(speed) > 0)])
-    slow = float(np.quantile(quick, 0.02)) if len(quick) else 0.0
-    fast = float(np.quantile(quick, 0.6)) if len(quick) else np.inf
-    fastest = float(np.max(np.abs(speed)))
-    moving = np.abs(speed) > max(0.5 * slow, 1e-9 * fastest)
-    depth = (drive - contact) / max(float(drive.max()) - contact, 1e-9 * float(np.ptp(drive)))
-    conditions = {
-        Reason("gap.regime.loading"): touching & moving & (speed > 0),
-        Reason("gap.regime.unloading"): touching & moving & (speed < 0),
-        Reason("gap.regime.hold"): touching & ~moving,
-        Reason("gap.regime.no_contact"): ~touching,
-        Reason("gap.regime.first_touch"): touching & (depth < 0.15),
-        Reason("gap.regime.high_load"): depth > 0.8,
-        Reason("gap.regime.fast_motion"): touching & (np.abs(speed) > fast + TIED * fastest),
-        Reason("gap.regime.start"): part < 0.25,
-        Reason("gap.regime.end"): part > 0.75,
-    }
-    for k, run in enumerate(runs):
-        name = reason("gap.regime.run", run=run.name)
-        if run.profile:
-            name = reason("gap.regime.run_pressed", run=run.name, pressed=pressed(run.profile))
-        conditions[name] = np.concatenate([np.full(len(r), i == k) for i, r in enumerate(runs)])
-    return conditions
+def _standard(chi2: float, freedom: int) -> float:
+    """Return χ² as a standard normal value (Wilson and Hilferty 1931)."""
+    wide = 2.0 / (9.0 * freedom)
+    return float((np.cbrt(chi2 / freedom) - 1.0 + wide) / np.sqrt(wide))
 
 
-def _drive(run: Run) -> Array:
-    drive = run.stage_mm if run.stage_mm is not None else run.force_N
-    return np.zeros(len(run)) if drive is None else drive
+def with_driving_noise(problem: Problem, found: Fit) -> Problem:
+    """Return the problem with the noise of a measured force where it drives the chain.
+
+    σ² = σV² + (dV/dF·σF)²: errors in variables to first order.
+    """
+    case = problem.case
+    driven = [run.kind == "press" and run.stage_mm is None and run.force_N is not None for run in case.runs]
+    if not any(driven):
+        return problem
+    extra = np.zeros(len(problem.measured))
+    for block in (b for b in problem.blocks if driven[b.run]):
+        run = case.runs[block.run]
+        force_N = np.asarray(run.force_N)
+        order = np.argsort(force_N, kind="stable")
+        x, y = force_N[order], found.predicted[block.place][order]
+        # A slope from neighbours would be noise over noise; a 24th of the samples shows the curve's.
+        edges = np.linspace(0, len(x) - 1, 25).astype(int)
+        keep = np.concatenate([[True], np.diff(x[edges]) > 1e-7 * np.ptp(x)])
+        slopes = np.gradient(y[edges][keep], x[edges][keep]) if keep.sum() > 2 else np.zeros(int(keep.sum()))
+        slope = np.interp(force_N, x[edges][keep], slopes)
+        # Smoothed noise moves slowly: it counts as often as samples share it.
+        extra[block.place] = (2 * HALF_WIDTH + 1) * (slope * run.driving_force.sigma_N) ** 2
+    return replace(problem, extra_variance=extra)

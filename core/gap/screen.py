@@ -1,98 +1,29 @@
-"""Which effects a case can show and which are worth a full fit: score tests of every probe."""
+"""Which effects are worth a full fit, and where fits begin: score tests of every probe, and starts over the bounds."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Sequence
+from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from softcal.core.gap.case import Case
-from softcal.core.gap.coordinates import RigScale, start_coordinates
-from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.linear import combine, dots, energy, gram
-from softcal.core.gap.problem import Around
+from softcal.core.gap.coordinates import fit_scale, from_fit, to_fit
+from softcal.core.gap.fit import Fit, Lead, Probe, Tangent, fit
+from softcal.core.gap.linear import energy
+from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.recording import Array
-from softcal.core.twin.catalogue import EFFECTS
-from softcal.core.twin.effects import Alias, Effect
-from softcal.core.twin.probes import Extent
+from softcal.core.twin.effects import Effect, Parameter
 
+if TYPE_CHECKING:
+    from softcal.core.gap.search import Search
 
-@dataclass(frozen=True)
-class Probe:
-    """An effect at a small size and one shape, to see which way it would move the prediction."""
-
-    effect: Effect
-    values: tuple[float, ...]
-    is_one_sided: bool
-
-
-def extent_of(base: Fit) -> Extent:
-    """Measure a case; depth and force beyond what was recorded come from the fitted base."""
-    case = base.problem.case
-    depths = [float(stage_mm.max()) for stage_mm in case.recorded("stage_mm")]
-    depth_mm = max(depths) - base.base.u0_mm if depths else 1.0
-    forces = [float(force_N.max()) for force_N in case.recorded("force_N")]
-    force_N = max(forces, default=base.base.k1_N_mm * depth_mm + base.base.k3_N_mm3 * depth_mm**3)
-    every_V = np.concatenate(case.recorded("output_V") or [np.array([0.0, 1.0])])
-    return Extent(
-        depth_mm=max(depth_mm, 1e-9),
-        force_N=max(force_N, 1e-9),
-        lowest_V=float(every_V.min()),
-        highest_V=float(every_V.max()),
-        duration_s=max(float(run.elapsed_s[-1]) for run in case.presses),
-        period_s=1.0 / case.readout.sample_rate_Hz,
-        series_ohm=case.readout.r_series_ohm,
-    )
-
-
-def visible_effects(case: Case, effects: Mapping[str, Effect] = EFFECTS) -> tuple[Effect, ...]:
-    """Return the effects of a list that the recorded channels can show at all."""
-    seen = [effect for effect in effects.values() if effect.stage not in case.unseen_stages]
-    return tuple(effect for effect in seen if all(map(case.changes, effect.signs.needs)))
-
-
-def probes(case: Case, extent: Extent, effects: Mapping[str, Effect] = EFFECTS) -> tuple[Probe, ...]:
-    """Return the probes of every visible effect whose place in time need not be searched first."""
-    sized, visible = RigScale.of(case).sized, visible_effects(case, effects)
-    return tuple(Probe(e, row, e.is_one_sided) for e in visible for row in e.probes(extent, sized))
-
-
-def is_told(case: Case, alias: Alias) -> bool:
-    """Whether a run of the case tells an effect from what looks exactly like it elsewhere."""
-    return case.changes(alias.changing, alias.told_by, alias.by)
-
+DRAWS, FIRST_STEPS = 12, 6
+"""Places over the bounds at which causes are tried, and steps from the likeliest of them."""
 
 GENTLER = (0.1, 0.003)
 """Shares of a promised size from which a fit begins once more."""
 
 KEPT_PART = 0.1
 """Share of the promised drop of χ² that a fit must bring, or it begins once more."""
-
-
-@dataclass(frozen=True, eq=False)
-class Lead:
-    """A probe that would lower χ².
-
-    Args:
-        gain: expected drop of χ² when the effect is added and all is refitted, to first order.
-        hidden: share of its signature that the fitted parameters imitate.
-        shift: (parameters of the fit,) how its coordinates would move along.
-    """
-
-    effect: Effect
-    values: tuple[float, ...]
-    gain: float
-    hidden: float
-    shift: Array
-
-    def start(self, found: Fit, share: float = 1.0) -> Array:
-        """Return where a fit of the larger hypothesis begins, at a share of the promised size."""
-        _, left = found.hypothesis.without(self.effect.id)
-        kept = (found.coordinates + share * self.shift)[left]
-        first = self.effect.parameters[0]
-        size = self.values[0] * share if first.neutral == 0.0 else self.values[0] / share
-        values = (size, *self.values[1:]) if first.neutral in (0.0, np.inf) and share < 1.0 else self.values
-        return np.concatenate([kept, start_coordinates([self.effect], [values])])
 
 
 def joined(parent: Fit, lead: Lead, steps: int = 20) -> Fit:
@@ -141,61 +72,97 @@ def hiding(found: Fit, candidates: Sequence[Probe], share: float) -> list[Probe]
     return list(last.values())
 
 
-class Tangent:
-    """The directions in which a fit can move, and how a signature stands to them."""
+def scattered(parameters: Sequence[Parameter], count: int) -> Array:
+    """Return (count, parameters) coordinates within bounds: the usual values, then near and far.
 
-    def __init__(self, found: Fit, base_only: bool = False) -> None:
-        self._found = found
-        jacobian = found.jacobian
-        normal = gram(jacobian)
-        scale = np.sqrt(np.diag(normal))
-        if base_only:
-            scale[found.hypothesis.of_base.stop :] = 0.0
-        self._rows = np.flatnonzero(scale > 0)
-        scale = scale[self._rows]
-        strength, axes = np.linalg.eigh(normal[np.ix_(self._rows, self._rows)] / np.outer(scale, scale))
-        keep = strength > 1e-10 * strength.max(initial=0.0)
-        # Rows of `turn` times the Jacobian are orthonormal.
-        self._turn = (axes[:, keep] / np.sqrt(strength[keep])).T / scale
-        self._basis = np.array([combine(row, jacobian[self._rows]) for row in self._turn])
-        self._residual = found.residual
-
-    @cached_property
-    def _around(self) -> Around:
-        return self._found.problem.predict_around(self._found.hypothesis, self._found.coordinates)[1]
-
-    def signature(self, probe: Probe) -> Array:
-        """(samples,) change of the whitened prediction when the probe is switched on."""
-        found = self._found
-        hypothesis = found.hypothesis.adding(probe.effect)
-        x = np.concatenate([found.coordinates, start_coordinates([probe.effect], [probe.values])])
-        change = found.problem.whitened(self._around(hypothesis, x) - found.predicted)
-        return change if np.all(np.isfinite(change)) else np.zeros(len(change))
-
-    def visible(self, signature: Array) -> Array:
-        """Return the part of a signature that the fitted parameters cannot imitate."""
-        return signature - combine(dots(self._basis, signature), self._basis)
-
-    def lead(self, probe: Probe) -> Lead | None:
-        """Return what this probe promises, None if it promises nothing."""
-        signature = self.signature(probe)
-        size = energy(signature)
-        seen = self.visible(signature)
-        power = energy(seen)
-        if power <= 1e-9 * max(size, 1e-30) or power <= 1e-12:
-            return None
-        times = float(dots(seen.reshape(1, -1), self._residual)[0]) / power
-        if probe.is_one_sided and times <= 0:
-            return None
-        # The probe is linear for small effects only: begin within a decade of it.
-        stretch = float(np.clip(times, -30.0, 30.0))
-        shift = np.zeros(len(self._found.coordinates))
-        shift[self._rows] = -stretch * (self._turn.T @ dots(self._basis, signature))
-        first, usual = self._found.problem.scale.sized(probe.effect.parameters[0]), probe.values[0]
-        if first.scale == "inverse_square":
-            value = usual / max(stretch, 1e-3) ** 0.5
+    A value that may be far off in either direction is drawn by its order of magnitude.
+    """
+    rng = np.random.default_rng(1)
+    out = np.empty((count, len(parameters)))
+    for k, p in enumerate(parameters):
+        usual, scale = to_fit(p, p.usual), fit_scale(p)
+        low, high = sorted((to_fit(p, p.low), to_fit(p, p.high)))
+        near = usual + 0.5 * scale * rng.normal(size=count)
+        if p.scale == "log":
+            far = rng.uniform(max(low, usual - 4.0), min(high, usual + 4.0), count)
+        elif high - low > 30.0 * scale:
+            side = np.where(rng.random(count) < 0.5, -1.0, 1.0) if low < 0.0 < high else np.sign(usual or 1.0)
+            far = side * scale * 10.0 ** rng.uniform(-1.5, 1.5, count)
         else:
-            # A level does not scale with what it cuts off.
-            value = usual if first.neutral == np.inf else usual * stretch
-        values = (float(np.clip(value, first.low, first.high)), *probe.values[1:])
-        return Lead(probe.effect, values, times**2 * power, 1.0 - power / size, shift)
+            far = rng.uniform(low, high, count)
+        out[:, k] = np.clip(np.where(rng.random(count) < 0.5, near, far), low, high)
+        out[0, k] = usual
+    return out
+
+
+def best_start(problem: Problem, hypothesis: Hypothesis, scattering: int = 32, tried: int = 5, steps: int = 60) -> Fit:
+    """Return the best minimum found from starts all over the bounds.
+
+    Args:
+        scattering: places at which the prediction is made once.
+        tried: of these, those from which a fit takes a few steps, besides the usual values.
+        steps: most steps from the best two of them.
+    """
+    usual, *others = scattered(hypothesis.parameters, scattering)
+    places = [usual, *likeliest(problem, hypothesis, others)[:tried]]
+    rough = sorted((fit(problem, hypothesis, place, steps=6) for place in places), key=lambda f: f.chi2)
+    fits = [fit(problem, hypothesis, found.coordinates, steps=steps) for found in rough[:2]]
+    return min(fits, key=lambda found: found.chi2)
+
+
+def likeliest(problem: Problem, hypothesis: Hypothesis, places: Sequence[Array]) -> list[Array]:
+    """Return places in the order of what a prediction at each leaves; those without one last."""
+
+    def left(place: Array) -> float:
+        cost = energy(problem.whitened(problem.measured - problem.predict(hypothesis, place)))
+        return cost if np.isfinite(cost) else np.inf
+
+    return sorted(places, key=left)
+
+
+def likely_pairs(base: Fit, candidates: Sequence[Effect]) -> list[tuple[Effect, ...]]:
+    """Return the pairs that promise most to first order, over many places of each."""
+    space, rows, owner = Tangent(base), [], []
+    for k, effect in enumerate(candidates):
+        for row in rows_over_bounds(effect):
+            signature = space.visible(space.signature(Probe(effect, row, effect.is_one_sided)))
+            size = float(np.sqrt(energy(signature)))
+            rows += [signature / size] if size > 0.0 else []
+            owner += [k] if size > 0.0 else []
+    alike = np.array(rows) @ np.array(rows).T if rows else np.zeros((0, 0))
+    promised, of = np.array([float(row @ base.residual) for row in rows]), np.array(owner)
+    gains: dict[tuple[Effect, ...], float] = {}
+    for i, j in combinations(range(len(candidates)), 2):
+        one, other = np.flatnonzero(of == i), np.flatnonzero(of == j)
+        a, b, c = promised[one][:, None], promised[other][None, :], alike[np.ix_(one, other)]
+        together = (a**2 + b**2 - 2.0 * a * b * c) / np.maximum(1.0 - c**2, 1e-6)
+        gains[candidates[i], candidates[j]] = float(together.max(initial=0.0))
+    return sorted(gains, key=lambda pair: -gains[pair])[: base.problem.method.search.most_pairs]
+
+
+def rows_over_bounds(effect: Effect) -> list[tuple[float, ...]]:
+    """Return values of an effect all over its bounds, the usual ones first."""
+    places = scattered(effect.parameters, DRAWS)
+    return [tuple(from_fit(p, float(x)) for p, x in zip(effect.parameters, place, strict=True)) for place in places]
+
+
+def try_from_many_starts(search: "Search", effects: tuple[Effect, ...]) -> None:
+    """Fit effects jointly from several starts, and keep what is worth it."""
+    problem, hypothesis, fits = search.base.problem, search.base.hypothesis.adding(*effects), []
+    for effect in effects:
+        parent = search.fits.get(tuple(sorted(e.id for e in effects if e is not effect)))
+        if parent is None:
+            continue
+        space = Tangent(parent)
+        leads = [space.lead(Probe(effect, row, effect.is_one_sided)) for row in rows_over_bounds(effect)]
+        lead = max((one for one in leads if one is not None), key=lambda one: one.gain, default=None)
+        if lead is not None:
+            fits.append(fit(problem, parent.hypothesis.adding(effect), lead.start(parent), steps=FIRST_STEPS))
+    drawn = scattered([p for effect in hypothesis.effects for p in effect.parameters], DRAWS)
+    places = [np.append(search.base.coordinates, place) for place in drawn]
+    likely = likeliest(problem, hypothesis, places)[0]
+    best = min((*fits, fit(problem, hypothesis, likely, steps=FIRST_STEPS)), key=lambda found: found.chi2)
+    # What is not better after a few steps than the best with one cause less is left there.
+    parts = [f.chi2 for ids, f in search.fits.items() if set(ids) < set(best.ids)]
+    if best.chi2 < min(parts) - problem.method.search.worth * max(search.base.chi2 - problem.count, 0.0):
+        search.keep(fit(problem, best.hypothesis, best.coordinates, steps=60))

@@ -1,85 +1,61 @@
-"""Which hypotheses are fitted: forward from the base, a few of the best at every size."""
+"""Which hypotheses are fitted: forward from the base, a few of the best at every size.
 
-from collections.abc import Callable, Mapping, Sequence
+Departures of another kind are fitted beside them: where one wins, nothing in the list explains the gap.
+
+What the equation of one cause leaves on a rig often looks like a second cause. So every further one
+is held against a free form of those beside it: other sizes and shapes, all mixed, and a size that
+changes with load and time. Where that explains nearly as much, these runs do not tell the two.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from softcal.core.gap.case import Case
-from softcal.core.gap.coordinates import start_coordinates
+from softcal.core.gap.coordinates import from_fit, start_coordinates, to_fit
 from softcal.core.gap.episodes import PLACERS, placed_again
-from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.floor import noise_chance, noise_of
-from softcal.core.gap.generic_effects import imitated_causes, stranger
-from softcal.core.gap.method import METHOD, SearchConfig
-from softcal.core.gap.posterior import Yardstick, log_evidences
-from softcal.core.gap.problem import Hypothesis, Problem
-from softcal.core.gap.residual import is_clean
-from softcal.core.gap.screen import Probe, extent_of, hiding, joined, probes, screen, visible_effects
-from softcal.core.gap.start import base_fit, rough_start, with_driving_noise
-from softcal.core.twin.catalogue import EFFECTS, FORMS
+from softcal.core.gap.evidence import Yardstick, log_evidences
+from softcal.core.gap.fit import Fit, Probe, fit
+from softcal.core.gap.linear import dots, projected
+from softcal.core.gap.residual import coloured, is_noise, noise_of, with_driving_noise
+from softcal.core.gap.screen import hiding, joined, screen
+from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Form, Placing
-from softcal.core.twin.probes import Extent
 
 Progress = Callable[[str], None]
 
 
-class EffectSearch:
+class Search:
     """All hypotheses fitted to one case, under one noise level."""
 
-    forms: Mapping[str, Sequence[Form]] = FORMS
-    """Other realisations of a cause, by its identifier."""
-
-    def __init__(
-        self,
-        base: Fit,
-        candidates: Sequence[Probe],
-        to_place: Sequence[Effect],
-        extent: Extent,
-        config: SearchConfig,
-        say: Progress,
-    ) -> None:
-        self._config, self._say = config, say
-        self.extent, self._probes, self._to_place = extent, candidates, to_place
-        self.base = self.best = base
+    def __init__(self, base: Fit, candidates: Sequence[Effect], say: Progress = lambda _: None) -> None:
+        self.model, self.candidates, self.say = base.problem.model, candidates, say
+        self._config = self.model.search_config
+        self._probes = self.model.probes(base, candidates)
+        self._to_place = [effect for effect in candidates if effect.signs.placing is not None]
+        self.start = self.base = self.best = base
         self.fits: dict[tuple[str, ...], Fit] = {(): base}
         self.stranger: Fit | None = None
         self.held_open: dict[str, Fit] = {}
         """Causes that another equation of those beside them explains as well, with fits."""
 
-    @classmethod
-    def of(
-        cls,
-        case: Case,
-        say: Progress = lambda _: None,
-        problem: Problem | None = None,
-        effects: Mapping[str, Effect] = EFFECTS,
-    ) -> "EffectSearch":
-        """Return the search over a list of effects for a case, under the noise of a problem if given."""
-        say("fitting the base twin to all runs")
-        base = base_fit(case)
-        base = base if problem is None else fit(problem, Hypothesis(), base.coordinates)
-        extent = extent_of(base)
-        to_place = [e for e in visible_effects(case, effects) if e.signs.placing is not None]
-        return cls(base, probes(case, extent, effects), to_place, extent, METHOD.search, say)
-
     def run(self) -> None:
         """Grow the hypotheses until no effect promises anything more."""
         parents = [self.base]
         for size, leads in enumerate(self._config.leads, start=1):
-            self._say(f"fitting {size} effect{'s' if size > 1 else ''} jointly with the base")
+            self.say(f"fitting {size} effect{'s' if size > 1 else ''} jointly with the base")
             grown = [child for parent in parents for child in self._grow(parent, leads)]
             if not grown:
                 break
             if size > 1:
                 # Episodes of the best hypotheses are placed anew, with all their causes in.
                 for found in sorted(self.fits.values(), key=lambda f: f.bic)[:4]:
-                    if found.hypothesis.episode_count and not self.is_clean(found):
+                    if found.hypothesis.episode_count and not self.model.is_clean(found):
                         self.keep(placed_again(found))
-            self._settle_noise()
+            self.settle_noise()
             if size == len(self._config.leads):
                 break
-            leader = self._leader
+            leader = self.leader
             is_promised = any(lead.gain > self._config.gain for lead in screen(leader, self._probes)[:1])
             # What promises nothing to first order must be placed to know.
             if not is_promised and not any(child.bic < leader.bic for child in self._placed(leader)):
@@ -87,7 +63,9 @@ class EffectSearch:
             ranked = sorted((f for f in self.fits.values() if len(f.ids) == size), key=lambda f: f.bic)
             # Several are grown on: the right pair often begins with the second-best single cause.
             parents = ranked[: self._config.beam[size - 1]]
-        self._start_again()
+        if not self.model.is_clean(self.leader):
+            self.model.start_again(self)
+            self.settle_noise()
         # Smaller hypotheses get the episodes that the closest one has: places are no cause.
         donor = self.closest
         placed = {e.id for e in donor.effects if e.is_episodic}
@@ -97,48 +75,33 @@ class EffectSearch:
                 self.keep(fit(found.problem, hypothesis, found.coordinates))
         self._conclude()
 
-    def _start_again(self) -> None:
-        """Fit the likeliest from other bases: one fitted through a large gap may be far off."""
-        if self.is_clean(self._leader):
-            return
-        likely = sorted(self.fits.values(), key=lambda f: f.bic)[: self._config.again]
-        likely += self.one_less(self._leader).values()
-        first = rough_start(self.base.problem.case)
-        for _ in range(2):
-            for found in likely:
-                start = np.append(first, found.coordinates[found.hypothesis.of_base.stop :])
-                self.keep(fit(found.problem, found.hypothesis, start, steps=40))
-            first = self._leader.coordinates[self._leader.hypothesis.of_base]
-        self._settle_noise()
-
     def _conclude(self) -> None:
         """Choose among the catalogue's equations and other realisations of the likely causes."""
-        self._say("fitting other realisations of the likely causes")
+        self.say("fitting other realisations of the likely causes")
         self.best = self._most_likely
-        is_settled = len(self.best.ids) < 2 and self.is_clean(self.best)
+        is_settled = len(self.best.ids) < 2 and self.model.is_clean(self.best)
         share = self._config.rival if is_settled else self._config.likely
         singles = sorted((f for ids, f in self.fits.items() if len(ids) == 1), key=lambda f: f.bic)
         likely = [f for f in singles if self.share(f) > share * self.share(singles[0])] if singles else []
         for found in likely[: self._config.with_forms]:
-            for form in self.forms.get(found.ids[0], ()):
+            for form in self.model.forms.get(found.ids[0], ()):
                 self.keep(self._in_form(found, form))
-        self._settle_noise()
+        self.settle_noise()
         self.best = self._most_likely
         for _ in range(2):
             before = self.best
             # One cause in another form, another left out: that may be what the equation leaves.
             for smaller in self.one_less(before).values():
                 for cause in smaller.ids if len(smaller.ids) > 1 else ():
-                    for form in self.forms.get(cause, ()):
+                    for form in self.model.forms.get(cause, ()):
                         self.keep(self._in_form(smaller, form))
             if self._most_likely.ids == before.ids:
                 break
             self.best = self._most_likely
         self._look_beside()
-        if self.forms:
-            # A departure outside the catalogue stands alone or in the place of a cause.
-            parents = self.one_less(self.best).values() if len(self.best.ids) > 1 else ()
-            self.stranger = stranger(self.best, [self.base, *parents], list(self.fits.values()))
+        # A departure outside the list stands alone or in the place of a cause.
+        parents = self.one_less(self.best).values() if len(self.best.ids) > 1 else ()
+        self.stranger = stranger(self.best, [self.base, *parents], list(self.fits.values()))
 
     def hold_open(self) -> None:
         """Take causes that a free form of the others imitates out of the best; they stay in play."""
@@ -206,27 +169,15 @@ class EffectSearch:
         """The fit that leaves least, however many causes it takes."""
         return min(self.fits.values(), key=lambda found: found.chi2)
 
-    def closest_set(self) -> Fit:
-        """Return the set of causes to go on with where none is certain: the likeliest."""
-        return self.best
-
-    def is_clean(self, found: Fit) -> bool:
-        """Whether a hypothesis leaves no structure."""
-        return is_clean(found)
-
-    def noise_chance(self, found: Fit) -> float:
-        """Return how likely noise alone leaves as much as a hypothesis does."""
-        return noise_chance(found)
-
     def is_explained(self, found: Fit) -> bool:
         """Whether nothing is left, or as little as another equation of the causes leaves."""
-        if self.is_clean(found):
+        if self.model.is_clean(found):
             return True
         enough = self._config.enough
         return self.share(found) >= enough[min(len(found.ids), len(enough)) - 1]
 
     @property
-    def _leader(self) -> Fit:
+    def leader(self) -> Fit:
         """The hypothesis of best evidence in white noise: the one to grow further."""
         return min(self.fits.values(), key=lambda f: f.bic)
 
@@ -274,7 +225,7 @@ class EffectSearch:
             if (placing := side.signs.placing) is None:
                 size = side.parameters[0].name
                 raise ValueError(f"{side.id} ({size}) has a side that is placed and must be placed too")
-            found.append((placing, PLACERS[placing](parent, side, self.extent)))
+            found.append((placing, PLACERS[placing](parent, side)))
         # Steps placed freely in time take a little off any structure; they must take a visible part.
         least = self._config.patch * max(self.base.chi2 - self.base.problem.count, 0.0)
         return [
@@ -283,9 +234,9 @@ class EffectSearch:
             if child is not None and (placing != Placing.INTERVALS or parent.chi2 - child.chi2 > least)
         ]
 
-    def _settle_noise(self) -> None:
+    def settle_noise(self) -> None:
         """Score all hypotheses under the noise that the best one leaves: their χ² compare."""
-        best = self._leader
+        best = self.leader
         problem = with_driving_noise(best.problem.with_noise(*noise_of(best)), best)
         self.fits = {ids: found.under(problem) for ids, found in self.fits.items()}
         if problem.colour:
@@ -294,3 +245,99 @@ class EffectSearch:
             for found in {id(f): f for f in (self.fits[()], *likely)}.values():
                 self.fits[found.ids] = fit(problem, found.hypothesis, found.coordinates, steps=6)
         self.base = self.fits[()]
+
+
+def stranger(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> Fit | None:
+    """Return the best fit with a stranger beside a parent; None where none beats the catalogue."""
+    if best.problem.is_driven_by_force:
+        return None
+    problem = best.problem
+    probes = [
+        Probe(e, (problem.scale.sized(e.parameters[0]).usual,), e.is_one_sided)
+        for e in problem.model.departures(problem.case)
+    ]
+    found = [joined(parent, lead) for parent in parents for lead in screen(parent, probes)[:1]]
+    if not found:
+        return None
+    yardstick = Yardstick.of((*fits, *found))
+    closest = max(found, key=yardstick.log_evidence)
+    ahead = yardstick.log_evidence(closest) - yardstick.log_evidence(best)
+    is_decisive = ahead > (
+        problem.method.stranger.clean_odds if problem.model.is_clean(closest) else problem.method.rival.odds
+    )
+    is_simpler = len(closest.ids) <= len(best.ids) - 2
+    return (
+        closest
+        if is_decisive and (is_simpler or closest.chi2 < best.chi2 - problem.method.stranger.least_gain)
+        else None
+    )
+
+
+def imitated_causes(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
+    """Return the causes that a free form of the others, `smaller`, imitates, the weakest first."""
+    order = sorted(smaller, key=lambda effect_id: smaller[effect_id].chi2)
+    return [
+        effect_id for effect_id in order if imitation(smaller[effect_id], best) >= best.problem.method.stranger.imitated
+    ]
+
+
+def imitation(rest: Fit, best: Fit) -> float:
+    """Return which share of a larger hypothesis's gain a free form of a smaller one has as well."""
+    gain = rest.chi2 - best.chi2
+    if gain <= 0.0 or not rest.ids:
+        return 0.0
+    rows = [rest.problem.whitened(row) for effect in rest.effects for row in _directions(rest, effect)]
+    seen = projected(rows, rest.jacobian)
+    if not len(seen):
+        return 0.0
+    # Each direction takes 1 off χ² by chance.
+    taken = float(np.sum(dots(seen, rest.residual) ** 2)) - len(seen)
+    return taken / gain
+
+
+def _directions(found: Fit, effect: Effect) -> Iterator[Array]:
+    """Yield (samples,) changes of the prediction that another equation of one cause may bring."""
+    problem, at = found.problem, found.hypothesis.slices[effect.id]
+    own = range(at.start, at.stop)
+    parameters = [problem.scale.sized(p) for p in effect.parameters]
+    # A size without a shape is its own shape: a toe, a play, a delay.
+    shapes = list(zip(own, parameters, strict=True))[1:] or list(zip(own, parameters, strict=True))
+    # A hum at another pitch, or with other phases, is another hum.
+    for k, parameter in () if effect.belongs_to_run else shapes:
+        for ratio in problem.method.stranger.ratios:
+            moved = found.coordinates.copy()
+            value = from_fit(parameter, moved[k])
+            if np.isfinite(value) and value != 0.0:
+                moved[k] = to_fit(parameter, float(np.clip(ratio * value, parameter.low, parameter.high)))
+            if moved[k] != found.coordinates[k]:
+                yield problem.predict(found.hypothesis, moved) - found.predicted
+    without, left = found.hypothesis.without(effect.id)
+    signature = found.predicted - problem.predict(without, found.coordinates[left])
+    # Load and time relative to the largest, each with its square.
+    load, time = problem.model.load_of(found), np.zeros(len(problem.measured))
+    for block in problem.blocks:
+        time[block.place] = problem.case.runs[block.run].elapsed_s
+    load, time = load / (np.max(np.abs(load)) or 1.0), time / (np.max(time) or 1.0)
+    of_load, of_time = [load, load**2], [time, time**2]
+    # A delay that grows with time is a rate, a cause of its own.
+    for course in of_load if effect.signs.clock is not None else of_load + of_time:
+        yield signature * course
+
+
+def under_its_floor(search: Search) -> Search:
+    """Search once more under noise that fades; keep that only where what is left is shown to be noise."""
+    model, closest = search.model, search.closest
+    if model.is_clean(search.best) and not model.is_uneven(search.best):
+        return search
+    problem = coloured(closest)
+    # What the most flexible hypothesis leaves is noise, or what a smaller one leaves is not either.
+    if problem is None or not is_noise(fit(problem, closest.hypothesis, closest.coordinates)):
+        return search
+    search.say("searching once more under noise that fades")
+    # Another noise moves the minimum a little: it is near the base's, or that of the closest.
+    hypothesis, of_base = search.start.hypothesis, search.start.hypothesis.of_base
+    starts = (search.start.coordinates, closest.coordinates[of_base])
+    fits = [fit(problem, hypothesis, start, steps=60) for start in starts]
+    again = Search(min(fits, key=lambda found: found.chi2), search.candidates, search.say)
+    again.run()
+    return again if again.stranger is None and model.is_clean(again.best) and is_noise(again.best) else search

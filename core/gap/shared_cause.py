@@ -7,12 +7,13 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case
+from softcal.core.gap.causes import DiagnosisVerdict, ParameterEstimate, estimates_of
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
+from softcal.core.gap.evidence import Fits, Yardstick, log_evidences, misfit, penalty, probabilities
 from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.gap_diagnosis import DiagnosisVerdict, ParameterEstimate, estimates_of
-from softcal.core.gap.method import METHOD
-from softcal.core.gap.posterior import Fits, Yardstick, log_evidences, misfit, penalty, probabilities
+from softcal.core.gap.method import RivalConfig
 from softcal.core.gap.problem import Hypothesis, Problem
+from softcal.core.gap.twin import TWIN, TwinModel
 from softcal.core.recording import Array
 
 Ids = tuple[str, ...]
@@ -49,16 +50,16 @@ class Searched:
 
         A hypothesis that was not fitted gets its bound: what the unit's own best one has.
         """
-        return self.logs.get(ids, self.top) - len(ids) * float(np.log(METHOD.evidence.prior_odds))
+        return self.logs.get(ids, self.top) - len(ids) * float(np.log(self.problem.method.evidence.prior_odds))
 
     @property
     def stray(self) -> float:
         """Log evidence of a unit with causes of its own."""
-        return float(np.log(METHOD.evidence.stray_odds)) + self.top
+        return float(np.log(self.problem.method.evidence.stray_odds)) + self.top
 
     def log_term(self, ids: Ids) -> float:
         """Return what the unit adds to the lot's log evidence: it shares causes, or strays."""
-        return float(np.logaddexp(np.log1p(-METHOD.evidence.stray_odds) + self.shared(ids), self.stray))
+        return float(np.logaddexp(np.log1p(-self.problem.method.evidence.stray_odds) + self.shared(ids), self.stray))
 
     def add(self, ids: Ids, donor: tuple[Hypothesis, Array]) -> None:
         """Fit causes that this unit's search did not try, from another unit's sizes, also reversed."""
@@ -90,7 +91,7 @@ class LotMember:
     """
 
     name: str
-    diagnosis: Diagnosis
+    diagnosis: Diagnosis[TwinModel]
     follows: bool
     log_odds: float | None
     sizes: Mapping[str, Mapping[str, ParameterEstimate]]
@@ -133,6 +134,7 @@ class LotDiagnosis:
     logs: Mapping[Ids, float]
     ruled_out: int
     members: tuple[LotMember, ...]
+    stray_odds: float
 
     @property
     def outliers(self) -> list[str]:
@@ -157,7 +159,7 @@ class LotDiagnosis:
             "rivals": [list(ids) for ids in self.rivals],
             "outliers": self.outliers,
             "left_out": self.left_out,
-            "stray_odds": METHOD.evidence.stray_odds,
+            "stray_odds": self.stray_odds,
             "ruled_out_by_bound": self.ruled_out,
             "units": [m.record() for m in self.members],
         }
@@ -172,7 +174,7 @@ def diagnose_lot(cases: Mapping[str, Case], progress: Callable[[str], None] | No
     if len(cases) < FEWEST_UNITS:
         raise InputError(f"{len(cases)} unit in the lot; at least {FEWEST_UNITS} are needed to be diagnosed together")
     say = progress or (lambda _: None)
-    alone: dict[str, Diagnosis] = {}
+    alone: dict[str, Diagnosis[TwinModel]] = {}
     searched: dict[str, Searched] = {}
     every: list[Searched] = []
     for number, (name, case) in enumerate(cases.items(), start=1):
@@ -182,20 +184,23 @@ def diagnose_lot(cases: Mapping[str, Case], progress: Callable[[str], None] | No
         named = " + ".join(found.best.ids) or "no cause"
         say(f"unit {number} of {len(cases)}, {name}: {found.verdict}, {named}")
     if not searched:
-        return LotDiagnosis("data", (), (), {}, {}, 0, tuple(_member(n, d, None, ()) for n, d in alone.items()))
+        members = tuple(_member(n, d, None, ()) for n, d in alone.items())
+        return LotDiagnosis("data", (), (), {}, {}, 0, members, TWIN.method.evidence.stray_odds)
     say("adding up the evidence of the units")
     votes, ruled_out = lot_logs(list(searched.values()))
     leader = max(votes, key=lambda ids: votes[ids])
     following = [one for one in searched.values() if one.shared(leader) > one.stray]
     logs = joint_logs(following, votes) if following else votes
-    best, rivals, imitated = _best(logs, [_held_open(alone[name], one) for name, one in searched.items()])
+    method = next(iter(searched.values())).problem.method
+    held = [_held_open(alone[name], one) for name, one in searched.items()]
+    best, rivals, imitated = _best(logs, held, method.rival)
     members = tuple(_member(name, one, searched.get(name), best) for name, one in alone.items())
     verdict = _verdict(best, rivals, members)
     # Where nothing explains the units, the truth is most likely none of the causes compared.
-    doubt = METHOD.verdict.unknown_trust if verdict == "unknown" else 1.0
+    doubt = method.verdict.unknown_trust if verdict == "unknown" else 1.0
     chances = probabilities(logs, sorted({i for ids in logs for i in ids}))
-    probability = {i: p * doubt * (METHOD.verdict.imitated_trust if i in imitated else 1.0) for i, p in chances.items()}
-    return LotDiagnosis(verdict, best, rivals, probability, logs, ruled_out, members)
+    probability = {i: p * doubt * (method.verdict.imitated_trust if i in imitated else 1.0) for i, p in chances.items()}
+    return LotDiagnosis(verdict, best, rivals, probability, logs, ruled_out, members, method.evidence.stray_odds)
 
 
 def joint_logs(following: Sequence[Searched], hypotheses: Iterable[Ids]) -> dict[Ids, float]:
@@ -212,7 +217,8 @@ def joint_logs(following: Sequence[Searched], hypotheses: Iterable[Ids]) -> dict
     left = {ids: sum(one.left[ids][0] for one in following) + len(ids) * size for ids in hypotheses}
     least = min(left.values())
     cost = {ids: float(np.mean([one.left[ids][1] for one in following])) for ids in left}
-    return {ids: -0.5 * (misfit(floor + total - least) + cost[ids]) for ids, total in left.items()}
+    modes = following[0].problem.method.evidence.modes
+    return {ids: -0.5 * (misfit(floor + total - least, modes) + cost[ids]) for ids, total in left.items()}
 
 
 def lot_logs(searched: Sequence[Searched]) -> tuple[dict[Ids, float], int]:
@@ -225,7 +231,7 @@ def lot_logs(searched: Sequence[Searched]) -> tuple[dict[Ids, float], int]:
     bounds = {ids: _pooled(searched, ids) for ids in every}
     logs: dict[Ids, float] = {}
     for ids in sorted(every, key=lambda i: (-bounds[i], i)):
-        if logs and bounds[ids] < max(logs.values()) - METHOD.rival.negligible:
+        if logs and bounds[ids] < max(logs.values()) - searched[0].problem.method.rival.negligible:
             continue
         donor = max((one for one in searched if ids in one.logs), key=lambda one: one.shared(ids) - one.top)
         for one in searched:
@@ -236,25 +242,28 @@ def lot_logs(searched: Sequence[Searched]) -> tuple[dict[Ids, float], int]:
 
 
 def _pooled(searched: Sequence[Searched], ids: Ids) -> float:
-    return len(ids) * float(np.log(METHOD.evidence.prior_odds)) + sum(one.log_term(ids) for one in searched)
+    prior_odds = searched[0].problem.method.evidence.prior_odds
+    return len(ids) * float(np.log(prior_odds)) + sum(one.log_term(ids) for one in searched)
 
 
-def _best(logs: Mapping[Ids, float], held: Sequence[set[str]]) -> tuple[Ids, tuple[Ids, ...], set[str]]:
+def _best(
+    logs: Mapping[Ids, float], held: Sequence[set[str]], config: RivalConfig
+) -> tuple[Ids, tuple[Ids, ...], set[str]]:
     top = max(logs, key=lambda ids: logs[ids])
-    near = sorted((ids for ids in logs if logs[ids] > logs[top] - METHOD.rival.odds), key=lambda ids: -logs[ids])
+    near = sorted((ids for ids in logs if logs[ids] > logs[top] - config.odds), key=lambda ids: -logs[ids])
     in_play: list[Ids] = [top]
     for ids in near:
         is_larger = any(set(ids) > set(other) for other in in_play)
-        if ids and ids not in in_play and (not is_larger or logs[ids] > logs[top] - METHOD.rival.added):
+        if ids and ids not in in_play and (not is_larger or logs[ids] > logs[top] - config.added):
             in_play.append(ids)
     imitated = {i for i in top if 2 * sum(i in causes for causes in held) >= len(held)}
     smaller = tuple(i for i in top if i not in imitated)
     if imitated and smaller in logs:
-        return smaller, (smaller, *in_play)[: METHOD.rival.most], imitated
-    return top, tuple(in_play[: METHOD.rival.most]) if top else (top,), set()
+        return smaller, (smaller, *in_play)[: config.most], imitated
+    return top, tuple(in_play[: config.most]) if top else (top,), set()
 
 
-def _held_open(one: Diagnosis, searched: Searched) -> set[str]:
+def _held_open(one: Diagnosis[TwinModel], searched: Searched) -> set[str]:
     """Return the causes that a free form of the others imitates in a unit, though likelier."""
     ids = one.best.ids
     every = [rival.ids for rival in one.rivals[1:] if set(rival.ids) > set(ids)]
@@ -262,7 +271,7 @@ def _held_open(one: Diagnosis, searched: Searched) -> set[str]:
     return {i for other in larger for i in other if i not in ids}
 
 
-def _member(name: str, alone: Diagnosis, searched: Searched | None, best: Ids) -> LotMember:
+def _member(name: str, alone: Diagnosis[TwinModel], searched: Searched | None, best: Ids) -> LotMember:
     if searched is None:
         return LotMember(name, alone, follows=False, log_odds=None, sizes={})
     odds = searched.shared(best) - searched.stray

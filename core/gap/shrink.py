@@ -6,46 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from softcal.core.gap.case import Mask
-from softcal.core.gap.fit import Fit, fit
+from softcal.core.gap.evidence import Yardstick
+from softcal.core.gap.fit import Fit, fit, form_of
 from softcal.core.gap.linear import combine, energy
-from softcal.core.gap.method import METHOD
-from softcal.core.gap.posterior import Yardstick
+from softcal.core.gap.method import ShrinkConfig
 from softcal.core.gap.problem import Hypothesis, Problem
-from softcal.core.gap.residual import is_clean
+from softcal.core.gap.residual import ChannelGap, Shrink
 from softcal.core.recording import Array
-
-CONFIG = METHOD.shrink
-
-
-@dataclass(frozen=True)
-class ChannelGap:
-    """The gap of one channel on samples held back, root mean square in the channel's unit."""
-
-    rmse_before: float
-    rmse_after: float
-    noise_floor: float
-
-
-@dataclass(frozen=True)
-class Shrink:
-    """1 − (after − floor)/(before − floor): forecast with 90 % interval, and on unseen samples.
-
-    There is no forecast where the unseen samples of the same runs contradict it already.
-    """
-
-    predicted: float | None
-    low: float | None
-    high: float | None
-    held_out: float
-
-    @classmethod
-    def checked(cls, forecast: tuple[float, float, float], held_out: float) -> "Shrink":
-        """Return a forecast beside what was measured, left out where that lies far outside its interval."""
-        _, low, high = forecast
-        far = max(high - low, CONFIG.contradicts)
-        if low - far <= held_out <= high + far:
-            return cls(*forecast, held_out)
-        return cls(None, None, None, held_out)
 
 
 @dataclass(frozen=True)
@@ -61,11 +28,12 @@ class Quantified:
     gain_error: float = 0.0
     """By how much χ² falls on samples no fit has seen, and its standard error. It tells smaller effects than the shrink
     does: that one compares roots of mean squares with a noise level that is estimated too."""
+    config: ShrinkConfig = ShrinkConfig()
 
     @property
     def stands(self) -> bool:
         """Whether the causes lower the gap on samples held back, by more than its noise."""
-        return self.held_out_gain > CONFIG.beyond * self.gain_error and self.shrink.held_out > 0.0
+        return self.held_out_gain > self.config.beyond * self.gain_error and self.shrink.held_out > 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,9 +50,10 @@ class _Fold:
         pull = [(f, f.jacobian @ f.residual) for f in foretold]
         foretold = [replace(f, chi2=f.chi2 - float(slope @ f.covariance @ slope)) for f, slope in pull]
         yardstick = Yardstick.of((*now, *foretold))
-        least = max(map(yardstick.log_evidence, now)) - CONFIG.near
+        config = problem.method.shrink
+        least = max(map(yardstick.log_evidence, now)) - config.near
         near = sorted((f for f in foretold if yardstick.log_evidence(f) > least), key=lambda f: f.bic)
-        fitted = [fit(problem, f.hypothesis, f.coordinates, steps=6) for f in near[: CONFIG.most_chosen_from]]
+        fitted = [fit(problem, f.hypothesis, f.coordinates, steps=6) for f in near[: config.most_chosen_from]]
         yardstick = Yardstick.of((*now, *fitted))
         return replace(self, after=max((*now, *fitted), key=yardstick.log_evidence))
 
@@ -113,19 +82,21 @@ def quantify(base: Fit, best: Fit, others: Iterable[Fit] = (), is_given: bool = 
     ]
     chosen = seen if is_given else [fold.chosen(rivals) for fold in seen]
     gap = {c: _channel_gap(chosen, best.problem, c) for c in best.problem.scored_channels}
-    shrink = Shrink.checked(_forecast(seen, best), _shrink_of(gap.values()))
+    config = best.problem.method.shrink
+    shrink = Shrink.checked(_forecast(seen, best), _shrink_of(gap.values()), config)
     ids = tuple(fold.after.ids for fold in chosen)
-    return Quantified(gap, shrink, protocol, ids, *_held_out_gain(chosen, best.problem))
+    return Quantified(gap, shrink, protocol, ids, *_held_out_gain(chosen, best.problem), config)
 
 
 def _folds(problem: Problem, hypothesis: Hypothesis) -> tuple[list[Mask], str]:
+    config = problem.method.shrink
     presses = np.flatnonzero([run.kind == "press" for run in problem.case.runs])
     # What belongs to one run cannot be foretold by another.
     is_by_run = len(presses) > 1 and not any(effect.belongs_to_run for effect in hypothesis.effects)
-    parts = presses if is_by_run else np.arange(CONFIG.parts)
+    parts = presses if is_by_run else np.arange(config.parts)
     unseen = np.zeros((len(parts), len(problem.measured)), dtype=np.bool_)
     for block in problem.blocks:
-        stretch = (problem.case.runs[block.run].elapsed_s / CONFIG.block_s).astype(int) % CONFIG.parts
+        stretch = (problem.case.runs[block.run].elapsed_s / config.block_s).astype(int) % config.parts
         unseen[:, block.place] = parts[:, np.newaxis] == (block.run if is_by_run else stretch)
     return list(unseen), f"{'one run after the other' if is_by_run else 'stretches of every run'} held back"
 
@@ -168,7 +139,7 @@ def unsupported(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
         ]
         gain, error = _held_out_gain(pairs, best.problem)
         sure[effect_id] = gain / error if error > 0.0 else 0.0
-    return sorted((i for i, z in sure.items() if z <= CONFIG.beyond), key=lambda i: sure[i])
+    return sorted((i for i, z in sure.items() if z <= best.problem.method.shrink.beyond), key=lambda i: sure[i])
 
 
 def _held_out_gain(folds: list[_Fold], problem: Problem) -> tuple[float, float]:
@@ -187,16 +158,6 @@ def _channel_gap(folds: list[_Fold], problem: Problem, channel: str) -> ChannelG
     before = _pooled(folds, problem, channel, [measured - f.before.predicted for f in folds])
     after = _pooled(folds, problem, channel, [measured - f.after.predicted for f in folds])
     return ChannelGap(before, after, problem.floor(channel))
-
-
-def gap_of_base(base: Fit) -> dict[str, ChannelGap]:
-    """Return what a base leaves, where nothing else was fitted."""
-    problem, gap = base.problem, {}
-    for channel in problem.scored_channels:
-        parts = [(problem.measured - base.predicted)[b.place] for b in problem.blocks_of(channel)]
-        rms = float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
-        gap[channel] = ChannelGap(rms, rms, problem.floor(channel))
-    return gap
 
 
 def _shrink_of(channels: Iterable[ChannelGap]) -> float:
@@ -223,7 +184,7 @@ def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
         slopes = fit(whole, found.hypothesis, found.coordinates, steps=0).slopes
         carried = np.array([combine(row, slopes) for row in found.covariance])
         spreads.append(np.asarray(np.sqrt(np.maximum(np.sum(carried * slopes, axis=0), 0.0))))
-    is_noise, likely, pessimist, optimist = is_clean(best), [], [], []
+    is_noise, likely, pessimist, optimist = problem.model.is_clean(best), [], [], []
     for channel in problem.scored_channels:
         floor = problem.floor(channel)
         # What the hypothesis leaves above the floor. Where a measured force drives the chain its noise is part of it:
@@ -242,5 +203,19 @@ def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
         # What these runs do not tell of a parameter may turn out to be right.
         optimist.append(ChannelGap(before[0], float(np.sqrt(floor**2 + unexplained**2)), floor))
     predicted = _shrink_of(likely)
-    margin = max(CONFIG.least_margin, predicted - _shrink_of(pessimist))
+    margin = max(problem.method.shrink.least_margin, predicted - _shrink_of(pessimist))
     return predicted, max(0.0, predicted - margin), min(1.0, max(predicted + margin, _shrink_of(optimist)))
+
+
+def on_unseen(group: tuple[Fit, ...], gone: set[str]) -> tuple[tuple[Fit, ...], set[str]]:
+    """Return rivals but those that add a cause that lowers nothing on unseen samples; and these causes."""
+    best, in_play, idle = group[0], [group[0]], set()
+    for other in group[1:]:
+        added = set(other.ids) - set(best.ids)
+        # Another form of a cause may hold what a second one is: nothing is left for that to lower.
+        is_larger = set(best.ids) < set(other.ids) and not any(form_of(best, effect) for effect in best.effects)
+        if is_larger and (added & gone or (len(added) == 1 and unsupported(other, dict.fromkeys(added, best)))):
+            idle |= added
+        else:
+            in_play.append(other)
+    return tuple(in_play), idle

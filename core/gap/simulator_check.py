@@ -1,20 +1,40 @@
-"""Calls of a simulator before the fit: whether it can be fitted at all. What cannot is refused in one line."""
+"""Whether a simulator can be fitted at all, by a few calls, and mistakes in recordings of any mechanism.
+
+What cannot be fitted is refused in one line. Mistakes: a dead channel, a unit of time, one run against the others.
+What needs the simulator is looked for only where the base leaves a large part of a channel: a run
+is held against what all others say of it, and against the same run repaired.
+"""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.gap.coordinates import fit_scale, from_fit, to_fit
-from softcal.core.gap.fit import DIFFERENCE
-from softcal.core.gap.method import METHOD
-from softcal.core.gap.simulator import Columns, Simulator, SimulatorFailed, SimulatorRun
+from softcal.core.gap.case import Case, DataMistake, apart, numbers, of_sign, unit_of
+from softcal.core.gap.coordinates import fit_scale, from_fit, start_coordinates, to_fit
+from softcal.core.gap.fit import DIFFERENCE, Fit, fit
+from softcal.core.gap.method import MistakeConfig
+from softcal.core.gap.problem import Hypothesis
+from softcal.core.gap.simulator import Columns, Simulator, SimulatorFailed, SimulatorRun, runs_of
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Parameter
+from softcal.core.words.reason import Reason, reason
 
-CONFIG = METHOD.calls
+if TYPE_CHECKING:
+    from softcal.core.gap.simulator_model import SimulatorModel
+
+
+REPEATABLE = 1e-7
+"""Largest difference of equal calls, as a share of a channel's span: a tenth of what derivatives bear."""
+
+LONG_STEP = 100.0
+"""Steps of the fit in the longer of two difference quotients that are compared."""
+
+MOVED, ROUNDED = 1e-3, 0.5
+"""Share of the largest change from which a sample is compared; share of samples and changes that rounding spoils."""
 
 
 class _ReadNames(dict[str, float]):
@@ -123,8 +143,9 @@ def check_calls(simulator: Simulator, runs: Sequence[SimulatorRun]) -> None:
         plain = calls.first(off)
         _refuse_differing(simulator, plain, calls.first(off), "called twice with equal arguments")
         with_causes = calls.first(on)
-        _refuse_differing(simulator, plain, calls.first(off), "called again after a call with other parameters")
-        near, far = (calls.first(_moved(simulator, on, steps)) for steps in (1.0, CONFIG.long_step))
+        after = "called again after a call with other parameters"
+        _refuse_differing(simulator, plain, calls.first(off), after)
+        near, far = (calls.first(_moved(simulator, on, steps)) for steps in (1.0, LONG_STEP))
     except SimulatorFailed:
         return
     if _is_rounded(near - with_causes, far - with_causes):
@@ -146,7 +167,7 @@ def _of_candidates(simulator: Simulator) -> list[tuple[str, Parameter]]:
 
 def _refuse_differing(simulator: Simulator, one: Array, other: Array, when: str) -> None:
     apart = float(np.max(np.abs(one - other)))
-    if apart > CONFIG.repeatable * max(float(np.ptp(one)), float(np.max(np.abs(one)))):
+    if apart > REPEATABLE * max(float(np.ptp(one)), float(np.max(np.abs(one)))):
         raise refused(
             simulator, f"{when} its channels differ by {apart:.3g}; fix the seed of its noise, and start anew each time"
         )
@@ -167,9 +188,9 @@ def _moved(simulator: Simulator, values: Mapping[str, float], steps: float) -> d
 
 def _is_rounded(near: Array, far: Array) -> bool:
     """Whether most samples that a long step moves are not moved in proportion by a short one."""
-    moves = np.abs(far) > CONFIG.moved * np.max(np.abs(far), initial=0.0)
-    is_apart = np.abs(CONFIG.long_step * near - far)[moves] > CONFIG.rounded * np.abs(far)[moves]
-    return bool(moves.any() and np.mean(is_apart) > CONFIG.rounded)
+    moves = np.abs(far) > MOVED * np.max(np.abs(far), initial=0.0)
+    is_apart = np.abs(LONG_STEP * near - far)[moves] > ROUNDED * np.abs(far)[moves]
+    return bool(moves.any() and np.mean(is_apart) > ROUNDED)
 
 
 def _refuse_unread(calls: _Calls, values: Mapping[str, float]) -> None:
@@ -199,3 +220,173 @@ def _changes_something(
         return any(not np.array_equal(usual, make({**values, name: end})) for end in ends)
     except SimulatorFailed:
         return True
+
+
+FACTORS: Mapping[str, float] = {
+    "inch": 25.4,
+    "kgf": 9.80665,
+    "lbf": 4.44822,
+    "min": 60.0,
+    "degree": float(np.pi / 180.0),
+    "rad": float(180.0 / np.pi),
+    "1000 x the unit": 1e3,
+    "the unit / 1000": 1e-3,
+    "1000000 x the unit": 1e6,
+    "the unit / 1000000": 1e-6,
+    "10 x the unit": 10.0,
+    "the unit / 10": 0.1,
+}
+"""What values in these must be multiplied by."""
+
+
+def shown(simulator: Simulator, case: Case, config: MistakeConfig) -> tuple[DataMistake, ...]:
+    """Return the mistakes that columns show by themselves: another unit of time, a dead channel."""
+    runs, number, found = runs_of(case), numbers(case), []
+    steps_s = np.array([float(np.median(np.diff(run.t_s))) for run in runs])
+    for k, step_s in enumerate(steps_s) if len(runs) >= config.fewest_runs else ():
+        others = np.delete(steps_s, k)
+        ratio = float(np.median(others) / step_s)
+        is_apart = max(ratio, 1.0 / ratio) > config.step_apart and others.max() < config.same_factor * others.min()
+        if is_apart and unit_of(ratio, FACTORS, config.same_factor):
+            found.append(apart("t_s", number[k], ratio, FACTORS, config.same_factor))
+    for channel in simulator.channels:
+        dead = tuple(n for n, run in zip(number, runs, strict=True) if np.ptp(run.columns[channel]) == 0.0)
+        if dead:
+            at = () if len(dead) == len(runs) else dead
+            evidence = reason("data.dead", channel=channel)
+            found.append(DataMistake("constant", channel, at, None, evidence, Reason("data.repair.dead")))
+    return tuple(found)
+
+
+def cut_off(simulator: Simulator, case: Case, config: MistakeConfig) -> tuple[DataMistake, ...]:
+    """Return channels that may be cut off at an end: questions, for a mechanism may do so."""
+    found = []
+    for run, number in zip(runs_of(case), numbers(case), strict=True):
+        for channel in simulator.channels:
+            values = run.columns[channel]
+            for end in (float(values.max()), float(values.min())):
+                # A channel that stands on the steps of an encoder repeats its values everywhere.
+                repeats = float(np.mean(np.diff(values[values != end]) == 0.0))
+                count = int(np.sum(values == end))
+                # Every run has one largest sample, however short it is.
+                if repeats <= config.resting and count > max(1.0, config.stuck * len(values)):
+                    evidence = reason("data.cut_off", channel=channel, level=end, count=count)
+                    repair = reason("data.repair.range", channel=channel)
+                    found.append(DataMistake("out_of_range", channel, (number,), None, evidence, repair))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class MistakeTest:
+    """A mistake that the simulator points at, and how well it stands against what else could be.
+
+    Args:
+        left: share of the worst channel that the base leaves once the mistake is repaired.
+        left_unrepaired, left_by_causes: what the base leaves as recorded, and at best with one of its candidates.
+        repaired: share of what the base leaves that may be left once a mistake is repaired.
+    """
+
+    mistake: DataMistake
+    left: float
+    left_unrepaired: float
+    left_by_causes: float
+    repaired: float
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether the repair takes most of what the base leaves."""
+        return self.left <= self.repaired * self.left_unrepaired
+
+    @property
+    def is_alone(self) -> bool:
+        """Whether no candidate does as well."""
+        return self.left < self.left_by_causes
+
+    @property
+    def is_claim(self) -> bool:
+        """Whether nothing is to be diagnosed before it is repaired; else it is a question at most."""
+        return self.is_enough and self.is_alone
+
+
+def against_others(model: "SimulatorModel", base: Fit) -> MistakeTest | None:
+    """Return what the simulator shows: one run in another unit or sign, exchanged columns; None where nothing."""
+    problem, config = base.problem, model.method.mistake
+    if _agreement(base) > config.good:
+        return None
+    suspected = _exchanged(model, problem.case) or _of_one_run(model, problem.case)
+    if suspected is None:
+        return None
+    mistake, left = suspected
+    starts = [
+        (
+            Hypothesis((cause,), of_all=model.base),
+            start_coordinates([cause], [[p.usual for p in cause.parameters]]),
+        )
+        for cause in model.candidates
+    ]
+    fits = [fit(problem, one, np.concatenate([base.coordinates, start]), steps=20) for one, start in starts]
+    by_causes = min(1.0 - _agreement(found) for found in fits)
+    test = MistakeTest(mistake, left, 1.0 - _agreement(base), by_causes, config.repaired)
+    return test if test.is_enough or test.is_alone else None
+
+
+def _exchanged(model: "SimulatorModel", case: Case) -> tuple[DataMistake, float] | None:
+    """Return columns that agree with the base once they are exchanged, and what it leaves then."""
+    for pair in combinations((*model.simulator.inputs, *model.simulator.channels), 2):
+        one, other = pair
+        runs = [
+            replace(run, columns={**run.columns, one: run.columns[other], other: run.columns[one]})
+            for run in runs_of(case)
+        ]
+        if (share := _agreement(model.rough_fit(Case(case.serial, tuple(runs))))) > model.method.mistake.good:
+            evidence = reason("data.swapped", one=one, other=other)
+            repair = reason("data.repair.swap", one=one, other=other)
+            return DataMistake("swapped_columns", "+".join(pair), (), None, evidence, repair), 1.0 - share
+    return None
+
+
+def _of_one_run(model: "SimulatorModel", case: Case) -> tuple[DataMistake, float] | None:
+    """Return one run in another unit or sign than all others, and what the base leaves once it is repaired."""
+    runs, number, config = runs_of(case), numbers(case), model.method.mistake
+    for k, run in enumerate(runs) if len(runs) >= config.fewest_runs else ():
+        others = model.rough_fit(Case(case.serial, tuple(runs[:k] + runs[k + 1 :])))
+        if (share := _agreement(others)) >= config.good:
+            for mistake, repaired in _repaired(model, others, run, number[k]):
+                return mistake, 1.0 - min(share, repaired)
+    return None
+
+
+def _agreement(found: Fit) -> float:
+    problem, predicted = found.problem, found.predicted
+    return min(_share(problem.measured[b.place], predicted[b.place]) for b in problem.blocks)
+
+
+def _share(measured: Array, predicted: Array) -> float:
+    spread = float(np.sum((measured - measured.mean()) ** 2))
+    left = float(np.sum((measured - predicted) ** 2))
+    return 1.0 - left / max(spread, 1e-300)
+
+
+def _repaired(
+    model: "SimulatorModel", others: Fit, run: SimulatorRun, number: int
+) -> Iterator[tuple[DataMistake, float]]:
+    simulator, config = model.simulator, model.method.mistake
+    said = simulator.named(others.hypothesis, others.coordinates)
+    gives = simulator(run.columns, said, run.name)
+    off = [c for c in simulator.channels if _share(run.columns[c], gives[c]) < config.bad]
+    for channel in off if len(off) == 1 else ():
+        slope = float(np.polyfit(gives[channel], run.columns[channel], 1)[0]) if np.ptp(gives[channel]) > 0.0 else 0.0
+        is_apart = slope != 0.0 and (slope < 0.0 or abs(np.log(slope)) > np.log(config.apart))
+        if is_apart and (share := _share(run.columns[channel] / slope, gives[channel])) > config.good:
+            yield _of_factor(channel, number, 1.0 / slope, config.same_factor), share
+    for name in simulator.inputs if off else ():
+        for factor in (-1.0, *FACTORS.values()):
+            moved = simulator({**run.columns, name: factor * run.columns[name]}, said, run.name)
+            if (share := min(_share(run.columns[c], moved[c]) for c in simulator.channels)) > config.good:
+                yield _of_factor(name, number, factor, config.same_factor), share
+
+
+def _of_factor(name: str, number: int, factor: float, same: float) -> DataMistake:
+    if abs(np.log(abs(factor))) < np.log(same) and factor < 0.0:
+        return of_sign(name, (number,), reason("data.run.apart", channel=name, ratio=1.0 / factor))
+    return apart(name, number, factor, FACTORS, same)

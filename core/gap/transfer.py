@@ -9,8 +9,7 @@ from softcal.core.errors import InputError, UnitRefused
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.explained import explained_twin
 from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.method import METHOD
-from softcal.core.gap.start import base_fit
+from softcal.core.gap.twin import TWIN
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
@@ -133,7 +132,7 @@ def lot_errors(lot: PressedLot) -> LotErrors:
     model = make_source_model(lot.source, trained.network, trained.validation_rows, method=Method())
     rows: list[Sequence[float]] = []
     for unit in lot.units:
-        split = int(METHOD.worth.train_share * len(unit.audit))
+        split = int(TWIN.method.worth.train_share * len(unit.audit))
         test = unit.audit.part(split, len(unit.audit))
         own = fit_network(unit.audit.part(0, split), NETWORK).network
         before = rmse(trained.network.evaluate(test.windows), test.window_reference)
@@ -163,7 +162,7 @@ class CalibrationWorth:
     nominal: float
     explained: float
     rig: tuple[float, ...]
-    fitted_on: int = METHOD.worth.fitted_on
+    fitted_on: int = TWIN.method.worth.fitted_on
 
     @property
     def worth(self) -> int | None:
@@ -185,7 +184,7 @@ class CalibrationWorth:
 
 
 def _fewest(rig: Sequence[float], error: float) -> int | None:
-    return next((k for k, own in enumerate(rig, start=1) if own <= METHOD.worth.alike * error), None)
+    return next((k for k, own in enumerate(rig, start=1) if own <= TWIN.method.worth.alike * error), None)
 
 
 def calibration_worth(
@@ -205,7 +204,7 @@ def calibration_worth(
     recorded = [_labelled(unit, run) for run in case.presses]
     say(f"{unit}: training f on twins and on 1 to {len(recorded)} rig recordings")
     test = _joined(unit, [_labelled(unit, run) for run in audit.presses])
-    bare = base_fit(Case(case.serial, case.presses[: METHOD.worth.fitted_on]))
+    bare = TWIN.base_fit(Case(case.serial, case.presses[: TWIN.method.worth.fitted_on]))
     # Episodes belong to the recordings they were found in.
     hypothesis = shared.hypothesis.without_episodes()
     start = np.append(bare.coordinates, shared.coordinates[hypothesis.of_base.stop :])

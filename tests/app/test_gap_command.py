@@ -113,7 +113,7 @@ def test_a_run_without_time_or_stage_is_read_at_the_declared_rate(tmp_path):
     assert case.missing_channels == ("stage_mm", "temperature_C")
     np.testing.assert_allclose(np.diff(case.runs[0].t_s), 0.02)
     diagnosis = diagnose(case)
-    assert [m.name for m in diagnosis.maps] == ["force→output"]
+    assert [m.name for m in diagnosis.where.maps] == ["force→output"]
     assert run_views(diagnosis)[0].channels["output_V"].measured.shape == case.runs[0].t_s.shape
 
 

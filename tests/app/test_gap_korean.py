@@ -31,11 +31,11 @@ from softcal.app.views.gap import (
 )
 from softcal.core import profiles
 from softcal.core.challenge.protocols import PROTOCOLS
-from softcal.core.gap import data_mistake
+from softcal.core.gap import case as recordings
 from softcal.core.gap.case import Case, Run
+from softcal.core.gap.departures import STRANGERS, WARM_DIVIDER
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
-from softcal.core.gap.generic_effects import STRANGERS, WARM_DIVIDER
-from softcal.core.gap.next_experiment import SET_UP_min
+from softcal.core.gap.twin_reach import SET_UP_min
 from softcal.core.orders import RunState
 from softcal.core.twin.catalogue import FORMS, OWN_EFFECTS
 from softcal.core.twin.effects import Alias
@@ -223,7 +223,7 @@ def test_every_effect_has_its_names(english_in: English) -> None:
 
 def test_everything_softcal_names_has_a_korean_name(english_in: English) -> None:
     assert english_in(" ".join(text("ko", f"gap.variable.{name}") for name in VARIABLES)) == []
-    kinds = data_mistake.Kind.__args__  # type: ignore[attr-defined]
+    kinds = recordings.Kind.__args__  # type: ignore[attr-defined]
     assert english_in(" ".join(text("ko", f"gap.mistake.{kind}") for kind in kinds)) == []
     rng = np.random.default_rng(1)
     made = [make(rng, 3.0).name for make in (*profiles.BUILT_IN.values(), *PROTOCOLS.values())]

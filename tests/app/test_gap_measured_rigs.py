@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from softcal.core.gap.diagnosis import diagnose_simulator
 from softcal.core.gap.simulator import Simulator, SimulatorRun, recorded
-from softcal.core.gap.simulator_diagnosis import diagnose_simulator
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "simulators"
 RIGS = Path(os.environ.get("SOFTCAL_DATA", Path(__file__).parents[3] / "shared" / "data")) / "rigs"

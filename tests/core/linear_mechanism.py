@@ -6,11 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from softcal.core.gap.case import Case
-from softcal.core.gap.coordinates import RigScale
 from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.problem import Hypothesis
+from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.simulator import Simulator, SimulatorRun, candidate, recorded
-from softcal.core.gap.simulator_problem import SimulatorProblem
+from softcal.core.gap.simulator_model import SimulatorModel
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Parameter
 
@@ -60,16 +59,16 @@ def runs_of(
     return out
 
 
-def problem_of(runs: Sequence[SimulatorRun], sigma: float = SIGMA, simulator: Simulator = LINE) -> SimulatorProblem:
-    return SimulatorProblem(Case("L1", tuple(runs)), {"y": sigma}, of_rig=RigScale(), of=simulator)
+def problem_of(runs: Sequence[SimulatorRun], sigma: float = SIGMA, simulator: Simulator = LINE) -> Problem:
+    return Problem(SimulatorModel(simulator), Case("L1", tuple(runs)), {"y": sigma})
 
 
-def fitted(problem: SimulatorProblem, *effects: Effect) -> Fit:
+def fitted(problem: Problem, *effects: Effect) -> Fit:
     start = np.array([0.3, -0.4, *(0.0 for e in effects for _ in e.parameters)])
-    return fit(problem, Hypothesis(tuple(effects), of_all=problem.of.base), start)
+    return fit(problem, Hypothesis(tuple(effects), of_all=problem.model.base), start)
 
 
-def fits_of(problem: SimulatorProblem, *sets: tuple[Effect, ...]) -> dict[tuple[str, ...], Fit]:
+def fits_of(problem: Problem, *sets: tuple[Effect, ...]) -> dict[tuple[str, ...], Fit]:
     every = [fitted(problem, *effects) for effects in ((), *sets)]
     return {one.ids: one for one in every}
 

@@ -12,11 +12,10 @@ from softcal.core.gap.case import Case, Run
 from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.episodes import with_intervals, with_line, with_losses
-from softcal.core.gap.explained import explained_twin, in_catalogue_form, with_constants
-from softcal.core.gap.fit import fit
+from softcal.core.gap.explained import explained_twin, in_catalogue_form, repaired_twin, with_constants
+from softcal.core.gap.fit import fit, structure
 from softcal.core.gap.problem import Hypothesis
-from softcal.core.gap.residual import structure
-from softcal.core.gap.start import base_fit
+from softcal.core.gap.twin import TWIN
 from softcal.core.twin.catalogue import EFFECTS, FORMS
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate, twin_from_record, twin_record
@@ -83,7 +82,7 @@ def test_a_single_effect_is_named_and_closes_the_gap(effect_id):
 
 
 def test_a_cause_that_explains_nothing_on_unseen_samples_is_not_named(monkeypatch, plain):
-    from softcal.core.gap import gap_diagnosis as module
+    from softcal.core.gap import diagnosis as module
 
     measured = module.quantify
     lagging = make_case(("readout_lag", SINGLES["readout_lag"], ()))
@@ -91,7 +90,7 @@ def test_a_cause_that_explains_nothing_on_unseen_samples_is_not_named(monkeypatc
     monkeypatch.setattr(module, "quantify", lambda *fits: dataclasses.replace(measured(*fits), held_out_gain=-1.0))
     diagnosis = diagnose(lagging)
     assert diagnosis.verdict == "unknown" and diagnosis.causes[0].probability < 0.5
-    assert diagnosis.explained.effects == ()
+    assert repaired_twin(diagnosis).effects == ()
     assert diagnosis.partial.effects == ("readout_lag",) and diagnosis.partial.share > 0.9
 
 
@@ -108,7 +107,7 @@ def test_shares_of_an_unknown_gap_are_measured_or_equal():
     diagnosis = diagnose(dataclasses.replace(case, runs=tuple(slipping)))
     assert diagnosis.verdict == "unknown"
     stages = [p for p in diagnosis.places if "of the gap's energy" not in str(p.detail)]
-    assert {p.share for p in stages} == {diagnosis.regimes[0].share}
+    assert {p.share for p in stages} == {diagnosis.where.regimes[0].share}
     assert diagnosis.report()["partial"]["share"] == diagnosis.partial.share
 
 
@@ -136,8 +135,8 @@ def test_lost_samples_are_found_in_place_and_number():
 def test_losses_are_found_although_a_run_has_a_seat_of_its_own(seed):
     rng = np.random.default_rng(seed)
     losses = tuple(sorted((float(rng.uniform(3.0, 12.0)), int(rng.integers(3, 20))) for _ in range(3)))
-    base = base_fit(make_case(("dropped_samples", {}, losses), seed=seed))
-    placed = with_losses(base, EFFECTS["dropped_samples"], None)
+    base = TWIN.base_fit(make_case(("dropped_samples", {}, losses), seed=seed))
+    placed = with_losses(base, EFFECTS["dropped_samples"])
     rows = [placed.hypothesis.episodes_of(k)["dropped_samples"] for k in range(4)]
     assert [r[:, 1].sum() for r in rows] == [sum(count for _, count in losses)] * 4
     assert not structure(placed).is_significant
@@ -145,10 +144,10 @@ def test_losses_are_found_although_a_run_has_a_seat_of_its_own(seed):
 
 def test_a_bad_contact_jumps_and_a_smooth_gap_does_not():
     contact = EFFECTS["intermittent_contact"]
-    jumping = base_fit(make_case(("intermittent_contact", {"dR": 0.1}, ((4.0, 5.2), (11.0, 11.5)))))
-    assert with_intervals(jumping, contact, None) is not None
+    jumping = TWIN.base_fit(make_case(("intermittent_contact", {"dR": 0.1}, ((4.0, 5.2), (11.0, 11.5)))))
+    assert with_intervals(jumping, contact) is not None
     for effect in (("channel_creep", {"c": 0.2}, ()), ("mullins_softening", {}, ()), ("readout_lag", {}, ())):
-        assert with_intervals(base_fit(make_case(effect)), contact, None) is None
+        assert with_intervals(TWIN.base_fit(make_case(effect)), contact) is None
 
 
 @pytest.mark.parametrize(
@@ -163,7 +162,7 @@ def test_hum_is_a_line_where_mains_can_stand(rate_Hz, slow_Hz, is_hum):
         columns = {n: getattr(run, n)[::every] for n in ("t_s", "stage_mm", "force_N", "output_V", "temperature_C")}
         columns["output_V"] = columns["output_V"] + 0.005 * np.sin(2 * np.pi * slow_Hz * columns["t_s"])
         runs.append(dataclasses.replace(run, readout=readout, **columns))
-    hum = with_line(base_fit(Case("G1", tuple(runs))), EFFECTS["mains_hum"], None)
+    hum = with_line(TWIN.base_fit(Case("G1", tuple(runs))), EFFECTS["mains_hum"])
     assert (hum is not None) == is_hum
 
 
@@ -387,7 +386,7 @@ def test_a_warmed_dummy_that_stays_put_leaves_the_drift_to_the_channel():
 @pytest.mark.long
 def test_the_explained_twin_foretells_an_unseen_profile():
     planted = ("mechanical_hysteresis", {"a": 0.06, "d0": 0.4}, ())
-    twin = diagnose(make_case(planted)).explained
+    twin = repaired_twin(diagnose(make_case(planted)))
     t_s, stage_mm = profiles.rate_sweep(2.8).sample(50.0)
     truth = simulate(Twin(BASE, (EffectSetting(*planted[:2]),), READOUT), t_s, stage_mm)
     told = simulate(twin, t_s, stage_mm)
@@ -396,7 +395,7 @@ def test_the_explained_twin_foretells_an_unseen_profile():
 
 
 def test_a_cause_fitted_in_another_form_is_reported_by_the_catalogues_equation():
-    base = base_fit(make_case(("loadcell_nonlinearity", {"lambda": 0.05}, ())))
+    base = TWIN.base_fit(make_case(("loadcell_nonlinearity", {"lambda": 0.05}, ())))
     form = FORMS["loadcell_nonlinearity"][0]
     start = np.append(base.coordinates, start_coordinates([form.effect], [form.start([0.01, 10.0])]))
     found = fit(base.problem, Hypothesis((form.effect,)), start, steps=40)
@@ -410,7 +409,7 @@ def test_a_cause_fitted_in_another_form_is_reported_by_the_catalogues_equation()
 
 @pytest.mark.parametrize("form", [f for forms in FORMS.values() for f in forms], ids=lambda f: f.effect.equation)
 def test_a_cause_enters_the_twin_by_the_form_it_was_fitted_in(form):
-    base = base_fit(make_case())
+    base = TWIN.base_fit(make_case())
     # Size and shapes as usual on a rig; a level that the output does reach.
     values = [p.usual for p in EFFECTS[form.effect.id].parameters]
     values[0] = CEILING_V if form.effect.id == "adc_saturation" else values[0]
@@ -432,7 +431,7 @@ def test_an_output_that_stops_at_a_floor_enters_the_twin_as_that_floor():
     case = make_case(("adc_saturation", {"V_min": FLOOR_V}, ()))
     below = np.mean([np.mean(run.output_V < FLOOR_V + READOUT.step_V) for run in case.runs])
     assert 0.05 < below < 0.6
-    twin = diagnose(case).explained
+    twin = repaired_twin(diagnose(case))
     (setting,) = twin.effects
     assert setting.effect_id == "adc_saturation" and setting.values == {"V_min": pytest.approx(FLOOR_V, abs=0.002)}
     again = twin_from_record(twin_record(twin), "test")
@@ -443,7 +442,7 @@ def test_an_output_that_stops_at_a_floor_enters_the_twin_as_that_floor():
 
 
 def test_a_hum_enters_the_twin_without_the_phases_of_the_runs():
-    twin = diagnose(make_case(("mains_hum", SINGLES["mains_hum"], ()))).explained
+    twin = repaired_twin(diagnose(make_case(("mains_hum", SINGLES["mains_hum"], ()))))
     (setting,) = twin.effects
     assert setting.effect_id == "mains_hum" and {"A", "f"} <= set(setting.values) <= {"A", "f", "phi"}
     assert setting.values["A"] == pytest.approx(0.004, rel=0.1)
@@ -486,6 +485,6 @@ def test_a_clock_that_runs_ahead_is_not_blamed_for_what_comes_after_the_end():
 def test_the_report_holds_the_explained_twin_and_the_refitted_base():
     diagnosis = diagnose(make_case(("readout_lag", {"tau": 0.08}, ())))
     report = diagnosis.report()
-    assert twin_from_record(report["twin"], "report") == diagnosis.explained
-    assert [s.effect_id for s in diagnosis.explained.effects] == ["readout_lag"]
+    assert twin_from_record(report["twin"], "report") == repaired_twin(diagnosis)
+    assert [s.effect_id for s in repaired_twin(diagnosis).effects] == ["readout_lag"]
     assert twin_from_record(report["base_twin"], "report").effects == ()

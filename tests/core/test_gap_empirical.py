@@ -11,9 +11,10 @@ from softcal.core.challenge.equations import OUTSIDE, OUTSIDE_FORM
 from softcal.core.challenge.rig import Cause, Path, Rack, Rig, record
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.empirical import learned, terms_of_twin
+from softcal.core.gap.empirical import learned
 from softcal.core.gap.explained import explained_twin
-from softcal.core.gap.start import base_fit
+from softcal.core.gap.twin import TWIN
+from softcal.core.gap.twin_reach import terms_of_twin
 from softcal.core.twin.effects import Flow
 from softcal.core.twin.empirical_terms import PLACES, VARIABLES, EmpiricalTerm
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
@@ -76,8 +77,8 @@ def test_an_effect_outside_the_catalogue_is_described_and_the_twin_shrinks_the_g
     name, values, variable
 ):
     case, kept_back = outside_case(name, values)
-    base = base_fit(case)
-    found = learned(base, [base], terms_of_twin)
+    base = TWIN.base_fit(case)
+    found = learned(base, [base], list(terms_of_twin(base)))
     assert found is not None and 1 <= len(found.terms) <= 3
     assert variable in found.terms[0].term.variable
     first = found.terms[0]
@@ -96,8 +97,8 @@ def test_noise_alone_gets_no_term():
     for k, profile in enumerate(pressed(5)):
         t_s, stage_mm = profile.sample(50.0)
         runs.append(Run(f"run {k}", t_s, READOUT, stage_mm, *simulate(Twin(BASE, (), READOUT), t_s, stage_mm, rng)))
-    base = base_fit(Case("G1", tuple(runs)))
-    assert learned(base, [base], terms_of_twin) is None
+    base = TWIN.base_fit(Case("G1", tuple(runs)))
+    assert learned(base, [base], list(terms_of_twin(base))) is None
 
 
 def test_what_happens_once_in_a_run_gets_no_term():
@@ -110,8 +111,8 @@ def test_what_happens_once_in_a_run_gets_no_term():
         at_s = rng.uniform(0.2, 0.8) * t_s[-1]
         output_V = output_V + rng.choice([-0.02, 0.02]) * (np.abs(t_s - at_s) < 0.25)
         runs.append(Run(f"run {k}", t_s, READOUT, stage_mm, force_N, output_V))
-    base = base_fit(Case("G1", tuple(runs)))
-    assert learned(base, [base], terms_of_twin) is None
+    base = TWIN.base_fit(Case("G1", tuple(runs)))
+    assert learned(base, [base], list(terms_of_twin(base))) is None
 
 
 @pytest.mark.parametrize("variable", VARIABLES)

@@ -7,19 +7,19 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from softcal.core.gap.case import MenuEntry
+from softcal.core.gap.causes import nearest, partial_of, places_of, ranked_causes, regime_places
 from softcal.core.gap.empirical import learned, splits
-from softcal.core.gap.fit import fit
-from softcal.core.gap.gap_diagnosis import nearest, on_unseen, partial_of, places_of, ranked_causes, regime_places
-from softcal.core.gap.identifiability import identifiability, reasons
+from softcal.core.gap.experiments import identifiability, most_telling, reasons
+from softcal.core.gap.fit import Regime, fit
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.next_experiment import MenuEntry, most_telling, propose
 from softcal.core.gap.problem import Hypothesis
-from softcal.core.gap.residual import Regime
-from softcal.core.gap.search import EffectSearch
-from softcal.core.gap.shrink import gap_of_base, quantify, unsupported
-from softcal.core.gap.simulator import Experiment, planned, terms_of
-from softcal.core.gap.simulator_diagnosis import menu_of
-from softcal.core.gap.simulator_search import SimulatorSearch
+from softcal.core.gap.residual import gap_of_base
+from softcal.core.gap.search import Search
+from softcal.core.gap.shrink import on_unseen, quantify, unsupported
+from softcal.core.gap.simulator import Experiment, planned
+from softcal.core.gap.simulator_model import SimulatorModel
+from softcal.core.gap.simulator_reach import terms_of
 from softcal.core.words.reason import Reason, reason
 from tests.core.linear_mechanism import (
     BEND,
@@ -152,7 +152,7 @@ def test_a_cause_that_lowers_nothing_held_back_is_unsupported():
 def experiment(name, x, minutes=1.0):
     t_s = 0.05 * np.arange(len(x))
     simulator = replace(LINE, experiments={name: Experiment({"t_s": t_s, "x": x}, minutes)})
-    (entry,) = menu_of(simulator)
+    (entry,) = SimulatorModel(simulator).menu(fitted(PROBLEM))
     return entry
 
 
@@ -202,7 +202,6 @@ def test_no_run_tells_what_no_run_parts():
     rivals = [fitted(louder, BEND), fitted(louder, RIPPLE)]
     found = most_telling([NEAR], rivals)
     assert (found.profile, found.separation_sigma) == ("none", 0.0)
-    assert propose(PROBLEM.case, rivals[:1], None) is None
 
 
 def halves(inputs, p):
@@ -310,7 +309,7 @@ def test_a_cause_that_each_run_may_have_of_its_own_is_an_offset():
             i, {**p, "bend.size": 0.0, "level": p["level"] + p["bend.size"] * (1 + 1e-3 * i["x"] ** 2)}
         ),
     )
-    told = identifiability(fitted(problem_of(RUNS, simulator=zeroed)), (BEND, RIPPLE), offsets=("zero of y",))
+    told = identifiability(fitted(problem_of(RUNS, simulator=zeroed)), (BEND, RIPPLE))
     # Each run's own zero takes the shape of the level, and of a bend that is next to level.
     assert told["bend"].offset in ("", "zero of y")
     columns = design(RUNS, "ripple")
@@ -336,7 +335,7 @@ def test_a_learned_term_is_what_least_squares_gives_it():
     runs = runs_of({"bend.size": 0.6}, COUNTS)
     base = fitted(problem_of(runs))
     squares = [t for t in terms_of(LINE, base) if t.signal == "x" and t.kind in ("²", "³")]
-    found = learned(base, (base,), lambda base: squares)
+    found = learned(base, (base,), squares)
     (one,) = found.terms
     extra = np.concatenate([one.term.values(r.t_s, r.columns) for r in runs])
     columns = np.column_stack([design(runs), extra])
@@ -359,7 +358,7 @@ def test_a_learned_term_is_what_least_squares_gives_it():
 def test_nothing_is_learned_where_nothing_is_left():
     runs = runs_of({}, COUNTS)
     base = fitted(problem_of(runs))
-    assert learned(base, (base,), lambda base: list(terms_of(LINE, base))) is None
+    assert learned(base, (base,), list(terms_of(LINE, base))) is None
 
 
 # The search.
@@ -367,7 +366,7 @@ def test_nothing_is_learned_where_nothing_is_left():
 
 def search_of(runs, problem=None):
     base = fitted(problem or problem_of(runs))
-    return SimulatorSearch(CAUSES, base, lambda _: None)
+    return Search(base, CAUSES)
 
 
 @pytest.mark.parametrize("names", [(), ("bend",), ("bend", "ripple")])
@@ -397,7 +396,7 @@ def test_a_share_is_of_what_the_base_leaves_above_the_noise():
         assert search.share(found) == pytest.approx(1.0 - excess[1] / excess[0], abs=1e-4)
         assert search.explained_share(found) == np.clip(search.share(found), 0.0, 1.0)
     louder = problem_of(RUNS, 10.0)
-    noise = SimulatorSearch(CAUSES, fitted(louder), lambda _: None)
+    noise = Search(fitted(louder), CAUSES)
     assert noise.share(noise.base) == 1.0
 
 
@@ -423,8 +422,8 @@ def test_of_two_fits_of_one_set_the_likelier_is_kept():
 
 def test_what_is_explained_is_by_the_share_for_its_count():
     search = hand_search()
-    search.is_clean = lambda found: False
-    enough = METHOD.simulator_search.enough
+    search.model = SimpleNamespace(is_clean=lambda found: False)
+    enough = METHOD.search.enough
     for count, least in enumerate(enough[:2], start=1):
         found = search.fits[("bend", "ripple")[:count]]
         gap = search.base.chi2 - search.base.problem.count
@@ -498,5 +497,5 @@ def test_a_planned_run_is_predicted_like_any_other():
 
 
 def test_a_search_of_the_twin_is_an_effect_search():
-    assert issubclass(SimulatorSearch, EffectSearch)
+    assert issubclass(Search, Search)
     assert isinstance(NEAR, MenuEntry)

@@ -6,9 +6,10 @@ from itertools import combinations, product
 import numpy as np
 import pytest
 
-from softcal.core.gap import plausibility
+from softcal.core.gap import mistakes as looks
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.coordinates import to_fit
+from softcal.core.gap.departures import nearest, outlier_run
 from softcal.core.gap.episodes import (
     lag_path,
     placed_again,
@@ -20,10 +21,9 @@ from softcal.core.gap.episodes import (
 )
 from softcal.core.gap.fit import fit
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.outlier_run import nearest, outlier_run
-from softcal.core.gap.plausibility import UNITS, UNITS_OF_RUN, doubts, mistakes
+from softcal.core.gap.mistakes import UNITS, UNITS_OF_RUN, doubts
 from softcal.core.gap.problem import BASE, Hypothesis, Problem
-from softcal.core.gap.screen import extent_of
+from softcal.core.gap.twin import TWIN
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Placing
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
@@ -33,6 +33,10 @@ PAD = BaseParameters(u0_mm=0.35, k1_N_mm=1.1, k3_N_mm3=0.1, r0_ohm=4.0, kappa_pe
 SIGMA = {"force_N": 0.01, "output_V": 0.001}
 AT = np.array([to_fit(p, getattr(PAD, p.name)) for p in BASE])
 CONFIG = METHOD.mistake
+
+
+def doubts_of(case):
+    return doubts(case, CONFIG)
 
 
 def volt(resistance):
@@ -65,7 +69,7 @@ def run_of(number=1, count=600, pad=PAD, output=None, added_ohm=0.0, readout=REA
 
 
 def base_of(*runs):
-    return fit(Problem(Case("E", runs), SIGMA).bare, Hypothesis(), AT, steps=0)
+    return fit(Problem(TWIN, Case("E", runs), SIGMA).bare, Hypothesis(), AT, steps=0)
 
 
 # The cheapest path, by trying all.
@@ -101,7 +105,7 @@ def test_a_path_of_losses_is_the_cheapest_of_all(seed, lead):
                 if j < n + lead - middle - judged and k < n + lead - end - judged:
                     shifts = np.select([np.arange(n) < j, np.arange(n) < k], [start, middle], end)
                     best = min(best, (cost(shifts, 2), tuple(shifts)), key=lambda b: b[0])
-    found = lag_path(measured, predicted, noise, lead, longest, penalty)
+    found = lag_path(measured, predicted, noise, lead, longest, penalty, METHOD.episode.judged)
     assert np.all(np.diff(found) >= 0)
     assert cost(found.astype(int), np.count_nonzero(np.diff(found))) == pytest.approx(best[0])
 
@@ -138,7 +142,7 @@ def lost(at, count):
 
 def test_losses_are_placed_where_they_are():
     base = base_of(run_of(1, output=lost(250, 7)), run_of(2))
-    found = with_losses(base, EFFECTS["dropped_samples"], extent_of(base))
+    found = with_losses(base, EFFECTS["dropped_samples"])
     first, second = (found.hypothesis.episodes_of(k)["dropped_samples"] for k in (0, 1))
     assert len(second) == 0 and len(first) == 1
     assert first[0] == pytest.approx((250 * 0.02, 7), abs=0.05)
@@ -150,14 +154,14 @@ def test_losses_are_placed_where_they_are():
     again = placed_again(found)
     assert again.bic <= found.bic
     whole = base_of(run_of(1), run_of(2))
-    assert with_losses(whole, EFFECTS["dropped_samples"], extent_of(whole)) is None
+    assert with_losses(whole, EFFECTS["dropped_samples"]) is None
 
 
 def test_a_second_loss_of_causes_costs_less_than_the_first():
-    from softcal.core.gap.posterior import penalty
+    from softcal.core.gap.evidence import penalty
 
     base = base_of(run_of(1, output=lost(250, 7)), run_of(2))
-    found = with_losses(base, EFFECTS["dropped_samples"], extent_of(base))
+    found = with_losses(base, EFFECTS["dropped_samples"])
     twice = replace(found.hypothesis, episodes=({"dropped_samples": np.array([[5.0, 4.0], [6.0, 3.0]])}, {}))
     more = replace(found, hypothesis=twice)
     each = METHOD.evidence.episode_cost * np.log(found.problem.count)
@@ -171,21 +175,21 @@ def test_bad_contacts_are_placed_where_they_are(ohm):
     t_s = np.arange(600) * 0.02
     bad = ((t_s >= 3.0) & (t_s < 3.4)) | ((t_s >= 9.0) & (t_s < 9.2))
     base = base_of(run_of(1, added_ohm=ohm * bad), run_of(2))
-    found = with_intervals(base, EFFECTS["intermittent_contact"], extent_of(base))
+    found = with_intervals(base, EFFECTS["intermittent_contact"])
     first, second = (found.hypothesis.episodes_of(k)["intermittent_contact"] for k in (0, 1))
     np.testing.assert_allclose(first, [[3.0, 3.4], [9.0, 9.2]], atol=0.021)
     assert len(second) == 0
     assert found.effect_values[0][0] == pytest.approx(ohm, rel=0.06)
     smooth = base_of(run_of(1, added_ohm=0.3 * np.sin(t_s)), run_of(2))
-    assert with_intervals(smooth, EFFECTS["intermittent_contact"], extent_of(smooth)) is None
+    assert with_intervals(smooth, EFFECTS["intermittent_contact"]) is None
     whole = base_of(run_of(1), run_of(2))
-    assert with_intervals(whole, EFFECTS["intermittent_contact"], extent_of(whole)) is None
+    assert with_intervals(whole, EFFECTS["intermittent_contact"]) is None
 
 
 def test_a_contact_that_stays_bad_ends_with_the_run():
     t_s = np.arange(600) * 0.02
     base = base_of(run_of(1, added_ohm=0.8 * (t_s >= 11.0)), run_of(2))
-    found = with_intervals(base, EFFECTS["intermittent_contact"], extent_of(base))
+    found = with_intervals(base, EFFECTS["intermittent_contact"])
     ((start, stop),) = found.hypothesis.episodes_of(0)["intermittent_contact"]
     assert start == pytest.approx(11.0, abs=0.021) and stop == pytest.approx(600 * 0.02)
 
@@ -206,22 +210,22 @@ def test_a_line_is_found_at_the_alias_of_the_mains(rate_Hz, alias_Hz):
             )
         )
     base = base_of(*runs)
-    found = with_line(base, EFFECTS["mains_hum"], extent_of(base))
+    found = with_line(base, EFFECTS["mains_hum"])
     amplitude, frequency_Hz, *phi = found.effect_values[0]
     assert amplitude == pytest.approx(0.004, rel=0.05)
     assert frequency_Hz == pytest.approx(alias_Hz + 0.1, abs=0.01)
     np.testing.assert_allclose(np.cos(np.array(phi) - phases), 1.0, atol=0.01)
     assert found.chi2 < 1.2 * found.problem.count
     quiet = base_of(*(run_of(k, readout=readout) for k in (1, 2)))
-    assert with_line(quiet, EFFECTS["mains_hum"], extent_of(quiet)) is None
+    assert with_line(quiet, EFFECTS["mains_hum"]) is None
 
 
 def test_no_line_shows_where_mains_stand_still():
     base = base_of(run_of(1, readout=replace(READOUT, sample_rate_Hz=100.0)))
     # 50 Hz lies at half of 100 Hz; 60 Hz at 40 Hz.
-    assert with_line(base, EFFECTS["mains_hum"], extent_of(base)) is None
+    assert with_line(base, EFFECTS["mains_hum"]) is None
     still = base_of(run_of(1, readout=replace(READOUT, sample_rate_Hz=10.0)))
-    assert with_line(still, EFFECTS["mains_hum"], extent_of(still)) is None
+    assert with_line(still, EFFECTS["mains_hum"]) is None
 
 
 @pytest.mark.parametrize(("side", "level_V"), [(Placing.CEILING, 1.1), (Placing.FLOOR, 1.0)])
@@ -229,12 +233,12 @@ def test_a_level_is_found_where_the_output_is_clipped(side, level_V):
     clip = np.minimum if side == Placing.CEILING else np.maximum
     effect = next(e for e in (EFFECTS["adc_saturation"], *EFFECTS["adc_saturation"].sides) if e.signs.placing == side)
     base = base_of(*(run_of(k, output=lambda t_s, v: clip(v, level_V)) for k in (1, 2)))
-    found = with_level(base, effect, extent_of(base))
+    found = with_level(base, effect)
     assert found.effect_values[0][0] == pytest.approx(level_V, abs=2e-3)
     np.testing.assert_allclose(found.coordinates[:5], AT, atol=0.02)
     assert found.chi2 < 1.2 * found.problem.count
     whole = base_of(run_of(1), run_of(2))
-    assert with_level(whole, effect, extent_of(whole)) is None
+    assert with_level(whole, effect) is None
 
 
 # Mistakes that columns show.
@@ -245,7 +249,7 @@ def sound(count=4):
 
 
 def found_in(runs, **more):
-    return [(m.what, m.channel, m.runs) for m in mistakes(Case("M", tuple(runs), **more))]
+    return [(m.what, m.channel, m.runs) for m in TWIN.mistakes(Case("M", tuple(runs), **more))]
 
 
 def changed(at, **columns):
@@ -260,7 +264,7 @@ EVERY = range(4)
 
 def test_sound_recordings_have_no_mistake():
     assert found_in(sound()) == []
-    assert doubts(Case("M", tuple(sound()))) == ()
+    assert doubts_of(Case("M", tuple(sound()))) == ()
 
 
 @pytest.mark.parametrize(
@@ -287,7 +291,7 @@ def test_sound_recordings_have_no_mistake():
     ],
 )
 def test_a_mistake_is_named_with_its_repair(at, change, expected, factor):
-    (one,) = mistakes(Case("M", tuple(changed(at, **change))))
+    (one,) = TWIN.mistakes(Case("M", tuple(changed(at, **change))))
     assert (one.what, one.channel, one.runs) == expected
     if factor is None:
         assert one.factor is None
@@ -299,7 +303,7 @@ def test_single_samples_far_off_are_counted():
     def stray(name, size):
         return lambda r: getattr(r, name) + size * (np.isin(np.arange(len(r)), (100, 200, 333)))
 
-    (one,) = mistakes(Case("M", tuple(changed((1,), force_N=stray("force_N", 900.0)))))
+    (one,) = TWIN.mistakes(Case("M", tuple(changed((1,), force_N=stray("force_N", 900.0)))))
     assert (one.what, one.channel, one.runs) == ("out_of_range", "force", (2,))
     assert one.evidence.values["count"] == 3 and one.evidence.values["worst"] > 899.0
     low, high = np.quantile(changed((1,), force_N=stray("force_N", 900.0))[1].force_N, (0.01, 0.99))
@@ -307,7 +311,7 @@ def test_single_samples_far_off_are_counted():
     reach = CONFIG.far * (high - low)
     for size, is_told in ((high + 1.02 * reach + 1.0, True), (0.7 * reach, False)):
         assert bool(found_in(changed((1,), force_N=stray("force_N", size)))) is is_told
-    (one,) = mistakes(Case("M", tuple(changed((1,), output_V=stray("output_V", 9.0)))))
+    (one,) = TWIN.mistakes(Case("M", tuple(changed((1,), output_V=stray("output_V", 9.0)))))
     assert (one.what, one.channel, one.evidence.values["count"]) == ("out_of_range", "output", 3)
     assert one.evidence.values["worst"] > 9.0
     below = lambda r: np.where(np.arange(len(r)) == 100, -0.1, r.output_V)  # noqa: E731
@@ -369,14 +373,15 @@ def test_a_small_factor_is_an_effect(factor):
 
 
 def test_an_unusual_pad_is_asked_about():
-    (one,) = doubts(Case("M", tuple(replace(r, force_N=r.force_N * 1e3) for r in sound())))
+    (one,) = doubts_of(Case("M", tuple(replace(r, force_N=r.force_N * 1e3) for r in sound())))
     assert (one.what, one.channel, one.factor) == ("unit_factor", "force", 1e-3)
-    (one,) = doubts(Case("M", tuple(replace(r, stage_mm=r.stage_mm * 1e3) for r in sound())))
+    (one,) = doubts_of(Case("M", tuple(replace(r, stage_mm=r.stage_mm * 1e3) for r in sound())))
     assert (one.channel, one.factor) == ("stage", 1e-3)
     assert (
-        doubts(Case("M", tuple(replace(r, force_N=r.force_N * 1e3) for r in sound()), stiffness_N_mm=(1.0, 2.0))) == ()
+        doubts_of(Case("M", tuple(replace(r, force_N=r.force_N * 1e3) for r in sound()), stiffness_N_mm=(1.0, 2.0)))
+        == ()
     )
-    assert doubts(Case("M", tuple(replace(r, force_N=r.force_N * 4.0) for r in sound()))) == ()
+    assert doubts_of(Case("M", tuple(replace(r, force_N=r.force_N * 4.0) for r in sound()))) == ()
 
 
 def test_units_are_those_of_the_world():
@@ -389,7 +394,7 @@ def test_units_are_those_of_the_world():
     assert of_run["2.54 mm"] == 2.54
     assert UNITS_OF_RUN["force"]["lbf"] == pytest.approx(0.45359237 * 9.80665, rel=1e-5)
     assert (UNITS_OF_RUN["force"]["kN"], UNITS_OF_RUN["output"]["mV"], UNITS["force"]["mN"]) == (1e3, 1e-3, 1e-3)
-    assert plausibility.TIME_UNITS == {"ms": 1e-3, "us": 1e-6, "min": 60.0}
+    assert looks.TIME_UNITS == {"ms": 1e-3, "us": 1e-6, "min": 60.0}
 
 
 # One run that stands apart.
@@ -398,7 +403,7 @@ def test_units_are_those_of_the_world():
 def odd_fit(**change):
     runs = [run_of(k + 1, 500) for k in range(4)]
     runs[2] = replace(runs[2], **{name: f(runs[2]) for name, f in change.items()})
-    return fit(Problem(Case("O", tuple(runs)), SIGMA), Hypothesis(), AT)
+    return fit(Problem(TWIN, Case("O", tuple(runs)), SIGMA), Hypothesis(), AT)
 
 
 @pytest.mark.parametrize(
@@ -430,13 +435,15 @@ def test_a_run_of_another_unit_is_told():
 
 def test_without_a_run_that_stands_apart_there_is_no_mistake():
     runs = [run_of(k + 1, 500) for k in range(4)]
-    clean = fit(Problem(Case("O", tuple(runs)), SIGMA), Hypothesis(), AT)
-    assert outlier_run(clean) is None and nearest(clean) == []
-    two = fit(Problem(Case("O", (runs[0], replace(runs[1], force_N=1.3 * runs[1].force_N))), SIGMA), Hypothesis(), AT)
+    clean = fit(Problem(TWIN, Case("O", tuple(runs)), SIGMA), Hypothesis(), AT)
+    assert outlier_run(clean) is None and nearest(clean, METHOD.outlier.promised) == []
+    two = fit(
+        Problem(TWIN, Case("O", (runs[0], replace(runs[1], force_N=1.3 * runs[1].force_N))), SIGMA), Hypothesis(), AT
+    )
     assert outlier_run(two) is None
     # The same in all runs belongs to the base or to a cause.
     creep = fit(
-        Problem(Case("O", tuple(replace(r, force_N=r.force_N * (1 + 0.02 * r.t_s)) for r in runs)), SIGMA),
+        Problem(TWIN, Case("O", tuple(replace(r, force_N=r.force_N * (1 + 0.02 * r.t_s)) for r in runs)), SIGMA),
         Hypothesis(),
         AT,
     )

@@ -7,11 +7,8 @@ import pytest
 from scipy.optimize import least_squares, lsq_linear
 
 from softcal.core.gap.case import Case
-from softcal.core.gap.coordinates import RigScale
-from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.gap_diagnosis import estimates_of
-from softcal.core.gap.method import METHOD
-from softcal.core.gap.posterior import (
+from softcal.core.gap.causes import estimates_of
+from softcal.core.gap.evidence import (
     Yardstick,
     confused_pairs,
     exact_log_evidence,
@@ -22,10 +19,12 @@ from softcal.core.gap.posterior import (
     probabilities,
     rivals,
 )
-from softcal.core.gap.problem import Hypothesis
-from softcal.core.gap.screen import Probe, Tangent, hiding, joined, screen
+from softcal.core.gap.fit import Fit, Probe, Tangent, fit
+from softcal.core.gap.method import METHOD
+from softcal.core.gap.problem import Hypothesis, Problem
+from softcal.core.gap.screen import hiding, joined, screen
 from softcal.core.gap.simulator import Simulator, candidate, recorded
-from softcal.core.gap.simulator_problem import SimulatorProblem
+from softcal.core.gap.simulator_model import SimulatorModel
 from softcal.core.twin.effects import Parameter
 from tests.core.linear_mechanism import (
     BEND,
@@ -124,8 +123,8 @@ def test_a_simulator_that_fails_at_the_start_leaves_an_infinite_chi2():
     problem = problem_of(RUNS, simulator=replace(LINE, run=broken))
     found = fitted(problem)
     assert found.chi2 == np.inf
-    assert (problem.failures.count, problem.failures.of) == (1, 1)
-    assert "below the ground" in problem.failures.first
+    assert (problem.model.calls(problem.case).count, problem.model.calls(problem.case).of) == (1, 1)
+    assert "below the ground" in problem.model.calls(problem.case).first
 
 
 def test_a_derivative_is_taken_from_the_side_that_does_not_fail():
@@ -158,7 +157,7 @@ def test_a_damped_oscillator_ends_where_scipy_does():
     columns = {"t_s": T_s, "push": np.full(len(T_s), 1.5)}
     y = swing(columns, {"damping": 0.33, "pitch_Hz": 0.62})["y"] + rng.normal(0.0, 0.02, len(T_s))
     run = recorded(SWING, "1", columns | {"y": y})
-    problem = SimulatorProblem(Case("S1", (run,)), {"y": 0.02}, of_rig=RigScale(), of=SWING)
+    problem = Problem(SimulatorModel(SWING), Case("S1", (run,)), {"y": 0.02})
     found = fit(problem, Hypothesis(of_all=SWING.base), np.array([np.log(0.5), 0.6]))
 
     def error(x):
@@ -255,7 +254,9 @@ def test_structure_that_even_the_closest_leaves_raises_the_floor():
     ])  # fmt: skip
     assert yardstick.chi2 == closest.chi2
     assert yardstick.floor == pytest.approx((np.mean(sums**2) - 1.0) / 8 * N)
-    assert yardstick.log_evidence(closest) == pytest.approx(-0.5 * (misfit(yardstick.floor) + penalty(closest)))
+    assert yardstick.log_evidence(closest) == pytest.approx(
+        -0.5 * (misfit(yardstick.floor, EVIDENCE.modes) + penalty(closest))
+    )
 
 
 def test_the_hidden_fraction_is_what_a_regression_on_the_base_takes():

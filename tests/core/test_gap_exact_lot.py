@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import InputError
-from softcal.core.gap import gap_diagnosis, shared_cause
-from softcal.core.gap.data_mistake import of_gain
-from softcal.core.gap.gap_diagnosis import GapDiagnosis, judged, under_its_floor
+from softcal.core.gap import search, shared_cause
+from softcal.core.gap.case import of_gain
+from softcal.core.gap.diagnosis import Diagnosis, check_simulator, diagnose_simulator, judged
+from softcal.core.gap.evidence import Yardstick, exact_log_evidence, log_evidences, misfit, penalty, probabilities
+from softcal.core.gap.fit import Regime, structure
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.posterior import Yardstick, exact_log_evidence, log_evidences, misfit, penalty, probabilities
-from softcal.core.gap.residual import Regime, structure
+from softcal.core.gap.residual import Shrink
+from softcal.core.gap.search import Search, under_its_floor
 from softcal.core.gap.shared_cause import Searched, diagnose_lot, joint_logs, lot_logs
-from softcal.core.gap.shrink import Quantified, Shrink
+from softcal.core.gap.shrink import Quantified
 from softcal.core.gap.simulator import Experiment
-from softcal.core.gap.simulator_diagnosis import check_simulator, diagnose_simulator
-from softcal.core.gap.simulator_search import SimulatorSearch
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.words.reason import Reason
 from tests.core.linear_mechanism import (
@@ -88,7 +88,9 @@ def test_units_add_what_a_set_leaves_and_judge_it_as_of_one():
     floor = sum(s.yardstick.floor for s in SEARCHED)
     for ids in sets:
         cost = np.mean([s.left[ids][1] for s in SEARCHED])
-        assert found[ids] == pytest.approx(-0.5 * (misfit(floor + left[ids] - min(left.values())) + cost))
+        assert found[ids] == pytest.approx(
+            -0.5 * (misfit(floor + left[ids] - min(left.values()), EVIDENCE.modes) + cost)
+        )
     assert max(found, key=lambda ids: found[ids]) == ("bend",)
 
 
@@ -173,7 +175,7 @@ def test_probabilities_of_an_unknown_lot_are_trusted_less(monkeypatch):
 
 def search_of(truth, seed=2, counts=(60, 71, 48), sets=((BEND,), (RIPPLE,), (KINK,), (BEND, RIPPLE)), best=("bend",)):
     fits = fits_of(problem_of(runs_of(truth, counts, seed=seed)), *sets)
-    search = SimulatorSearch(CAUSES, fits[()], lambda _: None)
+    search = Search(fits[()], CAUSES)
     for found in fits.values():
         search.keep(found)
     search.best = search.fits[best]
@@ -182,7 +184,7 @@ def search_of(truth, seed=2, counts=(60, 71, 48), sets=((BEND,), (RIPPLE,), (KIN
 
 def test_an_explained_gap_has_the_probabilities_of_bayes():
     search = search_of({"bend.size": 0.5})
-    found = judged(search, [c.id for c in CAUSES], lambda _: None)
+    found = judged(search)
     assert found.verdict == "explained" and [f.ids for f in found.group] == [("bend",)]
     assert found.quantified.shrink.held_out > 0.95 and found.list_complete > 0.75
     bayes = probabilities(log_evidences(search.fits), [c.id for c in CAUSES])
@@ -192,7 +194,7 @@ def test_an_explained_gap_has_the_probabilities_of_bayes():
 
 def test_a_cause_that_lowers_nothing_is_taken_out_of_the_best():
     search = search_of({"bend.size": 0.5}, best=("bend", "ripple"))
-    judged(search, [c.id for c in CAUSES], lambda _: None)
+    judged(search)
     assert search.best.ids == ("bend",)
 
 
@@ -200,7 +202,7 @@ def test_a_cause_held_open_counts_by_the_mean_of_two_readings():
     search = search_of({"bend.size": 0.5})
     larger = search.fits["bend", "ripple"]
     search.held_open = {"ripple": larger}
-    found = judged(search, [c.id for c in CAUSES], lambda _: None)
+    found = judged(search)
     group, chances = found.group, found.chances
     if larger in group:
         exact = probabilities({f.ids: exact_log_evidence(f) for f in (search.best, larger)}, ["ripple"])["ripple"]
@@ -228,24 +230,32 @@ def test_causes_stand_by_their_gain_on_samples_held_back(gain, error, held_out, 
 
 
 def test_another_noise_is_kept_only_where_it_explains(monkeypatch):
-    first = SimpleNamespace(closest=None, name="first")
-    monkeypatch.setattr(gap_diagnosis, "coloured", lambda found: None)
-    assert under_its_floor(first, None, None, print) is first
-    monkeypatch.setattr(gap_diagnosis, "coloured", lambda found: "problem")
-    for stranger, clean, floor, kept in (
-        (None, True, True, True),
-        ("x", True, True, False),
-        (None, False, True, False),
-        (None, True, False, False),
+    model = SimpleNamespace(is_clean=lambda found: found == "clean", is_uneven=lambda found: False)
+    start = SimpleNamespace(hypothesis=SimpleNamespace(of_base=slice(0, 0)), coordinates=np.zeros(0))
+    closest = SimpleNamespace(hypothesis=None, coordinates=np.zeros(0), chi2=1.0)
+    first = SimpleNamespace(model=model, best="left", closest=closest, start=start, candidates=(), say=lambda _: None)
+    monkeypatch.setattr(search, "coloured", lambda found: None)
+    assert under_its_floor(first) is first
+    monkeypatch.setattr(search, "coloured", lambda found: "problem")
+    monkeypatch.setattr(search, "fit", lambda problem, hypothesis, start, steps=20: closest)
+    for stranger, best, is_floor_before, is_floor, kept in (
+        (None, "clean", True, True, True),
+        ("x", "clean", True, True, False),
+        (None, "left", True, True, False),
+        (None, "clean", True, False, False),
+        (None, "clean", False, True, False),
     ):
-        again = SimpleNamespace(stranger=stranger, is_clean=lambda f, c=clean: c, best=None, run=lambda: None)
-        found = under_its_floor(first, lambda problem, again=again: again, lambda f, floor=floor: floor, lambda _: None)
-        assert (found is again) is kept
+        again = SimpleNamespace(stranger=stranger, best=best, run=lambda: None)
+        answers = {id(closest): is_floor_before, id(best): is_floor}
+        monkeypatch.setattr(search, "is_noise", lambda found, answers=answers: answers[id(found)])
+        monkeypatch.setattr(search, "Search", lambda base, candidates, say, again=again: again)
+        assert (under_its_floor(first) is again) is kept
+    assert under_its_floor(SimpleNamespace(model=model, best="clean", closest=closest)).best == "clean"
 
 
 def test_mistaken_recordings_name_and_foretell_nothing():
     base = UNITS[0][()]
-    found = GapDiagnosis.stopped(base, CAUSES, (of_gain("y", (1,), 2.0, Reason("gap.next.no_gap")),))
+    found = Diagnosis.stopped(base.problem.model, base, (of_gain("y", (1,), 2.0, Reason("gap.next.no_gap")),))
     assert found.verdict == "data" and {c.probability for c in found.causes} == {0.0}
     assert found.shrink.predicted == found.shrink.held_out == 0.0
     assert found.next_experiment.profile == "none" and found.told is None

@@ -8,13 +8,16 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize
 
 from softcal.core.errors import InputError
-from softcal.core.gap.case import Case
+from softcal.core.gap.case import Case, DataMistake, apart, numbers, of_gain, of_sign, of_unit, unit_of
 from softcal.core.gap.coordinates import RigScale, fit_scale, from_fit, start_coordinates, to_fit
-from softcal.core.gap.data_mistake import DataMistake, apart, numbers, of_gain, of_sign, of_unit, unit_of
 from softcal.core.gap.fit import fit
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.problem import Hypothesis
-from softcal.core.gap.simulator import (
+from softcal.core.gap.problem import Hypothesis, Problem
+from softcal.core.gap.screen import best_start, likeliest, scattered
+from softcal.core.gap.simulator import Experiment, Simulator, candidate, planned, recorded
+from softcal.core.gap.simulator_check import FACTORS, MistakeTest, against_others, check_calls, cut_off, shown
+from softcal.core.gap.simulator_model import Calls, SimulatorModel
+from softcal.core.gap.simulator_reach import (
     CUBE,
     LEVEL,
     RATE,
@@ -24,29 +27,12 @@ from softcal.core.gap.simulator import (
     SQUARE,
     TIME,
     WAY,
-    Experiment,
-    Simulator,
     SimulatorTerm,
-    candidate,
-    planned,
-    recorded,
+    shifted,
     term_of,
     terms_of,
     with_terms,
 )
-from softcal.core.gap.simulator_check import check_calls
-from softcal.core.gap.simulator_plausibility import FACTORS, MistakeTest, against_others, cut_off, shown
-from softcal.core.gap.simulator_problem import (
-    Failures,
-    SimulatorProblem,
-    followed,
-    is_high,
-    is_quick,
-    rough_problem,
-    shifted,
-)
-from softcal.core.gap.simulator_search import base_fit
-from softcal.core.gap.start import best_start, likeliest, scattered
 from softcal.core.twin.effects import Parameter
 from softcal.core.words.reason import Reason
 from tests.core.linear_mechanism import (
@@ -160,10 +146,16 @@ def test_a_prediction_near_by_takes_the_offsets_along():
 def test_offsets_are_put_into_a_prediction_as_they_are_said():
     runs = smooth_runs()
     problem = problem_of(runs, 0.01, own_of("zero", "gain", "drift", "delay"))
-    assert problem.of.offsets == (("y", "zero"), ("y", "gain"), ("y", "drift"), ("y", "delay"), ("y", "straight"))
+    assert problem.model.simulator.offsets == (
+        ("y", "zero"),
+        ("y", "gain"),
+        ("y", "drift"),
+        ("y", "delay"),
+        ("y", "straight"),
+    )
     np.testing.assert_allclose(problem.largest_offsets, [2.0, 0.3, 0.1, 0.2, 1.0])
     assert list(problem.are_relative) == [False, True, False, False, False]
-    assert list(problem.are_bending) == [False, False, False, True, False]
+    assert list(problem.model.are_bending) == [False, False, False, True, False]
     sizes = {k: np.array([0.4, 0.1, 0.03, 0.06, 0.0]) for k in range(2)}
     clean, out = problem.clean(BASE, EXACT, {}), problem.clean(BASE, EXACT, sizes)
     for k, block in enumerate(problem.blocks):
@@ -181,10 +173,10 @@ def test_offsets_are_put_into_a_prediction_as_they_are_said():
 
 def test_a_simulator_without_offsets_is_itself():
     problem = problem_of(smooth_runs())
-    assert problem.of.offsets == () and len(problem.largest_offsets) == 0
+    assert problem.model.simulator.offsets == () and len(problem.largest_offsets) == 0
     assert problem.bare.has_offsets is False
-    assert (problem.smooth_order, problem.dither_V, problem.scored_channels) == (2, None, ["y"])
-    assert problem.times_slower == pytest.approx(0.05 / 0.02)
+    assert (problem.model.smooth_order, problem.scored_channels) == (2, ["y"])
+    assert problem.model.times_slower(problem.case) == pytest.approx(0.05 / 0.02)
 
 
 def test_answers_are_kept_and_failures_counted():
@@ -201,13 +193,13 @@ def test_answers_are_kept_and_failures_counted():
     problem.predict(BASE, EXACT)
     assert len(calls) == 2
     assert np.all(np.isnan(problem.predict(BASE, np.array([1.0, 6.0]))))
-    assert problem.failures.record()["evaluations"] == 1
-    assert problem.failures.record()["of"] == 2
-    assert "too steep" in problem.failures.record()["first"]
-    assert Failures().record() is None
+    assert problem.model.calls(problem.case).record()["evaluations"] == 1
+    assert problem.model.calls(problem.case).record()["of"] == 2
+    assert "too steep" in problem.model.calls(problem.case).record()["first"]
+    assert Calls().record() is None
     for k in range(210):
         problem.predict(BASE, np.array([1.0, 1.0 + 0.001 * k]))
-    assert len(problem.known) == 200
+    assert len(problem.model.calls(problem.case).known) == 200
     before = len(calls)
     problem.predict(BASE, np.array([1.0, 1.209]))
     assert len(calls) == before
@@ -477,14 +469,14 @@ def test_a_factor_is_a_unit_where_it_is_near_to_its_own():
     units = {"inch": 25.4, "m": 1000.0}
     same = CONFIG.same_factor
     for factor in (25.4, 25.4 * same * 0.999, 25.4 / same * 1.001):
-        assert unit_of(factor, units) == "inch"
+        assert unit_of(factor, units, same) == "inch"
     for factor in (25.4 * same * 1.001, 25.4 / same * 0.999, 200.0, 0.0, -25.4):
-        assert unit_of(factor, units) == ""
-    assert unit_of(25.4 * same * 1.001, units, others=0.01) == "inch"
-    one = apart("force", 3, 25.4, units)
+        assert unit_of(factor, units, same) == ""
+    assert unit_of(25.4 * same * 1.001, units, same, others=0.01) == "inch"
+    one = apart("force", 3, 25.4, units, same)
     assert (one.what, one.channel, one.runs, one.factor) == ("unit_factor", "force", (3,), 25.4)
     assert one.evidence.values["ratio"] == pytest.approx(1.0 / 25.4)
-    other = apart("force", 3, 7.0, units)
+    other = apart("force", 3, 7.0, units, same)
     assert (other.what, other.factor) == ("gain", 7.0)
     assert of_sign("force", (1,), Reason("data.sign")).factor == -1.0
     assert of_gain("force", (), 2.0, Reason("data.sign")).what == "gain"
@@ -512,32 +504,32 @@ def plain(count=60, step_s=0.05, **more):
 
 def test_another_unit_of_time_is_shown_by_its_steps():
     rows = (plain(), plain(61), plain(62, step_s=50.0))
-    (one,) = shown(LINE, case_of(*rows))
+    (one,) = shown(LINE, case_of(*rows), CONFIG)
     assert (one.channel, one.runs, one.factor) == ("t_s", (3,), 1e-3)
-    assert shown(LINE, case_of(*rows[1:])) == ()
-    assert shown(LINE, case_of(plain(), plain(61), plain(62, step_s=0.4))) == ()
-    assert shown(LINE, case_of(plain(), plain(61), plain(62, step_s=0.05 / 60.0)))[0].factor == 60.0
+    assert shown(LINE, case_of(*rows[1:]), CONFIG) == ()
+    assert shown(LINE, case_of(plain(), plain(61), plain(62, step_s=0.4)), CONFIG) == ()
+    assert shown(LINE, case_of(plain(), plain(61), plain(62, step_s=0.05 / 60.0)), CONFIG)[0].factor == 60.0
 
 
 def test_a_dead_channel_is_shown():
-    (one,) = shown(LINE, case_of(plain(), plain(61, y=np.ones(61))))
+    (one,) = shown(LINE, case_of(plain(), plain(61, y=np.ones(61))), CONFIG)
     assert (one.what, one.channel, one.runs) == ("constant", "y", (2,))
-    (one,) = shown(LINE, case_of(plain(y=np.ones(60)), plain(61, y=np.ones(61))))
+    (one,) = shown(LINE, case_of(plain(y=np.ones(60)), plain(61, y=np.ones(61))), CONFIG)
     assert one.runs == ()
 
 
 def test_a_channel_cut_off_is_asked_about():
     y = plain(400)["y"]
     top = np.minimum(y, np.quantile(y, 0.9))
-    (one,) = cut_off(LINE, case_of(plain(400, y=top)))
+    (one,) = cut_off(LINE, case_of(plain(400, y=top)), CONFIG)
     assert one.evidence.values["count"] == np.sum(top == top.max())
     assert one.evidence.values["level"] == top.max()
-    (one,) = cut_off(LINE, case_of(plain(400, y=np.maximum(y, np.quantile(y, 0.1)))))
-    assert cut_off(LINE, case_of(plain(400))) == ()
+    (one,) = cut_off(LINE, case_of(plain(400, y=np.maximum(y, np.quantile(y, 0.1)))), CONFIG)
+    assert cut_off(LINE, case_of(plain(400)), CONFIG) == ()
     # One sample is the largest of every run; in a short one it is no small share.
-    assert cut_off(LINE, case_of(plain(60))) == ()
+    assert cut_off(LINE, case_of(plain(60)), CONFIG) == ()
     # An encoder repeats its values everywhere.
-    assert cut_off(LINE, case_of(plain(400, y=np.round(top, 1)))) == ()
+    assert cut_off(LINE, case_of(plain(400, y=np.round(top, 1))), CONFIG) == ()
 
 
 def three_runs(spoil, noise=0.02):
@@ -563,12 +555,12 @@ def three_runs(spoil, noise=0.02):
 def test_one_run_in_another_unit_or_sign_is_found(spoil, what, channel, factor):
     scaled = replace(LINE, candidates=(RIPPLE,), run=lambda i, p: LINE.run(i, p | {"bend.size": 0.0, "kink.size": 0.0}))
     case = Case("A", three_runs(spoil).runs)
-    base = base_fit(scaled, case)
-    found = against_others(base)
+    model = SimulatorModel(scaled)
+    found = against_others(model, model.base_fit(case))
     assert (found.mistake.what, found.mistake.channel, found.mistake.runs) == (what, channel, (2,))
     assert found.mistake.factor == pytest.approx(factor, rel=0.05)
     assert found.is_claim
-    assert against_others(base_fit(scaled, three_runs(lambda c: c))) is None
+    assert against_others(model, model.base_fit(three_runs(lambda c: c))) is None
 
 
 def test_a_claim_is_a_repair_that_nothing_else_reaches():
@@ -579,7 +571,7 @@ def test_a_claim_is_a_repair_that_nothing_else_reaches():
         (share * 0.5 + 1e-9, 0.5, 0.4, False, True),
         (share * 0.5, 0.5, share * 0.5, True, False),
     ):
-        test = MistakeTest(one, left, unrepaired, by_causes)
+        test = MistakeTest(one, left, unrepaired, by_causes, CONFIG.repaired)
         assert (test.is_enough, test.is_alone, test.is_claim) == (is_enough, is_alone, is_enough and is_alone)
 
 
@@ -647,7 +639,7 @@ def test_a_fit_from_many_starts_finds_the_least_of_several_minima():
     run = recorded(
         simulator, "1", {"t_s": 0.1 * np.arange(120), "x": x, "y": np.sin(5.0 * x) + rng.normal(0, 0.05, 120)}
     )
-    problem = SimulatorProblem(Case("W", (run,)), {"y": 0.05}, of_rig=RigScale(), of=simulator)
+    problem = Problem(SimulatorModel(simulator), Case("W", (run,)), {"y": 0.05})
     hypothesis = Hypothesis(of_all=simulator.base)
     found = best_start(problem, hypothesis)
     exact = minimize(lambda p: np.sum((run.columns["y"] - np.sin(p[0] * x)) ** 2), [5.0])
@@ -657,27 +649,28 @@ def test_a_fit_from_many_starts_finds_the_least_of_several_minima():
 
 def test_the_base_is_fitted_with_the_noise_of_its_own_residual():
     runs = runs_of({}, (600, 700), noise=0.3)
-    found = base_fit(LINE, Case("A", tuple(runs)))
+    found = SimulatorModel(LINE).base_fit(Case("A", tuple(runs)))
     np.testing.assert_allclose(found.coordinates, solved(design(runs), measured(runs)), atol=1e-4)
     assert found.problem.sigma["y"] == pytest.approx(0.3, rel=0.1)
-    rough = rough_problem(LINE, Case("A", tuple(runs)))
+    rough = SimulatorModel(LINE).rough_problem(Case("A", tuple(runs)))
     assert rough.sigma["y"] == pytest.approx(0.02 * np.std(measured(runs)))
     with pytest.raises(InputError, match="fails at all"):
-        base_fit(replace(LINE, run=lambda i, p: 1 / 0), Case("A", tuple(runs)))
+        SimulatorModel(replace(LINE, run=lambda i, p: 1 / 0)).base_fit(Case("A", tuple(runs)))
 
 
 def test_halves_of_a_channel_are_those_above_its_median_and_rate():
     found = fitted(problem_of(smooth_runs()))
     for block in found.problem.blocks:
+        is_high, is_quick = found.problem.model.halves(found, block)
         level = found.predicted[block.place]
-        np.testing.assert_array_equal(is_high(found, block), level > np.median(level))
+        np.testing.assert_array_equal(is_high, level > np.median(level))
         rate = np.abs(np.gradient(level, found.problem.case.runs[block.run].t_s))
-        np.testing.assert_array_equal(is_quick(found, block), rate > np.median(rate))
+        np.testing.assert_array_equal(is_quick, rate > np.median(rate))
 
 
 def test_what_a_residual_may_follow_lies_within_1():
     found = fitted(problem_of(smooth_runs()))
-    groups = followed(found, "y")
+    groups = found.problem.model.followed(found, "y")
     # Level, way, rate, memory and time, of the input and of the channel.
     assert len(groups) == 10
     level_of_x = np.array(groups[0])

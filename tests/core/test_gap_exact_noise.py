@@ -9,12 +9,12 @@ from scipy.stats import chi2 as chi2_law
 from scipy.stats import multivariate_normal, norm
 
 from softcal.core.gap.case import straightened
-from softcal.core.gap.colour import Colour, ColourConfig, Stretch, filter_of, filtered, log_likelihood, read_noise
-from softcal.core.gap.floor import coloured, columns_of, is_noise, noise_chance, noise_of, orthonormal, projected
-from softcal.core.gap.method import METHOD
-from softcal.core.gap.residual import Structure, is_clean, structure
-from softcal.core.gap.simulator_problem import followed
-from softcal.core.gap.start import noise_levels
+from softcal.core.gap.fit import structure
+from softcal.core.gap.linear import Colour, Stretch, filter_of, filtered, log_likelihood, orthonormal, projected
+from softcal.core.gap.method import METHOD, ColourConfig
+from softcal.core.gap.residual import coloured, is_noise, noise_chance, noise_levels, noise_of, read_noise
+from softcal.core.gap.simulator_model import SimulatorModel
+from softcal.core.gap.simulator_reach import columns_of
 from tests.core.linear_mechanism import BEND, SIGMA, design, fitted, left_of, measured, problem_of, runs_of
 
 WHITE, SPREAD, FADING_s = 0.3, 0.7, 0.4
@@ -209,18 +209,19 @@ def test_structure_is_the_excess_of_block_sums():
     one = structure(found)
     assert (one.z, one.rms) == pytest.approx((best, rms))
     assert structure(found, "y") == one
-    assert is_clean(found) == (not one.z > METHOD.structure.dirty_z)
+    assert (not structure(found).is_significant) == (not one.z > METHOD.structure.dirty_z)
 
 
 def test_structure_counts_from_its_level_on():
     at = METHOD.structure.dirty_z
-    assert Structure(at + 1e-9, 1.0).is_significant and not Structure(at, 1.0).is_significant
+    found = fitted(problem_of(runs_of({}, COUNTS)))
+    assert structure(found).is_significant == (structure(found).z > at)
 
 
 def test_too_few_blocks_tell_nothing():
     found = fitted(problem_of(runs_of({}, (31,), noise=10 * SIGMA)))
     assert structure(found).z == -np.inf
-    assert is_clean(found)
+    assert not structure(found).is_significant
 
 
 # How likely noise leaves as much.
@@ -245,28 +246,37 @@ def test_the_chance_is_that_of_the_worst_of_all_tests(truth):
     lags = range(1, METHOD.floor.lags + 1)
     squares = [(sum(p[k:] @ p[:-k] for p in parts) / (residual @ residual)) ** 2 for k in lags]
     tests.append(standard(n * sum(squares), METHOD.floor.lags))
-    for group in followed(found, "y"):
+    for group in found.problem.model.followed(found, "y"):
         # By a rank and a regression instead of an orthonormal basis.
         beside = np.column_stack([design(runs), *group])
         taken = residual @ residual - left_of(beside, residual) @ left_of(beside, residual)
         rank = np.linalg.matrix_rank(beside, tol=1e-3 * np.linalg.norm(beside, ord=2)) - 2
         tests.append(standard(taken, max(rank, 1)))
-    chance = noise_chance(found, follows=followed)
+    chance = noise_chance(found)
     assert np.log10(max(chance, 1e-12)) == pytest.approx(np.log10(max(worst_of(tests), 1e-12)), abs=0.8)
     assert (chance > METHOD.floor.chance) == (truth == {})
-    alone = noise_chance(found, follows=lambda found, channel: ())
+    alone = noise_chance(replace(found, problem=replace(found.problem, model=Plain(found.problem.model.simulator))))
     assert alone == pytest.approx(worst_of(tests[:2]), rel=0.2)
+
+
+class Plain(SimulatorModel):
+    """A model of which nothing is known that a residual may follow."""
+
+    def followed(self, found, channel):
+        return []
+
+    def halves(self, found, block):
+        return (np.arange(block.place.stop - block.place.start) % 2 == 0,)
 
 
 def test_noise_of_the_right_colour_is_noise_and_a_wander_is_none():
     runs = faded(spread=0.1)
     problem = problem_of(runs).with_noise({"y": SIGMA}, {"y": Colour(0.1, FADING_s)})
     found = fitted(problem)
-    half = lambda found, block: np.arange(block.place.stop - block.place.start) % 2 == 0  # noqa: E731
-    assert is_noise(found, (half,), lambda found, channel: ())
+    assert is_noise(replace(found, problem=replace(problem, model=Plain(found.problem.model.simulator))))
     longest_s = problem.colour_config.longest_s
     wander = fitted(problem.with_noise({"y": SIGMA}, {"y": Colour(0.1, 0.95 * METHOD.floor.wanders / 0.9 * longest_s)}))
-    assert not is_noise(wander, (half,), lambda found, channel: ())
+    assert not is_noise(replace(wander, problem=replace(wander.problem, model=Plain(found.problem.model.simulator))))
 
 
 def test_orthonormal_rows_span_the_rows():
@@ -299,7 +309,7 @@ def test_projected_rows_are_what_others_leave():
 def test_columns_of_a_signal_are_its_equations():
     run = runs_of({}, (200,))[0]
     signal = np.sin(run.t_s)
-    groups = columns_of(signal, run, 1.0)
+    groups = columns_of(signal, run, 1.0, METHOD.floor)
     rate = np.gradient(signal, run.t_s)
     np.testing.assert_allclose(np.sum(groups["level"], axis=0), 1.0, atol=1e-12)
     np.testing.assert_allclose(groups["rate"][:4], [rate, np.abs(rate), rate * np.abs(rate), signal * rate])
@@ -313,7 +323,7 @@ def test_columns_of_a_signal_are_its_equations():
         exact = (np.sin(t_s) - w * np.cos(t_s) + w * np.exp(-t_s / w)) / (1.0 + w**2)
         np.testing.assert_allclose(groups["memory"][k], exact, atol=2e-3)
         np.testing.assert_allclose(groups["memory"][memories + k], signal * exact, atol=2e-3)
-    slow = columns_of(signal, run, 3.0)["memory"]
+    slow = columns_of(signal, run, 3.0, METHOD.floor)["memory"]
     w = 3.0 * METHOD.floor.memory_s[0]
     exact = (np.sin(run.t_s) - w * np.cos(run.t_s) + w * np.exp(-run.t_s / w)) / (1.0 + w**2)
     np.testing.assert_allclose(slow[0], exact, atol=2e-3)

@@ -9,9 +9,11 @@ import pytest
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import checked, diagnose
+from softcal.core.gap.evidence import log_evidences
+from softcal.core.gap.explained import repaired_twin
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.posterior import log_evidences
-from softcal.core.gap.search import EffectSearch
+from softcal.core.gap.search import Search
+from softcal.core.gap.twin import TWIN
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate, twin_from_record
@@ -106,7 +108,10 @@ def test_a_report_can_be_written_and_its_twin_run(drifting):
     stage = np.asarray(run.stage_mm)
     depth = np.maximum(0.0, stage - drifting.best.base.u0_mm)
     base = drifting.best.base
-    np.testing.assert_allclose(drifting.elastic_force_N(0), base.k1_N_mm * depth + base.k3_N_mm3 * depth**3)
+    block = drifting.best.problem.blocks_of("force_N")[0]
+    np.testing.assert_allclose(
+        TWIN.load_of(drifting.best)[block.place], base.k1_N_mm * depth + base.k3_N_mm3 * depth**3
+    )
 
 
 def test_a_base_parameter_on_its_bound_is_told(drifting):
@@ -142,7 +147,7 @@ def test_what_no_cause_explains_is_unknown_and_described():
     assert all(c.probability <= METHOD.verdict.unknown_trust for c in found.causes)
     assert found.places[0].stage in ("electronics", "transduction")
     assert found.next_experiment.profile != "none"
-    assert found.explained.effects == ()
+    assert repaired_twin(found).effects == ()
     assert found.partial is None or 0.0 < found.partial.share < 1.0
 
 
@@ -152,7 +157,7 @@ def test_a_mistake_stops_the_diagnosis():
     found = diagnose(Case("D1", runs))
     assert found.verdict == "data" and found.mistakes[0].runs == (2,)
     with pytest.raises(InputError, match="mistake"):
-        _ = found.explained
+        _ = repaired_twin(found)
     assert found.report()["twin"] is None and found.report()["base_twin"] is None
     mistakes, told = checked(Case("D1", runs))
     assert mistakes == found.mistakes and told is None
@@ -167,18 +172,17 @@ def test_events_of_one_run_are_placed():
     bad = EffectSetting("intermittent_contact", {"dR": 0.8}, ((1.0, 1.4), (3.0, 3.3)))
     found = diagnose(case_of(bad))
     assert found.best.ids == ("intermittent_contact",)
-    assert found.explained.effects == ()
+    assert repaired_twin(found).effects == ()
     clipped = diagnose(case_of(EffectSetting("adc_saturation", {"V_max": 1.12})))
     assert clipped.best.ids == ("adc_saturation",)
 
 
 @pytest.fixture(scope="module")
 def searched():
-    search = EffectSearch.of(
-        case_of(
-            EffectSetting("stress_relaxation", {"g": 0.15, "tau": 0.6}), EffectSetting("wiring_resistance", {"Rw": 1.5})
-        )
+    case = case_of(
+        EffectSetting("stress_relaxation", {"g": 0.15, "tau": 0.6}), EffectSetting("wiring_resistance", {"Rw": 1.5})
     )
+    search = Search(TWIN.base_fit(case), TWIN.visible(case))
     search.run()
     return search
 

@@ -6,19 +6,20 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from softcal.core.gap import identifiability, outlier_run, place, posterior
 from softcal.core.gap.case import Case
-from softcal.core.gap.colour import Colour
-from softcal.core.gap.fit import fit
-from softcal.core.gap.floor import noise_chance
-from softcal.core.gap.identifiability import Identifiability, ParameterTold, why
+from softcal.core.gap.departures import outlier_run_beside
+from softcal.core.gap.experiments import Identifiability, ParameterTold, identifiability, why
+from softcal.core.gap.fit import Lead, Probe, fit, structure
+from softcal.core.gap.linear import Colour
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.offsets import Nearby
-from softcal.core.gap.problem import Hypothesis, Problem
-from softcal.core.gap.screen import Lead, Probe, joined, screen
+from softcal.core.gap.places import loose_noise
+from softcal.core.gap.problem import Hypothesis, Nearby, Problem
+from softcal.core.gap.residual import noise_chance
+from softcal.core.gap.screen import joined, screen
 from softcal.core.gap.simulator import candidate
-from softcal.core.gap.simulator_plausibility import against_others
-from softcal.core.gap.simulator_search import base_fit
+from softcal.core.gap.simulator_check import against_others
+from softcal.core.gap.simulator_model import SimulatorModel
+from softcal.core.gap.twin import TWIN, TwinModel
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Parameter
 from softcal.core.words.reason import Reason
@@ -160,7 +161,7 @@ def test_a_cause_that_fills_an_offset_to_its_bound_is_no_offset():
     for largest, is_own in ((5.0, True), (0.1, False)):
         own = replace(tilt, per_run={"y": {"drift": largest}}, candidates=(BEND,))
         base = fitted(problem_of(runs, simulator=own))
-        one = identifiability.identifiability(base, (BEND,), offsets=("drift of y",))["bend"]
+        one = identifiability(base, (BEND,))["bend"]
         assert one.own > TELL.own
         assert one.is_own is is_own and one.offset == ("drift of y" if is_own else "")
 
@@ -174,21 +175,21 @@ def test_a_mistake_beside_a_cause_must_be_far_ahead():
     runs = [replace(r, force_N=r.force_N + 0.03 * r.t_s) for r in runs]
     spoilt = [replace(runs[0], force_N=1.3 * runs[0].force_N), *runs[1:]]
     for these, is_mistake in ((spoilt, True), (runs, False)):
-        problem = Problem(Case("B", tuple(these)), PROBLEM.sigma)
+        problem = Problem(TWIN, Case("B", tuple(these)), PROBLEM.sigma)
         base = fit(problem, Hypothesis(), AT)
         alone = fit(problem, Hypothesis((drift,)), np.append(base.coordinates, 0.03))
         search = SimpleNamespace(
-            base=base, best=alone, fits={(): base, alone.ids: alone}, is_clean=posterior_clean,
+            base=base, best=alone, fits={(): base, alone.ids: alone}, model=TWIN,
             is_explained=posterior_clean, grown_from=lambda fitted: [],
         )  # fmt: skip
-        found = outlier_run.outlier_run_beside(search)
+        found = outlier_run_beside(search)
         assert (found is not None) is is_mistake
         if found:
             assert (found.what, found.channel, found.runs) == ("gain", "force", (1,))
 
 
 def posterior_clean(found):
-    return not posterior.structure(found).is_significant
+    return not structure(found).is_significant
 
 
 def test_exchanged_columns_are_found_by_the_simulator():
@@ -202,10 +203,11 @@ def test_exchanged_columns_are_found_by_the_simulator():
         x = np.sign(run.columns["x"]) * np.abs(run.columns["x"])
         runs.append(replace(run, columns={**run.columns, "y": 1.0 + 2.0 * x**3 + rng.normal(0, SIGMA, len(x))}))
     swapped = [replace(r, columns={**r.columns, "x": r.columns["y"], "y": r.columns["x"]}) for r in runs]
-    found = against_others(base_fit(simulator, Case("X", tuple(swapped))))
+    model = SimulatorModel(simulator)
+    found = against_others(model, model.base_fit(Case("X", tuple(swapped))))
     assert (found.mistake.what, found.mistake.channel, found.mistake.runs) == ("swapped_columns", "x+y", ())
     assert found.is_claim and found.left < 0.05
-    assert against_others(base_fit(simulator, Case("X", tuple(runs)))) is None
+    assert against_others(model, model.base_fit(Case("X", tuple(runs)))) is None
 
 
 # Places.
@@ -221,12 +223,12 @@ def test_a_tone_beside_a_named_line_is_the_lines():
     ):
         at = np.array([*AT, amplitude, frequency_Hz, 0.0, 0.0])
         named = replace(found, hypothesis=found.hypothesis.adding(hum), coordinates=at)
-        assert (place.loose_noise(named) is not None) is is_told
+        assert (loose_noise(named) is not None) is is_told
 
 
 def test_without_a_stage_or_an_output_nothing_is_loose():
     assert (
-        place.loose_noise(fit(Problem(case_of(run_of(output_V=None)), PROBLEM.sigma).bare, Hypothesis(), AT, steps=0))
+        loose_noise(fit(Problem(TWIN, case_of(run_of(output_V=None)), PROBLEM.sigma).bare, Hypothesis(), AT, steps=0))
         is None
     )
 
@@ -234,19 +236,25 @@ def test_without_a_stage_or_an_output_nothing_is_loose():
 # Noise of several channels.
 
 
+class Lone(TwinModel):
+    """A twin of which nothing is known that a residual may follow, but another channel."""
+
+    def followed(self, found, channel):
+        return [[]]
+
+
 def test_what_another_channel_leaves_tells_too():
     """Two channels that err together err by one cause, however small each is."""
-    rng = np.random.default_rng(5)
+    lone, rng = Lone(EFFECTS), np.random.default_rng(5)
     common = [rng.normal(0.0, 1.0, len(r)) for r in CASE.runs]
     runs = [
         replace(r, force_N=r.force_N + 0.004 * c, output_V=r.output_V + 0.0004 * c)
         for r, c in zip(CASE.runs, common, strict=True)
     ]
-    together = fit(Problem(Case("T", tuple(runs)), PROBLEM.sigma).bare, Hypothesis(), AT)
-    apart = fit(PROBLEM.bare, Hypothesis(), AT)
-    follows = lambda found, channel: [[]]  # noqa: E731
-    assert noise_chance(together, follows=follows) < 1e-3 < noise_chance(apart, follows=follows)
-    assert noise_chance(apart, ("output_V",), follows) >= noise_chance(apart, follows=follows)
+    together = fit(Problem(lone, Case("T", tuple(runs)), PROBLEM.sigma).bare, Hypothesis(), AT)
+    apart = fit(replace(PROBLEM, model=lone).bare, Hypothesis(), AT)
+    assert noise_chance(together) < 1e-3 < noise_chance(apart)
+    assert noise_chance(apart, ("output_V",)) >= noise_chance(apart)
 
 
 def test_a_colour_stays_where_none_is_given():

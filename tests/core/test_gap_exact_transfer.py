@@ -14,6 +14,7 @@ from softcal.core.gap.fit import fit
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.problem import BASE, Hypothesis, Problem
 from softcal.core.gap.transfer import CalibrationWorth, LotErrors, LotUnit, PressedLot, Transfer, calibration_worth
+from softcal.core.gap.twin import TWIN
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
@@ -99,7 +100,7 @@ def test_the_worth_of_a_cause_is_that_of_lines_trained_on_its_twins(lines):
     case = Case("u", tuple(run_of(k, RIG) for k in (1, 2, 3)))
     audit = Case("u", (run_of(8, RIG, 600),))
     at = np.array([to_fit(p, getattr(PAD, p.name)) for p in BASE])
-    problem = Problem(case, {"force_N": 0.01, "output_V": 0.0005})
+    problem = Problem(TWIN, case, {"force_N": 0.01, "output_V": 0.0005})
     shared = fit(problem, Hypothesis((EFFECTS["wiring_resistance"],)), np.append(at, 1.2))
     said = []
     found = calibration_worth("u", case, audit, shared, said.append)

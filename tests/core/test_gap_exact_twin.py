@@ -10,20 +10,26 @@ from scipy.optimize import least_squares
 from softcal.core.errors import InputError
 from softcal.core.gap.case import SHOWN_BY, Case, Run
 from softcal.core.gap.coordinates import COMMON, RigScale, to_fit
-from softcal.core.gap.empirical import terms_of_twin
-from softcal.core.gap.explained import explained_twin, form_of, in_catalogue_form, with_constants
-from softcal.core.gap.fit import fit
-from softcal.core.gap.floor import of_chain, under_load
-from softcal.core.gap.forward import dither_V
-from softcal.core.gap.generic_effects import STRANGERS, WARM_DIVIDER, changing, imitated_causes, imitation, stranger
+from softcal.core.gap.departures import STRANGERS, WARM_DIVIDER, changing
+from softcal.core.gap.explained import explained_twin, in_catalogue_form, with_constants
+from softcal.core.gap.fit import Map, Probe, Structure, fit, form_of, shares_of_gap, structure
+from softcal.core.gap.forward import bases_of, dither_of, dither_V
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.next_experiment import menu
-from softcal.core.gap.offsets import bases_of, own_rows, rows_of_runs
-from softcal.core.gap.place import Tone, likely_stages, loose_noise, strongest_tone
-from softcal.core.gap.problem import BASE, Hypothesis, Problem
-from softcal.core.gap.residual import Map, Structure, regimes, shares_of_gap, structure, suspects, three_maps
-from softcal.core.gap.screen import Probe, extent_of, is_told, joined, screen, visible_effects
-from softcal.core.gap.start import base_fit, rough_start, unfitted, with_driving_noise
+from softcal.core.gap.places import Tone, likely_stages, loose_noise, regimes, strongest_tone, suspects
+from softcal.core.gap.problem import BASE, Hypothesis, Problem, own_rows, rows_of_runs
+from softcal.core.gap.residual import with_driving_noise
+from softcal.core.gap.screen import joined, screen
+from softcal.core.gap.search import imitated_causes, imitation, stranger
+from softcal.core.gap.twin import TWIN
+from softcal.core.gap.twin_reach import (
+    extent_of,
+    is_told,
+    known_by_chain,
+    menu,
+    rough_start,
+    terms_of_twin,
+    visible_effects,
+)
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Flow
 from softcal.core.twin.empirical_terms import VARIABLES, EmpiricalTerm
@@ -65,7 +71,7 @@ def case_of(*runs, **more):
 
 
 CASE = case_of()
-PROBLEM = Problem(CASE, SIGMA)
+PROBLEM = Problem(TWIN, CASE, SIGMA)
 
 
 def pad_fit(problem=PROBLEM, *effects, values=()):
@@ -161,10 +167,11 @@ def test_a_channel_changes_by_its_span_in_a_kind_of_run():
     warm = np.linspace(20.0, 21.0, 400)
     dummy = run_of(2, kind="dummy_resistor", dummy_ohm=5.0, temperature_C=warm)
     case = case_of(run_of(1), dummy)
-    assert case.changes("temperature_C", "dummy_resistor", 1.0) and case.has_warmed_dummy
+    assert case.changes("temperature_C", "dummy_resistor", 1.0) and WARM_DIVIDER in TWIN.departures(case)
     assert not case.changes("temperature_C", "dummy_resistor", 1.0 + 1e-9)
     assert not case.changes("temperature_C")
-    assert not case_of(run_of(1), replace(dummy, temperature_C=20.0 + 0.9 * (warm - 20.0))).has_warmed_dummy
+    cooler = case_of(run_of(1), replace(dummy, temperature_C=20.0 + 0.9 * (warm - 20.0)))
+    assert WARM_DIVIDER not in TWIN.departures(cooler)
     alias = EFFECTS["thermal_drift"].signs.alias
     assert is_told(case, alias) and not is_told(CASE, alias)
 
@@ -183,11 +190,11 @@ def test_the_size_of_a_rig_is_read_off_its_runs():
 
 def test_a_press_is_predicted_by_the_equations_of_the_base():
     clean = case_of(run_of(1, noise=0.0), run_of(2, 350, speed=1.4, noise=0.0))
-    problem = Problem(clean, SIGMA)
+    problem = Problem(TWIN, clean, SIGMA)
     np.testing.assert_allclose(problem.predict(Hypothesis(), AT), problem.measured, atol=1e-9)
     assert [(b.run, b.channel) for b in problem.blocks] == [(k, c) for k in (0, 1) for c in ("force_N", "output_V")]
     strain = ReadoutMetadata(3.3, 20, 10.0, 50.0, "strain")
-    problem = Problem(case_of(run_of(noise=0.0, readout=strain)), SIGMA)
+    problem = Problem(TWIN, case_of(run_of(noise=0.0, readout=strain)), SIGMA)
     np.testing.assert_allclose(problem.predict(Hypothesis(), AT), problem.measured, atol=1e-9)
 
 
@@ -207,7 +214,7 @@ def special(kind, **columns):
 
 
 def predicted(run, *effects, values=()):
-    problem = Problem(case_of(run_of(1), run), SIGMA).bare
+    problem = Problem(TWIN, case_of(run_of(1), run), SIGMA).bare
     x = np.concatenate([AT, *(np.atleast_1d(v) for v in values)])
     out = problem.predict(Hypothesis(tuple(effects)), x)
     return {b.channel: out[b.place] for b in problem.blocks if b.run == 1}
@@ -219,10 +226,12 @@ T100 = np.arange(100) * 0.02
 def test_a_coarse_adc_is_predicted_by_the_mean_of_its_codes():
     readout = replace(READOUT, adc_bits=8)
     step_V = 3.3 / 255
-    problem = Problem(case_of(run_of(1, noise=0.0, readout=readout)), {"force_N": 0.01, "output_V": 0.3 * step_V}).bare
+    problem = Problem(
+        TWIN, case_of(run_of(1, noise=0.0, readout=readout)), {"force_N": 0.01, "output_V": 0.3 * step_V}
+    ).bare
     out = problem.predict(Hypothesis(), AT)[400:]
     clean_V = volt(4.0 / (1.0 - 0.06 * elastic(np.maximum(0.0, run_of(1).stage_mm - 0.35))))
-    noise_V = problem.dither_V * np.random.default_rng(1).normal(size=(20000, 1))
+    noise_V = dither_of(problem) * np.random.default_rng(1).normal(size=(20000, 1))
     at = slice(0, 400, 20)
     codes = np.round((clean_V[at] + noise_V) / step_V) * step_V
     np.testing.assert_allclose(out[at], codes.mean(axis=0), atol=5 * 0.5 * step_V / np.sqrt(20000))
@@ -287,7 +296,7 @@ def test_a_block_moves_with_the_play_of_the_stage():
 
 def test_without_a_stage_the_force_drives_the_chain():
     run = run_of(noise=0.0, stage_mm=None)
-    problem = Problem(case_of(run), SIGMA).bare
+    problem = Problem(TWIN, case_of(run), SIGMA).bare
     drive = run.driving_force.force_N
     out = problem.predict(Hypothesis(), AT)
     np.testing.assert_allclose(out, volt(4.0 / (1.0 - 0.06 * drive)), atol=1e-12)
@@ -302,7 +311,7 @@ def test_without_a_stage_the_force_drives_the_chain():
 
 def test_the_noise_of_a_driving_force_is_carried_through_the_slope():
     run = run_of(1, 2000, stage_mm=None)
-    problem = Problem(case_of(run), SIGMA)
+    problem = Problem(TWIN, case_of(run), SIGMA)
     found = fit(problem, Hypothesis(), AT)
     driven = with_driving_noise(problem, found)
     assert driven.is_driven_by_force and not problem.is_driven_by_force
@@ -366,11 +375,11 @@ def test_a_rough_start_is_near_the_truth():
     assert (alone[3], alone[4]) == pytest.approx((4.0, 0.06), rel=0.1)
     no_force = Hypothesis().split(rough_start(case_of(run_of(force_N=None))))[0]
     assert no_force[0] == pytest.approx(0.35, abs=0.3)
-    np.testing.assert_allclose(unfitted(CASE).coordinates, rough_start(CASE))
+    np.testing.assert_allclose(TWIN.base_beside(CASE).coordinates, rough_start(CASE))
 
 
 def test_a_base_is_fitted_with_the_noise_of_its_residual():
-    found = base_fit(CASE)
+    found = TWIN.base_fit(CASE)
     for p, x, at in zip(BASE, found.coordinates, AT, strict=True):
         assert x == pytest.approx(at, abs=0.02), p.name
     assert found.problem.sigma["force_N"] == pytest.approx(0.01, rel=0.1)
@@ -387,7 +396,7 @@ def test_a_base_is_fitted_with_the_noise_of_its_residual():
     ],
 )
 def test_channels_determine_parameters(missing, free):
-    problem = Problem(case_of(run_of(**dict.fromkeys(missing))), SIGMA)
+    problem = Problem(TWIN, case_of(run_of(**dict.fromkeys(missing))), SIGMA)
     np.testing.assert_array_equal(problem.is_free, np.array(free, dtype=bool))
     assert fit(problem, Hypothesis(), AT).covariance.diagonal().astype(bool).tolist() == [bool(f) for f in free]
 
@@ -402,18 +411,18 @@ def test_extents_are_read_off_the_case():
         max(r.output_V.max() for r in CASE.runs),
     )
     assert (at.duration_s, at.period_s, at.series_ohm) == pytest.approx((399 * 0.02, 0.02, 10.0))
-    blind = extent_of(fit(Problem(case_of(run_of(force_N=None)), {"output_V": 0.001}), Hypothesis(), AT))
+    blind = extent_of(fit(Problem(TWIN, case_of(run_of(force_N=None)), {"output_V": 0.001}), Hypothesis(), AT))
     assert blind.force_N == pytest.approx(elastic(run_of().stage_mm.max() - 0.35), rel=0.05)
 
 
 def test_noise_that_is_believed_has_a_least():
     assert PROBLEM.least_noise("output_V") == pytest.approx(0.1 * READOUT.step_V)
     assert PROBLEM.least_noise("force_N") == pytest.approx(1e-6 * PROBLEM.scale.factor("N"))
-    assert PROBLEM.scored_channels == ["output_V", "force_N"] and PROBLEM.smooth_order == 1
-    assert PROBLEM.dither_V is None
-    coarse = Problem(case_of(run_of(readout=replace(READOUT, adc_bits=8))), {"force_N": 0.01, "output_V": 0.004})
-    assert coarse.dither_V == dither_V(0.004, 3.3 / 255)
-    assert Problem(CASE, {"force_N": 0.01}).dither_V is None
+    assert PROBLEM.scored_channels == ["output_V", "force_N"] and TWIN.smooth_order == 1
+    assert dither_of(PROBLEM) is None
+    coarse = Problem(TWIN, case_of(run_of(readout=replace(READOUT, adc_bits=8))), {"force_N": 0.01, "output_V": 0.004})
+    assert dither_of(coarse) == dither_V(0.004, 3.3 / 255)
+    assert dither_of(Problem(TWIN, CASE, {"force_N": 0.01})) is None
 
 
 # Offsets of runs.
@@ -457,7 +466,7 @@ def test_directions_of_offsets_are_derivatives():
 
 def mapped(**z):
     names = {"sf": "stage→force", "fo": "force→output", "so": "stage→output"}
-    return tuple(Map(names[k], Structure(v, 1.0)) for k, v in z.items())
+    return tuple(Map(names[k], Structure(v, 1.0, v > METHOD.structure.dirty_z)) for k, v in z.items())
 
 
 BEFORE, BEHIND = {"mechanics", "motion"}, {"transduction", "electronics", "acquisition"}
@@ -483,18 +492,18 @@ BEFORE, BEHIND = {"mechanics", "motion"}, {"transduction", "electronics", "acqui
     ],
 )
 def test_dirty_maps_point_to_what_they_share(maps, sensor, expected):
-    assert set(suspects(mapped(**maps), sensor)) == expected
+    assert set(suspects(mapped(**maps), METHOD.structure.quiet, sensor)) == expected
 
 
 def test_three_maps_are_three_fits():
-    maps = {m.name: m.structure for m in three_maps(CASE)}
+    maps = {m.name: m.structure for m in TWIN.maps(CASE)}
     assert set(maps) == {"stage→force", "force→output", "stage→output"}
     assert not any(s.is_significant for s in maps.values())
-    assert [m.name for m in three_maps(case_of(run_of(output_V=None)))] == ["stage→force"]
-    assert [m.name for m in three_maps(case_of(run_of(stage_mm=None)))] == ["force→output"]
+    assert [m.name for m in TWIN.maps(case_of(run_of(output_V=None)))] == ["stage→force"]
+    assert [m.name for m in TWIN.maps(case_of(run_of(stage_mm=None)))] == ["force→output"]
     strain = case_of(run_of(readout=replace(READOUT, sensor_type="strain")))
-    assert [m.name for m in three_maps(strain)] == ["stage→force", "stage→output"]
-    alone = fit(Problem(case_of(*(replace(r, output_V=None) for r in CASE.runs)), SIGMA), Hypothesis(), AT)
+    assert [m.name for m in TWIN.maps(strain)] == ["stage→force", "stage→output"]
+    alone = fit(Problem(TWIN, case_of(*(replace(r, output_V=None) for r in CASE.runs)), SIGMA), Hypothesis(), AT)
     assert maps["stage→force"].z == pytest.approx(structure(alone).z, abs=1.0)
 
 
@@ -504,7 +513,7 @@ LONG = (run_of(1, 900), run_of(2, 700, speed=1.7))
 def spoilt_fit(channel, change):
     """The base at the truth, on runs whose channel is changed by hand."""
     runs = [replace(r, **{channel: getattr(r, channel) + change(r)}) for r in LONG]
-    problem = Problem(Case("S", tuple(runs)), SIGMA).bare
+    problem = Problem(TWIN, Case("S", tuple(runs)), SIGMA).bare
     return fit(problem, Hypothesis(), AT, steps=0)
 
 
@@ -565,7 +574,7 @@ def test_a_hold_is_where_the_stage_stands():
     rng = np.random.default_rng(1)
     force = elastic(np.maximum(0.0, stage - 0.35)) + rng.normal(0, 0.01, 600) + 0.5 * still
     run = Run("1", t_s, READOUT, stage_mm=np.where(still, 2.5, stage), force_N=force)
-    found = regimes(fit(Problem(Case("H", (run,)), SIGMA).bare, Hypothesis(), AT, steps=0))
+    found = regimes(fit(Problem(TWIN, Case("H", (run,)), SIGMA).bare, Hypothesis(), AT, steps=0))
     assert "hold" in found[0].name.code or found[0].name.code.endswith("high_load")
     assert any(r.name.code == "gap.regime.hold" and r.share > 0.98 for r in found)
 
@@ -658,8 +667,8 @@ def test_loose_noise_comes_first_where_maps_are_hardly_dirty():
 
 
 def test_the_chain_offers_what_its_base_knows():
-    found = pad_fit(Problem(case_of(run_of(temperature_C=20.0 + np.arange(400) * 0.01)), SIGMA))
-    (columns,) = of_chain(found, "output_V")
+    found = pad_fit(Problem(TWIN, case_of(run_of(temperature_C=20.0 + np.arange(400) * 0.01)), SIGMA))
+    columns = known_by_chain(found, "output_V")
     run, block = found.problem.case.runs[0], found.problem.blocks_of("output_V")[0]
     rows = [c[block.place] for c in columns]
     other = found.problem.blocks_of("force_N")[0]
@@ -676,7 +685,7 @@ def test_the_chain_offers_what_its_base_knows():
     for tau_s in METHOD.floor.memory_s:
         memory = low_pass(load, run.step_s, tau_s, np.zeros(2))
         assert min(np.max(np.abs(row - memory)) for row in rows) < 0.01
-    np.testing.assert_array_equal(under_load(found, block), run.stage_mm > found.base.u0_mm)
+    np.testing.assert_array_equal(TWIN.halves(found, block)[0], run.stage_mm > found.base.u0_mm)
 
 
 # Strangers and free forms.
@@ -705,7 +714,7 @@ def test_a_departure_of_another_kind_is_found(name):
     runs = tuple(
         replace(r, force_N=parts[k, "force_N"], output_V=parts[k, "output_V"]) for k, r in enumerate(CASE.runs)
     )
-    base = fit(Problem(Case("S", runs), SIGMA), Hypothesis(), AT)
+    base = fit(Problem(TWIN, Case("S", runs), SIGMA), Hypothesis(), AT)
     found = stranger(base, [base], [base])
     assert found.effects[0].id == one.id
     assert found.effect_values[0][0] == pytest.approx(usual, rel=0.15)
@@ -725,7 +734,7 @@ def test_a_free_form_of_a_cause_takes_what_looks_like_it():
     runs = tuple(
         replace(r, force_N=parts[k, "force_N"], output_V=parts[k, "output_V"]) for k, r in enumerate(CASE.runs)
     )
-    problem = Problem(Case("S", runs), SIGMA).bare
+    problem = Problem(TWIN, Case("S", runs), SIGMA).bare
     rest = fit(problem, Hypothesis((relax,)), np.array([*AT, 0.2, np.log(0.5)]))
     best = replace(rest, chi2=float(problem.count))
     assert 0.5 < imitation(rest, best) <= 1.2
@@ -753,18 +762,18 @@ def test_an_explained_twin_has_the_fitted_base_noise_and_causes():
     assert explained_twin(found, [term]).empirical == (term,)
     lost = pad_fit(PROBLEM, EFFECTS["dropped_samples"], values=[(3.0,)])
     assert explained_twin(lost).effects == ()
-    coarse = Problem(case_of(run_of(readout=replace(READOUT, adc_bits=8))), {"force_N": 0.01, "output_V": 0.004})
-    assert explained_twin(pad_fit(coarse)).parameters.sigma_output_V == coarse.dither_V
-    quiet = Problem(CASE, {"force_N": 0.01, "output_V": 0.1 * READOUT.step_V})
+    coarse = Problem(TWIN, case_of(run_of(readout=replace(READOUT, adc_bits=8))), {"force_N": 0.01, "output_V": 0.004})
+    assert explained_twin(pad_fit(coarse)).parameters.sigma_output_V == dither_of(coarse)
+    quiet = Problem(TWIN, CASE, {"force_N": 0.01, "output_V": 0.1 * READOUT.step_V})
     assert explained_twin(fit(replace(quiet, of_rig=None), Hypothesis(), AT, steps=0)).parameters.sigma_output_V >= 0.0
-    no_cell = Problem(case_of(run_of(force_N=None)), {"output_V": 0.001})
+    no_cell = Problem(TWIN, case_of(run_of(force_N=None)), {"output_V": 0.001})
     assert explained_twin(pad_fit(no_cell)).parameters.sigma_force_N == 0.0
 
 
 def test_a_form_is_named_and_taken_back_to_the_catalogue():
     lag = EFFECTS["readout_lag"]
     second = lag.form_called("second order")
-    assert (form_of(second), form_of(lag)) == ("second order", "")
+    assert (form_of(pad_fit(PROBLEM), second), form_of(pad_fit(PROBLEM), lag)) == ("second order", "")
     made = pad_fit(PROBLEM, second, values=[(0.05, 0.001)])
     twin = explained_twin(made)
     assert twin.effects[0].form == "second order" and set(twin.effects[0].values) == {"tau", "tau2"}
@@ -792,7 +801,7 @@ def test_a_lead_of_the_twin_ends_at_the_truth():
     runs = tuple(
         replace(r, force_N=parts[k, "force_N"], output_V=parts[k, "output_V"]) for k, r in enumerate(CASE.runs)
     )
-    base = fit(Problem(Case("S", runs), SIGMA), Hypothesis(), AT)
+    base = fit(Problem(TWIN, Case("S", runs), SIGMA), Hypothesis(), AT)
     (lead,) = screen(base, [Probe(EFFECTS["wiring_resistance"], (0.3,), True)])
     assert lead.values[0] > 0.0 and lead.hidden > 0.9
     assert joined(base, lead).effect_values[0][0] == pytest.approx(1.5, rel=0.25)
@@ -866,7 +875,7 @@ DEPARTURES = {
 )
 def test_a_departure_is_its_equation(one):
     reading, output = DEPARTURES[one.id.removeprefix("gap.like.")]
-    problem = Problem(WARM_CASE, SIGMA).bare
+    problem = Problem(TWIN, WARM_CASE, SIGMA).bare
     out = problem.predict(Hypothesis((one,)), np.append(AT, SIZE))
     np.testing.assert_allclose(out[:400], reading, atol=1e-9)
     np.testing.assert_allclose(out[400:], output, atol=1e-9)
@@ -874,7 +883,7 @@ def test_a_departure_is_its_equation(one):
 
 def test_a_late_cell_follows_by_a_low_pass():
     (late,) = [s for s in STRANGERS if s.id.endswith("cell_late")]
-    out = Problem(WARM_CASE, SIGMA).bare.predict(Hypothesis((late,)), np.append(AT, 0.2))[:400]
+    out = Problem(TWIN, WARM_CASE, SIGMA).bare.predict(Hypothesis((late,)), np.append(AT, 0.2))[:400]
     y, expected = FORCE_N[0], [FORCE_N[0]]
     for k in range(1, 400):
         for i in range(200):
@@ -885,12 +894,12 @@ def test_a_late_cell_follows_by_a_low_pass():
 
 
 def test_what_needs_warmth_or_a_channel_is_not_tried_without():
-    made = Problem(WARM_CASE, SIGMA).bare.predict(Hypothesis((STRANGERS[5],)), np.append(AT, 0.01))
+    made = Problem(TWIN, WARM_CASE, SIGMA).bare.predict(Hypothesis((STRANGERS[5],)), np.append(AT, 0.01))
     noise = np.random.default_rng(3).normal(size=800) * np.repeat([0.01, 0.001], 400)
     run = replace(WARM_CASE.runs[0], force_N=(made + noise)[:400], output_V=(made + noise)[400:])
     for is_warm in (True, False):
         one = run if is_warm else replace(run, temperature_C=None)
-        base = fit(Problem(case_of(one), SIGMA), Hypothesis(), AT)
+        base = fit(Problem(TWIN, case_of(one), SIGMA), Hypothesis(), AT)
         found = stranger(base, [base], [base])
         if is_warm:
             assert found.effects[0].id == STRANGERS[5].id
@@ -904,19 +913,19 @@ def test_what_needs_warmth_or_a_channel_is_not_tried_without():
 
 def test_terms_of_the_twin_are_those_its_channels_show():
     warm = case_of(run_of(1, temperature_C=WARM_C))
-    every = list(terms_of_twin(pad_fit(Problem(warm, SIGMA))))
+    every = list(terms_of_twin(pad_fit(Problem(TWIN, warm, SIGMA))))
     assert {(t.place, t.variable) for t in every} == {(p, v) for p in ("F", "force_N", "output_V") for v in VARIABLES}
-    found = pad_fit(Problem(warm, SIGMA)).base
+    found = pad_fit(Problem(TWIN, warm, SIGMA)).base
     depth = run_of(1).stage_mm.max() - found.u0_mm
     assert every[0].depth_mm == pytest.approx(depth)
     assert every[0].load_N == pytest.approx(found.k1_N_mm * depth + found.k3_N_mm3 * depth**3)
     assert all(t.coefficient == 0.0 for t in every)
-    plain = {(t.place, t.variable) for t in terms_of_twin(pad_fit(Problem(case_of(run_of(1)), SIGMA)))}
+    plain = {(t.place, t.variable) for t in terms_of_twin(pad_fit(Problem(TWIN, case_of(run_of(1)), SIGMA)))}
     assert plain == {
         (p, v) for p in ("F", "force_N", "output_V") for v in VARIABLES if VARIABLES[v].needs != "temperature_C"
     }
     blind_case = case_of(run_of(1, stage_mm=None))
-    blind = list(terms_of_twin(fit(Problem(blind_case, SIGMA), Hypothesis(), AT)))
+    blind = list(terms_of_twin(fit(Problem(TWIN, blind_case, SIGMA), Hypothesis(), AT)))
     assert {t.place for t in blind} == {"output_V"}
     assert {t.variable for t in blind} == {v for v in VARIABLES if not VARIABLES[v].needs}
     largest = blind_case.runs[0].driving_force.force_N.max()

@@ -10,13 +10,15 @@ from scipy.signal import lfilter
 
 from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.colour import Colour, ColourConfig, Stretch, filter_of, filtered, log_likelihood, read_noise
+from softcal.core.gap.coordinates import to_fit
 from softcal.core.gap.diagnosis import diagnose
-from softcal.core.gap.fit import fit, to_fit
-from softcal.core.gap.floor import is_noise
+from softcal.core.gap.fit import fit
+from softcal.core.gap.linear import Colour, Stretch, filter_of, filtered, log_likelihood
+from softcal.core.gap.method import ColourConfig
 from softcal.core.gap.problem import BASE as PARAMETERS
 from softcal.core.gap.problem import Hypothesis, Problem
-from softcal.core.gap.start import base_fit
+from softcal.core.gap.residual import is_noise, read_noise
+from softcal.core.gap.twin import TWIN
 from softcal.core.recording import Array
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
@@ -113,7 +115,7 @@ def test_a_cause_is_named_through_coloured_noise() -> None:
 
 
 def _as_noise(case: Case, spread_N: float, fading_s: float = 0.5) -> bool:
-    problem = base_fit(case).problem.with_noise(
+    problem = TWIN.base_fit(case).problem.with_noise(
         {"force_N": 0.012, "output_V": 0.0012, "stage_mm": 0.002}, {"force_N": Colour(spread_N, fading_s)}
     )
     start = np.array([to_fit(p, getattr(BASE, p.name)) for p in PARAMETERS])
@@ -157,7 +159,7 @@ def test_a_resistance_that_wanders_is_no_floor(seed: int) -> None:
 
 
 def test_a_problem_of_white_noise_is_weighted_as_ever() -> None:
-    problem = Problem(_case(1), {"force_N": 0.012, "output_V": 0.0012})
+    problem = Problem(TWIN, _case(1), {"force_N": 0.012, "output_V": 0.0012})
     values = np.random.default_rng(1).normal(size=len(problem.measured))
     assert np.array_equal(problem.whitened(values), values * problem.weights)
     assert np.array_equal(problem.slow_noise, problem.noise)

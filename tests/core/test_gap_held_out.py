@@ -9,11 +9,11 @@ import pytest
 from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.diagnosis import diagnose
+from softcal.core.gap.evidence import log_evidences
 from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.posterior import log_evidences
-from softcal.core.gap.search import EffectSearch
+from softcal.core.gap.search import Search
 from softcal.core.gap.shrink import unsupported
-from softcal.core.gap.start import base_fit
+from softcal.core.gap.twin import TWIN
 from softcal.core.twin.catalogue import EFFECTS
 
 
@@ -29,7 +29,8 @@ TIE = 0.3
 
 def _chosen_without(case: Case, run: int) -> list[tuple[str, ...]]:
     """The causes that a search finds to which the run was never shown; several only where they tie."""
-    search = EffectSearch.of(replace(case, runs=tuple(r for k, r in enumerate(case.runs) if k != run)))
+    case = replace(case, runs=tuple(r for k, r in enumerate(case.runs) if k != run))
+    search = Search(TWIN.base_fit(case), TWIN.visible(case))
     search.run()
     logs = log_evidences(search.fits)
     return [ids for ids, log in logs.items() if log > max(logs.values()) - TIE]
@@ -65,12 +66,12 @@ def _with(base: Fit, effect_id: str) -> Fit:
 def test_a_cause_that_lowers_nothing_on_samples_held_back_has_no_support(
     drawn_case: Callable[..., Case], effect_id: str
 ) -> None:
-    base = base_fit(drawn_case(1300003, "sound", "none"))
+    base = TWIN.base_fit(drawn_case(1300003, "sound", "none"))
     assert unsupported(_with(base, effect_id), {effect_id: base}) == [effect_id]
 
 
 @pytest.mark.long
 def test_a_cause_that_is_there_has_support(drawn_case: Callable[..., Case]) -> None:
     case = drawn_case(1300002, "strong", "usual")
-    base, (named,) = base_fit(case), diagnose(case).best.hypothesis.ids
+    base, (named,) = TWIN.base_fit(case), diagnose(case).best.hypothesis.ids
     assert unsupported(_with(base, named), {named: base}) == []

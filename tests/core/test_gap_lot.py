@@ -9,8 +9,8 @@ from common.lot_draw import draw_lot
 from softcal.core import profiles
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.method import METHOD
-from softcal.core.gap.posterior import Yardstick
+from softcal.core.gap.evidence import Yardstick
+from softcal.core.gap.method import METHOD, GapMethod
 from softcal.core.gap.shared_cause import Searched, diagnose_lot, joint_logs, lot_logs
 from softcal.core.gap.transfer import CalibrationWorth
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
@@ -69,12 +69,13 @@ def test_progress_names_every_unit(mixed):
 class Counted:
     """As much of a problem as the price of a size asks for."""
 
-    count: int
+    count: int = 1000
+    method: GapMethod = METHOD
 
 
 def of_logs(**logs):
     found = dict.fromkeys(map(_ids, logs))
-    return Searched(None, None, {_ids(name): value for name, value in logs.items()}, found)
+    return Searched(Counted(), None, {_ids(name): value for name, value in logs.items()}, found)
 
 
 def _ids(name):

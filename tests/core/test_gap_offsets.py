@@ -8,14 +8,15 @@ from scipy.signal import lfilter
 
 from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
+from softcal.core.gap.coordinates import to_fit
 from softcal.core.gap.diagnosis import diagnose
-from softcal.core.gap.fit import to_fit
+from softcal.core.gap.explained import offsets
+from softcal.core.gap.fit import fit
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.offsets import offsets
-from softcal.core.gap.place import strongest_tone
+from softcal.core.gap.places import strongest_tone
 from softcal.core.gap.problem import BASE as PARAMETERS
 from softcal.core.gap.problem import Hypothesis, Problem
-from softcal.core.gap.start import base_fit
+from softcal.core.gap.twin import TWIN
 from softcal.core.recording import Array
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
@@ -62,7 +63,8 @@ def _prediction(problem: Problem, base: BaseParameters = BASE) -> Array:
 
 def _found(problem: Problem) -> Array:
     """(runs, 3) offsets of force, resistance and seat at the true parameters."""
-    found = offsets(problem, BASE, _prediction(problem.bare))
+    at = np.array([to_fit(p, getattr(BASE, p.name)) for p in PARAMETERS])
+    found = offsets(fit(problem, Hypothesis(), at, steps=0))
     return np.array([[o.force_N, o.resistance, o.seat_mm] for o in found])
 
 
@@ -72,7 +74,7 @@ def test_every_offset_of_every_run_is_found() -> None:
         dataclasses.replace(run, force_N=np.asarray(run.force_N) + zero)
         for run, zero in zip(_runs(seatings, seats_mm=seats_mm), zeros_N, strict=True)
     ]
-    found = _found(Problem(_case(runs), SIGMA))
+    found = _found(Problem(TWIN, _case(runs), SIGMA))
     assert found[:, 0] == pytest.approx(zeros_N, abs=3e-3)
     assert found[:, 1] == pytest.approx(np.array(seatings), abs=1e-3)
     assert found[:, 2] == pytest.approx(np.array(seats_mm), abs=2e-3)
@@ -81,7 +83,7 @@ def test_every_offset_of_every_run_is_found() -> None:
 def test_the_directions_are_those_of_the_twin() -> None:
     """A twin with another resistance and surface, and one whose offsets are taken off, leave the same."""
     moved = _runs((0.0, 0.008, 0.0), seats_mm=(0.0, 0.015, 0.0))
-    problem = Problem(_case(moved), SIGMA)
+    problem = Problem(TWIN, _case(moved), SIGMA)
     left = (problem.measured - _prediction(problem)) / problem.noise
     own = dataclasses.replace(BASE, r0_ohm=BASE.r0_ohm * 1.008, u0_mm=BASE.u0_mm + 0.015)
     of_moved = np.concatenate([np.full(b.place.stop - b.place.start, b.run == 1) for b in problem.blocks])
@@ -90,13 +92,13 @@ def test_the_directions_are_those_of_the_twin() -> None:
 
 
 def test_an_offset_beyond_what_rigs_have_stays_a_gap() -> None:
-    problem = Problem(_untared(0.5), SIGMA)
+    problem = Problem(TWIN, _untared(0.5), SIGMA)
     largest_N = max(np.ptp(problem.measured[b.place]) for b in problem.blocks if b.channel == "force_N")
     assert _found(problem)[:, 0] == pytest.approx([METHOD.offset.tare * largest_N] * 3)
 
 
 def test_what_all_runs_share_is_left_to_the_base() -> None:
-    every = _found(Problem(_case(_runs((0.01, 0.01, 0.01), seats_mm=(0.02, 0.02, 0.02))), SIGMA))
+    every = _found(Problem(TWIN, _case(_runs((0.01, 0.01, 0.01), seats_mm=(0.02, 0.02, 0.02))), SIGMA))
     assert np.abs(every[:, 1]).max() < 1e-3 < 0.01 < METHOD.offset.resistance and np.abs(every[:, 2]).max() < 2e-3
 
 
@@ -163,13 +165,13 @@ def test_a_tone_is_not_taken_for_noise(channel: str) -> None:
         return dataclasses.replace(run, **{channel: np.asarray(getattr(run, channel)) + tone})
 
     toned = [with_tone(run) for run in _runs()]
-    found = strongest_tone(base_fit(_case(toned)))
+    found = strongest_tone(TWIN.base_fit(_case(toned)))
     assert found is not None and found.channel == channel and found.frequency_Hz == pytest.approx(17.3, abs=0.1)
     assert diagnose(_case(toned)).verdict != "no_gap"
 
 
 def test_white_noise_has_no_tone() -> None:
-    assert strongest_tone(base_fit(_case(_runs()))) is None
+    assert strongest_tone(TWIN.base_fit(_case(_runs()))) is None
 
 
 def test_a_surface_that_lies_lower_leaves_no_corner_at_first_touch() -> None:
@@ -180,7 +182,7 @@ def test_a_surface_that_lies_lower_leaves_no_corner_at_first_touch() -> None:
         unit = dataclasses.replace(quiet, r0_ohm=quiet.r0_ohm * (1.0 + resistance), u0_mm=quiet.u0_mm + seat_mm)
         force_N, output_V = simulate(Twin(unit, (), READOUT), t_s, stage_mm, np.random.default_rng(0))
         runs.append(Run("ramps", t_s, READOUT, stage_mm, force_N, output_V))
-    problem = Problem(_case(runs), SIGMA)
+    problem = Problem(TWIN, _case(runs), SIGMA)
     error = problem.measured - _prediction(problem)
     left = {c: max(float(np.max(np.abs(error[b.place]))) for b in problem.blocks if b.channel == c) for c in SIGMA}
     # A straight step along the slopes leaves k1·40 µm = 44 mN and 0.1 mV.

@@ -8,8 +8,8 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
+from softcal.core.gap.diagnosis import Diagnosis, diagnose_simulator
 from softcal.core.gap.simulator import Columns, Simulator, SimulatorRun, candidate, recorded
-from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis, diagnose_simulator
 from softcal.core.twin.effects import Parameter
 
 STEP_s = 0.05
@@ -103,11 +103,11 @@ CAUSES = {"none": {}, "cubic": {"cubic.a": 0.15}, "slow_part": {"slow_part.share
 CAUSES["long_delay"] = {"late.delay": 0.6}
 
 
-def named(found: SimulatorDiagnosis) -> set[str]:
+def named(found: Diagnosis) -> set[str]:
     return {c.effect for c in found.causes if c.probability > 0.5}
 
 
-def diagnosed(seed: int, noise: float, is_straight: bool, hidden: str) -> SimulatorDiagnosis:
+def diagnosed(seed: int, noise: float, is_straight: bool, hidden: str) -> Diagnosis:
     plant = Plant(seed)
     return diagnose_simulator(plant.simulator, plant.recorded(noise, is_straight, CAUSES[hidden]))
 
@@ -134,7 +134,7 @@ def test_a_clock_that_is_late_along_straight_lines_is_no_cause_and_hides_no_othe
     assert (named(found), found.verdict) == (true, "explained" if true else "no_gap")
 
 
-def blind(seed: int) -> SimulatorDiagnosis:
+def blind(seed: int) -> Diagnosis:
     """Diagnose a plant whose cause no candidate describes; a dead band bends as its cube does."""
     plant = Plant(seed)
     kept = tuple(c for c in CANDIDATES if c.id != "cubic")

@@ -5,9 +5,8 @@ import pytest
 
 from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.place import likely_stages
-from softcal.core.gap.residual import three_maps
-from softcal.core.gap.start import base_fit
+from softcal.core.gap.places import likely_stages
+from softcal.core.gap.twin import TWIN
 from softcal.core.twin.parameters import ReadoutMetadata
 
 READOUT = ReadoutMetadata(vref_V=3.3, adc_bits=14, r_series_ohm=10.0, sample_rate_Hz=50.0)
@@ -55,9 +54,9 @@ DEPARTURES = {
 def test_the_stage_is_named_without_any_effect(name):
     stage, change = DEPARTURES[name]
     case = recorded(**change)
-    assert likely_stages(base_fit(case), three_maps(case))[0] == stage
+    assert likely_stages(TWIN.base_fit(case), TWIN.maps(case))[0] == stage
 
 
 def test_no_stage_is_named_where_there_is_no_gap():
     case = recorded()
-    assert likely_stages(base_fit(case), three_maps(case)) == ()
+    assert likely_stages(TWIN.base_fit(case), TWIN.maps(case)) == ()

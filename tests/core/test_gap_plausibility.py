@@ -11,7 +11,9 @@ from softcal.app.files.case_folder import open_table
 from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import diagnose
-from softcal.core.gap.plausibility import doubts, mistakes
+from softcal.core.gap.method import METHOD
+from softcal.core.gap.mistakes import doubts
+from softcal.core.gap.twin import TWIN
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
 
@@ -122,19 +124,19 @@ def test_a_unit_of_the_whole_case_is_asked_about_and_diagnosed(sound: Case, chan
 @pytest.mark.parametrize(("newtons", "stroke"), [(30.0, 0.5), (0.03, 0.3)], ids=["200 N", "0.2 N"])
 def test_an_unusual_pad_is_no_mistake(sound: Case, newtons: float, stroke: float) -> None:
     pad = spoilt(sound, force_N=scaled("force_N", newtons), stage_mm=scaled("stage_mm", stroke))
-    assert mistakes(pad) == () and diagnose(pad).verdict == "no_gap"
+    assert TWIN.mistakes(pad) == () and diagnose(pad).verdict == "no_gap"
 
 
 @pytest.mark.parametrize("seed", range(120, 128))
 def test_lost_samples_are_no_wrong_unit(seed: int) -> None:
     rng = np.random.default_rng(seed)
     losses = sorted((float(rng.uniform(3.0, 15.0)), int(rng.integers(3, 20))) for _ in range(3))
-    assert mistakes(make_case(EffectSetting("dropped_samples", {}, tuple(losses)), seed=seed)) == ()
+    assert TWIN.mistakes(make_case(EffectSetting("dropped_samples", {}, tuple(losses)), seed=seed)) == ()
 
 
 @pytest.mark.parametrize(("ratio", "what"), [(1 / 4.44822, "unit_factor"), (1 / 3.15, "gain")])
 def test_a_unit_is_suggested_only_where_the_number_fits(sound: Case, ratio: float, what: str) -> None:
-    found = mistakes(spoilt(sound, 2, force_N=scaled("force_N", ratio)))
+    found = TWIN.mistakes(spoilt(sound, 2, force_N=scaled("force_N", ratio)))
     assert [(f.what, f.runs) for f in found] == [(what, (2,))]
     assert found[0].factor == pytest.approx(1 / ratio, rel=0.1)
 
@@ -159,7 +161,7 @@ def test_two_runs_paired_wrongly_are_named(sound: Case) -> None:
         for run in (one, other)
     ]
     swapped = (replace(short[0], force_N=short[1].force_N), replace(short[1], force_N=short[0].force_N))
-    found = mistakes(replace(sound, runs=(swapped[0], sound.runs[1], swapped[1], sound.runs[3])))
+    found = TWIN.mistakes(replace(sound, runs=(swapped[0], sound.runs[1], swapped[1], sound.runs[3])))
     assert [(f.what, f.channel, f.runs) for f in found] == [("swapped_runs", "force", (1, 3))]
 
 
@@ -168,17 +170,17 @@ def test_a_gain_of_all_runs_shows_where_the_lot_states_its_stiffness(sound: Case
     stiffness_N_mm = 1.1 + 0.1 * 2.75**2
     stated = (0.93 * stiffness_N_mm, 1.07 * stiffness_N_mm)
     heavier = spoilt(sound, force_N=scaled("force_N", 1.15))
-    assert mistakes(replace(sound, stiffness_N_mm=stated)) == ()
-    assert mistakes(heavier) == ()
-    assert [(f.what, f.channel) for f in mistakes(replace(heavier, stiffness_N_mm=stated))] == [("gain", "force")]
+    assert TWIN.mistakes(replace(sound, stiffness_N_mm=stated)) == ()
+    assert TWIN.mistakes(heavier) == ()
+    assert [(f.what, f.channel) for f in TWIN.mistakes(replace(heavier, stiffness_N_mm=stated))] == [("gain", "force")]
 
 
 def test_a_stiff_pad_that_the_lot_states_is_believed(sound: Case) -> None:
     stiff = spoilt(sound, stage_mm=scaled("stage_mm", 1 / 25.4))
-    assert mistakes(replace(stiff, stiffness_N_mm=(1.0, 3.0)))[0].what == "unit_factor"
-    assert doubts(stiff)[0].what == "unit_factor"
+    assert TWIN.mistakes(replace(stiff, stiffness_N_mm=(1.0, 3.0)))[0].what == "unit_factor"
+    assert doubts(stiff, METHOD.mistake)[0].what == "unit_factor"
     believed = replace(stiff, stiffness_N_mm=(40.0, 60.0))
-    assert mistakes(believed) == doubts(believed) == ()
+    assert TWIN.mistakes(believed) == doubts(believed, METHOD.mistake) == ()
 
 
 @pytest.mark.parametrize("name", ["S1", "S2"])
@@ -186,4 +188,4 @@ def test_real_recordings_hold_no_mistake(name: str) -> None:
     path = DATA / "egain_pair" / f"{name}.csv"
     if not path.is_file():
         pytest.skip("measured data are not on this machine; name their folder by SOFTCAL_DATA")
-    assert mistakes(open_table(path, ReadoutMetadata(5.0, 10, 1.0, 50.0))) == ()
+    assert TWIN.mistakes(open_table(path, ReadoutMetadata(5.0, 10, 1.0, 50.0))) == ()

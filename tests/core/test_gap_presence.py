@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softcal.core.gap.gap_diagnosis import bounds_reached
-from softcal.core.gap.presence import Consistency, consistency_of, list_completeness, rest_energy
-from softcal.core.gap.shrink import Shrink
+from softcal.core.gap.causes import bounds_reached
+from softcal.core.gap.diagnosis import diagnose_simulator
+from softcal.core.gap.evidence import Consistency, consistency_of, list_completeness, rest_energy
+from softcal.core.gap.method import METHOD
+from softcal.core.gap.residual import Shrink
 from softcal.core.gap.simulator import Simulator, candidate, recorded
-from softcal.core.gap.simulator_diagnosis import diagnose_simulator
 from softcal.core.twin.effects import Parameter
 from tests.core.linear_mechanism import BEND, LINE, RIPPLE, SIGMA, design, fitted, left_of, measured, problem_of
 
@@ -83,24 +84,31 @@ def test_how_a_cause_stands_to_a_rest_is_that_of_its_algebra():
 
 
 def test_more_of_the_gap_and_less_disagreement_make_a_cause_likelier():
-    chances = [Consistency(taken, 0.15).genuine_chance for taken in (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.0)]
+    chances = [
+        Consistency(taken, 0.15).genuine_chance(METHOD.presence) for taken in (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.0)
+    ]
     assert chances == sorted(chances) and chances[0] == 0.0 and chances[-1] == 1.0
-    chances = [Consistency(0.9, apart).genuine_chance for apart in (0.5, 0.2, 0.1, 0.01)]
+    chances = [Consistency(0.9, apart).genuine_chance(METHOD.presence) for apart in (0.5, 0.2, 0.1, 0.01)]
     assert chances == sorted(chances)
-    assert Consistency(0.75, 0.4).genuine_chance < 0.05 < 0.9 < Consistency(0.97, 0.1).genuine_chance
+    assert (
+        Consistency(0.75, 0.4).genuine_chance(METHOD.presence)
+        < 0.05
+        < 0.9
+        < Consistency(0.97, 0.1).genuine_chance(METHOD.presence)
+    )
 
 
 def test_noise_leaves_a_list_complete_and_a_departure_outside_does_not():
-    assert list_completeness(0.4, 0.5, False) > 0.8
-    assert list_completeness(1e-9, 0.3, False) < 0.05
-    assert list_completeness(0.4, 0.0, True) < 0.1
-    rests = [list_completeness(1e-12, share, False) for share in (0.001, 0.01, 0.05, 0.2, 1.0)]
+    assert list_completeness(0.4, 0.5, False, METHOD.presence) > 0.8
+    assert list_completeness(1e-9, 0.3, False, METHOD.presence) < 0.05
+    assert list_completeness(0.4, 0.0, True, METHOD.presence) < 0.1
+    rests = [list_completeness(1e-12, share, False, METHOD.presence) for share in (0.001, 0.01, 0.05, 0.2, 1.0)]
     assert rests == sorted(rests, reverse=True)
 
 
 def test_a_forecast_that_its_own_samples_contradict_is_left_out():
-    assert Shrink.checked((0.0, 0.0, 0.02), 0.83) == Shrink(None, None, None, 0.83)
-    assert Shrink.checked((0.9, 0.8, 0.95), 0.83).predicted == 0.9
+    assert Shrink.checked((0.0, 0.0, 0.02), 0.83, METHOD.shrink) == Shrink(None, None, None, 0.83)
+    assert Shrink.checked((0.9, 0.8, 0.95), 0.83, METHOD.shrink).predicted == 0.9
 
 
 @pytest.mark.parametrize(("low", "high", "reached"), [(-50.0, 0.1, 0.1), (0.9, 50.0, 0.9), (-50.0, 50.0, None)])

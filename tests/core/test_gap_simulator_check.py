@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import InputError
+from softcal.core.gap.diagnosis import diagnose_simulator
 from softcal.core.gap.simulator import Columns, Simulator, SimulatorRun, candidate, recorded
 from softcal.core.gap.simulator_check import check_calls
-from softcal.core.gap.simulator_diagnosis import diagnose_simulator
 from softcal.core.twin.effects import Parameter
 
 T_S = np.arange(0.0, 4.0, 0.02)

@@ -13,11 +13,11 @@ from scipy.signal import lfilter
 
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case
-from softcal.core.gap.floor import noise_chance
-from softcal.core.gap.simulator import Columns, Simulator, SimulatorRun, candidate, recorded, term_of, with_terms
-from softcal.core.gap.simulator_diagnosis import diagnose_simulator
-from softcal.core.gap.simulator_problem import followed, shifted
-from softcal.core.gap.simulator_search import base_fit
+from softcal.core.gap.diagnosis import diagnose_simulator
+from softcal.core.gap.residual import noise_chance
+from softcal.core.gap.simulator import Columns, Simulator, SimulatorRun, candidate, recorded
+from softcal.core.gap.simulator_model import SimulatorModel
+from softcal.core.gap.simulator_reach import shifted, term_of, with_terms
 from softcal.core.twin.effects import Parameter
 from tests.layers import layered
 
@@ -351,7 +351,7 @@ def chance_of_noise(seed: int, left: float = 0.0) -> float:
         return np.asarray(values + left * SPRING.noise * np.sin(2.0 * np.pi * 1.9 * T))
 
     rig = replace(sound(SPRING), spoil=spoil)
-    return noise_chance(base_fit(rig.simulator, Case("", tuple(rig.recorded(seed)))), follows=followed)
+    return noise_chance(SimulatorModel(rig.simulator).base_fit(Case("", tuple(rig.recorded(seed)))))
 
 
 def test_noise_passes_for_noise_as_often_as_is_said() -> None:

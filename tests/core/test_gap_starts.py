@@ -9,8 +9,8 @@ from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.fit import fit
-from softcal.core.gap.screen import extent_of, joined, probes, screen
-from softcal.core.gap.start import base_fit
+from softcal.core.gap.screen import joined, screen
+from softcal.core.gap.twin import TWIN
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
 
@@ -30,9 +30,8 @@ def _table(seed: int, *effects: EffectSetting) -> Case:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_no_effect_ends_worse_than_the_twin_without_it(seed: int) -> None:
     case = _table(seed, LEAD)
-    base = base_fit(case)
-    extent = extent_of(base)
-    leads = screen(base, probes(case, extent))
+    base = TWIN.base_fit(case)
+    leads = screen(base, TWIN.probes(base, TWIN.visible(case)))
     assert leads[0].gain > 1000.0
     for lead in leads:
         assert joined(base, lead).chi2 <= 1.001 * base.chi2, lead.effect.id
@@ -40,9 +39,10 @@ def test_no_effect_ends_worse_than_the_twin_without_it(seed: int) -> None:
 
 def test_a_start_that_leads_nowhere_is_tried_more_gently() -> None:
     case = _table(1, LEAD)
-    base = base_fit(case)
-    extent = extent_of(base)
-    lead = next(one for one in screen(base, probes(case, extent)) if one.effect.id == "wiring_resistance")
+    base = TWIN.base_fit(case)
+    lead = next(
+        one for one in screen(base, TWIN.probes(base, TWIN.visible(case))) if one.effect.id == "wiring_resistance"
+    )
     # Four hundred times too large a promise, as a bent surface makes it.
     far = replace(lead, values=(400.0 * lead.values[0],), shift=400.0 * lead.shift)
     lost = fit(base.problem, base.hypothesis.adding(lead.effect), far.start(base))

@@ -8,7 +8,7 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.gap.case import KINDS, Case, Run
-from softcal.core.gap.next_experiment import menu
+from softcal.core.gap.twin_reach import menu
 from softcal.core.twin import properties
 from softcal.core.twin.catalogue import EFFECTS, OWN_EFFECTS, PLUGINS
 from softcal.core.twin.effects import Effect, Hook, Parameter

@@ -1,4 +1,4 @@
-"""What these runs can tell, seen from the fitted base, and which run would tell the rest.
+"""What these runs can tell, seen from the fitted base, and which run would tell the rest or tells rivals apart.
 
 Everything is first order: of the change a parameter makes by its usual size, the part that neither
 the others nor what each run may have of its own can imitate, in standard deviations of the noise.
@@ -10,17 +10,79 @@ from itertools import combinations
 
 import numpy as np
 
+from softcal.core.gap.case import MenuEntry, Run
 from softcal.core.gap.coordinates import fit_scale, start_coordinates
 from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.method import METHOD
-from softcal.core.gap.next_experiment import MenuEntry
-from softcal.core.gap.offsets import own_rows
-from softcal.core.gap.problem import Problem
+from softcal.core.gap.linear import dots, energy, gram
+from softcal.core.gap.method import TellingConfig
+from softcal.core.gap.problem import Problem, own_rows
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
-from softcal.core.words.reason import Reason, reason, several
+from softcal.core.words.reason import Reason, in_words, reason, several
 
-CONFIG = METHOD.telling
+
+@dataclass(frozen=True)
+class NextExperiment:
+    """The proposed run, and by how many standard deviations refitted rivals stand apart over it."""
+
+    profile: str
+    why: Reason
+    separation_sigma: float = 0.0
+    minutes: float = 0.0
+
+    def record(self) -> dict[str, object]:
+        return in_words(vars(self), "why")
+
+
+def most_telling(entries: Sequence[MenuEntry], rivals: Sequence[Fit]) -> NextExperiment:
+    """Return the entry that tells most rivals from the first, and does so best per minute."""
+    first, others, enough = rivals[0], rivals[1:], rivals[0].problem.method.telling.enough_sigma
+    candidates: list[tuple[int, float, float, MenuEntry]] = []
+    # A larger hypothesis can take the shape of a smaller one.
+    pairs = [[(a, b) for a, b in ((first, other), (other, first)) if not set(a.ids) > set(b.ids)] for other in others]
+    for experiment in entries:
+        distances = [min(_distance(a, b, experiment.run) for a, b in both) for both in pairs]
+        parted = [distance for distance in distances if distance >= enough]
+        least = min(parted, default=0.0)
+        candidates.append((len(parted), min(least, 10 * enough) / experiment.minutes, least, experiment))
+    count, _, distance, experiment = max(candidates, key=lambda entry: entry[:2])
+    causes = causes_of(rivals)
+    if count == 0:
+        remedies = dict.fromkeys(e.signs.remedy for f in rivals for e in f.effects if e.signs.remedy)
+        remedy = several([Reason.of(one) for one in remedies] or [Reason("gap.remedy.usual")])
+        return NextExperiment("none", reason("gap.next.inseparable", causes=causes, remedy=remedy))
+    why = reason("gap.next.separates", causes=causes, distance=distance, minutes=experiment.minutes)
+    if count < len(others):
+        why = reason("gap.next.separates_most", **why.values, others=len(others) - count)
+    return NextExperiment(experiment.name, why, distance, experiment.minutes)
+
+
+def causes_of(rivals: Sequence[Fit]) -> Reason:
+    """Return the causes of hypotheses in words, those of one together."""
+    return several([together(f.ids, "gap.together") for f in rivals], "gap.both")
+
+
+def together(effects: Sequence[str], code: str) -> Reason:
+    """Return identifiers of effects as one reason; `code` says how they are joined."""
+    return several([reason("gap.effect", effect=effect) for effect in effects], code)
+
+
+def _distance(mine: Fit, other: Fit, run: Run) -> float:
+    """Return how far `other` stays from `mine` on a new run once `mine` is refitted to it too."""
+    problem = mine.problem.of_run(run)
+    hypothesis = mine.hypothesis.without_episodes()
+    theirs = problem.predict(other.hypothesis.without_episodes(), other.coordinates)
+    parted = problem.whitened(theirs - problem.predict(hypothesis, mine.coordinates))
+    if not np.all(np.isfinite(parted)):
+        # A simulator that fails there tells nothing.
+        return 0.0
+    jacobian = fit(problem, hypothesis, mine.coordinates, steps=0).jacobian
+    old = gram(mine.jacobian)
+    free = np.flatnonzero(np.diag(old) > 0)
+    normal = old[np.ix_(free, free)] + gram(jacobian[free])
+    slope = dots(jacobian[free], parted)
+    left = energy(parted) - float(slope @ np.linalg.lstsq(normal, slope, rcond=None)[0])
+    return float(np.sqrt(max(left, 0.0)))
 
 
 @dataclass(frozen=True)
@@ -44,6 +106,7 @@ class ParameterTold:
     offset: str = ""
     beside: tuple[str, ...] = ()
     by: tuple[str, ...] = ()
+    config: TellingConfig = field(default=TellingConfig(), repr=False)
 
     @property
     def is_own(self) -> bool:
@@ -53,11 +116,11 @@ class ParameterTold:
     @property
     def is_told(self) -> bool:
         """Whether a change of the usual size would show."""
-        return self.sigma >= CONFIG.sigma and not self.is_own
+        return self.sigma >= self.config.sigma and not self.is_own
 
     def record(self) -> dict[str, object]:
-        lists = {"beside": list(self.beside), "by": list(self.by)}
-        return vars(self) | lists | {"is_told": self.is_told}
+        plain = {name: value for name, value in vars(self).items() if name != "config"}
+        return plain | {"beside": list(self.beside), "by": list(self.by), "is_told": self.is_told}
 
 
 @dataclass(frozen=True)
@@ -84,19 +147,16 @@ class Identifiability:
         }
 
 
-def identifiability(
-    base: Fit, effects: Sequence[Effect], menu: Sequence[MenuEntry] = (), offsets: Sequence[str] = ()
-) -> Identifiability:
+def identifiability(base: Fit, effects: Sequence[Effect], menu: Sequence[MenuEntry] = ()) -> Identifiability:
     """Return what the runs of a base fit tell of it and of effects.
 
     Args:
         menu: runs that could be made; each is looked at for what these do not tell.
-        offsets: what each kind of offset is called, in the order of the problem.
     """
     # What has no place in time before it is searched shows nothing yet.
     effects = [effect for effect in effects if not effect.is_episodic]
     here = _Rows.of(base, base.problem, effects)
-    every = [*_of_base(here, base), *_of_causes(here, base, effects, offsets)]
+    every = [*_of_base(here, base), *_of_causes(here, base, effects)]
     for entry in sorted(menu, key=lambda entry: entry.minutes):
         left = [one for one in every if not one.is_told]
         if not left:
@@ -106,7 +166,7 @@ def identifiability(
         names = {one.name for one in left if there.shows(one.name)}
         every = [replace(one, by=(*one.by, entry.name)) if one.name in names else one for one in every]
     pairs = combinations([e.id for e in effects], 2)
-    alike = [pair for pair in pairs if abs(here.cosine(*map(here.cause, pair))) > CONFIG.alike]
+    alike = [pair for pair in pairs if abs(here.cosine(*map(here.cause, pair))) > base.problem.method.telling.alike]
     return Identifiability(tuple(every), tuple(alike))
 
 
@@ -126,7 +186,7 @@ def why(one: ParameterTold) -> Reason:
     if one.beside:
         beside = several([Reason.of(other) for other in one.beside], "gap.both")
         return reason("gap.told.beside", name=name, beside=beside, cure=cure)
-    if one.sigma < CONFIG.nothing:
+    if one.sigma < one.config.nothing:
         return reason("gap.told.never", name=name, cure=cure)
     return reason("gap.told.small", name=name, sigma=one.sigma, cure=cure)
 
@@ -146,12 +206,13 @@ class _Rows:
     own: tuple[int, ...]
     causes: tuple[str, ...]
     gram: Array = field(repr=False)
+    config: TellingConfig
 
     @classmethod
     def of(cls, found: Fit, problem: Problem, effects: Sequence[Effect]) -> "_Rows":
-        bare = fit(problem.bare, found.hypothesis, found.coordinates, steps=0)
+        bare, config = fit(problem.bare, found.hypothesis, found.coordinates, steps=0), problem.method.telling
         if not np.all(np.isfinite(bare.predicted)):
-            return cls((), (), (), np.zeros((0, 0)))
+            return cls((), (), (), np.zeros((0, 0)), config)
         scales = [fit_scale(problem.scale.sized(p)) for p in found.hypothesis.of_all]
         rows = [scale * row for scale, row in zip(scales, bare.jacobian, strict=True)]
         names = [p.name for p in found.hypothesis.of_all]
@@ -167,7 +228,7 @@ class _Rows:
             *(row for pair in causes.values() for row in pair),
         ]
         stacked = np.array(every).reshape(len(every), len(problem.measured))
-        return cls(tuple(names[k] for k in telling), kinds, tuple(causes), stacked @ stacked.T)
+        return cls(tuple(names[k] for k in telling), kinds, tuple(causes), stacked @ stacked.T, config)
 
     def with_run(self, new: "_Rows") -> "_Rows":
         """Return the rows over these runs and a new one, which has offsets of its own."""
@@ -184,7 +245,7 @@ class _Rows:
                 at += [len(base) + len(own) + 2 * k + i for i in (0, 1)]
                 mine += [part.cause(name) + i for i in (0, 1)]
             gram[np.ix_(at, at)] += part.gram[np.ix_(mine, mine)]
-        return _Rows(base, own, causes, gram)
+        return _Rows(base, own, causes, gram, self.config)
 
     def cause(self, name: str) -> int:
         return len(self.base) + len(self.own) + 2 * self.causes.index(name)
@@ -213,16 +274,16 @@ class _Rows:
     def shows(self, name: str) -> bool:
         """Whether a base parameter or a cause shows by enough, and is no offset."""
         if name in self.base:
-            return self.sigma_of_base(self.base.index(name)) >= CONFIG.sigma
+            return self.sigma_of_base(self.base.index(name)) >= self.config.sigma
         if name not in self.causes:
             return False
         at = self.cause(name)
-        return self.own_share(at) < CONFIG.own and self.left(at, self.held) >= CONFIG.sigma**2
+        return self.own_share(at) < self.config.own and self.left(at, self.held) >= self.config.sigma**2
 
     def sigma_of_base(self, k: int) -> float:
         """Return by how many σ a base parameter shows, 0 where others imitate it to rounding."""
         left = self.left(k, [i for i in self.held if i != k])
-        return float(np.sqrt(left)) if left > CONFIG.lost * float(self.gram[k, k]) else 0.0
+        return float(np.sqrt(left)) if left > self.config.lost * float(self.gram[k, k]) else 0.0
 
     def own_share(self, cause: int, kind: int | None = None) -> float:
         """Return which share of what the base leaves of a cause, at either size, offsets take."""
@@ -230,7 +291,7 @@ class _Rows:
         shares = [0.0]
         for row in (cause, cause + 1):
             seen = self.left(row, self.of_base)
-            if seen > CONFIG.lost * float(self.gram[row, row]):
+            if seen > self.config.lost * float(self.gram[row, row]):
                 shares.append(1.0 - self.left(row, [*self.of_base, *own]) / seen)
         return max(shares)
 
@@ -238,7 +299,7 @@ class _Rows:
         """Return how much alike two rows are beyond what base and offsets imitate."""
         held = self.held
         left = [self.left(row, held) for row in (one, other)]
-        if min(left) < CONFIG.sigma**2:
+        if min(left) < self.config.sigma**2:
             return 0.0
         shared = float(self.gram[one, other] - self.gram[one, held] @ self.weights(other, held))
         return shared / float(np.sqrt(left[0] * left[1]))
@@ -250,7 +311,7 @@ def _changes(bare: Fit, effect: Effect) -> tuple[Array, Array]:
     smaller, neutral = usual[0], sized[0].neutral
     if neutral is not None and np.isfinite(neutral):
         # A level that cuts off is the smaller the farther it lies.
-        smaller = neutral + CONFIG.smaller * (usual[0] - neutral)
+        smaller = neutral + bare.problem.method.telling.smaller * (usual[0] - neutral)
     rows = []
     for values in (usual, [smaller, *usual[1:]]):
         start = np.append(bare.coordinates, start_coordinates([effect], [values]))
@@ -261,10 +322,10 @@ def _changes(bare: Fit, effect: Effect) -> tuple[Array, Array]:
 
 
 def _of_base(here: _Rows, base: Fit) -> list[ParameterTold]:
-    out = []
+    config, out = here.config, []
     for p in base.hypothesis.of_all:
         if p.name not in here.base:
-            out.append(ParameterTold(p.name, True, 0.0, 0.0))
+            out.append(ParameterTold(p.name, True, 0.0, 0.0, config=config))
             continue
         k = here.base.index(p.name)
         others = [i for i in range(len(here.base)) if i != k]
@@ -272,20 +333,22 @@ def _of_base(here: _Rows, base: Fit) -> list[ParameterTold]:
         imitated = here.gram[np.ix_(others, others)].diagonal() * weights**2
         whole = float(here.gram[k, k])
         sigma = here.sigma_of_base(k)
-        is_traded = imitated > CONFIG.traded * whole
+        is_traded = imitated > config.traded * whole
         beside = tuple(here.base[i] for i, is_in in zip(others, is_traded, strict=True) if is_in)
         hidden = float(np.clip(1.0 - here.left(k, others) / whole, 0.0, 1.0))
-        out.append(ParameterTold(p.name, True, sigma, hidden, beside=beside if sigma < CONFIG.sigma else ()))
+        beside = beside if sigma < config.sigma else ()
+        out.append(ParameterTold(p.name, True, sigma, hidden, beside=beside, config=config))
     return out
 
 
-def _of_causes(here: _Rows, base: Fit, effects: Sequence[Effect], offsets: Sequence[str]) -> list[ParameterTold]:
+def _of_causes(here: _Rows, base: Fit, effects: Sequence[Effect]) -> list[ParameterTold]:
+    config, offsets = here.config, base.problem.model.offset_names
     largest = base.problem.largest_offsets
     # Of each kind of offset, whether it stands on its bound in most runs.
     sizes = np.array(list(base.problem.offset_sizes(base.hypothesis, base.coordinates).values()))
     is_full = np.zeros(len(largest), dtype=np.bool_)
     if sizes.size:
-        is_full = np.mean(np.abs(sizes) >= CONFIG.on_bound * largest, axis=0) > 0.5
+        is_full = np.mean(np.abs(sizes) >= config.on_bound * largest, axis=0) > 0.5
     out = []
     for effect in effects:
         at = here.cause(effect.id)
@@ -294,8 +357,8 @@ def _of_causes(here: _Rows, base: Fit, effects: Sequence[Effect], offsets: Seque
         sigma = float(np.sqrt(here.left(at, here.held)))
         kind = max(range(len(offsets)), key=lambda k: here.own_share(at, k), default=None)
         # A delay that all runs share, beyond the largest that each may have, is no longer theirs.
-        is_own = kind is not None and own >= CONFIG.own and not is_full[kind]
+        is_own = kind is not None and own >= config.own and not is_full[kind]
         offset = offsets[kind] if is_own and kind is not None else ""
         hidden = float(np.clip(1.0 - seen / whole, 0.0, 1.0)) if whole > 0.0 else 1.0
-        out.append(ParameterTold(effect.id, False, sigma, hidden, own, offset))
+        out.append(ParameterTold(effect.id, False, sigma, hidden, own, offset, config=config))
     return out

@@ -1,25 +1,129 @@
 """Which stage of the chain the gap sits in, from maps and residual; no effect is needed.
 
-The three maps name a group of stages, the residual one within it. What swings to and fro over the
-stage position, or jumps in time, is motion. What lasts at rest or swings with the voltage is
+Three maps are refitted separately: they name a group of stages, the residual one within it. What swings to and fro over
+the stage position, or jumps in time, is motion. What lasts at rest or swings with the voltage is
 electronics. What follows the slope of the output is acquisition. The rest acts only under load.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from softcal.core.gap.fit import Fit
-from softcal.core.gap.method import METHOD
+from softcal.core.gap.case import Case, Run
+from softcal.core.gap.fit import Fit, Map, Regime, shares_of_gap
+from softcal.core.gap.forward import dither_of
 from softcal.core.gap.problem import Block
-from softcal.core.gap.residual import Map, suspects
+from softcal.core.profiles import pressed
 from softcal.core.recording import Array
 from softcal.core.twin.effects import ChainStage, Placing
+from softcal.core.twin.parameters import SensorType
 from softcal.core.words.reason import Reason, reason
 
-CONFIG = METHOD.place
+TIED = 1e-6
+"""Share of the largest speed by which two samples of one ramp differ in rounding alone."""
+
+
+def cases_of_maps(case: Case) -> dict[str, Case]:
+    """Return the recordings of each chain relation alone, by its name."""
+    stage, force, output = (case.has(channel) for channel in ("stage_mm", "force_N", "output_V"))
+    is_pressure, runs = case.readout.sensor_type == "pressure", {}
+    if stage and force:
+        runs["stage→force"] = [replace(run, output_V=None) for run in case.presses]
+    if force and output and is_pressure:
+        runs["force→output"] = [replace(run, stage_mm=None) for run in case.presses]
+    if stage and output:
+        runs["stage→output"] = [replace(run, force_N=None) for run in case.presses]
+    return {name: Case(case.serial, tuple(of)) for name, of in runs.items()}
+
+
+BEFORE: tuple[ChainStage, ...] = ("mechanics", "motion")
+BEHIND: tuple[ChainStage, ...] = ("transduction", "electronics", "acquisition")
+
+
+def suspects(maps: tuple[Map, ...], quiet: float, sensor_type: SensorType = "pressure") -> tuple[ChainStage, ...]:
+    """Return the stages that the pattern of dirty maps points to; none when all are clean.
+
+    Args:
+        quiet: a map this much cleaner than the dirtiest counts as closed.
+
+    A dirty stage→force with a clean force→output is motion or mechanics, the reverse is the channel or
+    its electronics; when stage→output alone is clean, the load cell is what both others share.
+    """
+    z = {m.name: m.structure.z for m in maps}
+    dirty = {m.name for m in maps if m.structure.is_significant}
+    if not dirty:
+        return ()
+    if sensor_type == "strain":
+        # A strain sensor does not feel the force: pad and cell look alike.
+        pad_or_behind = BEFORE if "stage→force" in dirty else BEHIND
+        return pad_or_behind if "stage→output" in dirty else ("mechanics", "load_cell")
+    if len(z) < 3:
+        # One map alone: what lies on its own side, and the cell that reads its force.
+        side = {"stage→force": BEFORE, "force→output": BEHIND}.get(next(iter(z)))
+        return (*BEFORE, *BEHIND) if side is None else (*side, "load_cell")
+    loud = max(z.values())
+    left_out: dict[str, tuple[ChainStage, ...]]
+    left_out = {"stage→output": ("load_cell",), "force→output": BEFORE, "stage→force": BEHIND}
+    for name, stages in left_out.items():
+        if name not in dirty or z[name] <= quiet * loud:
+            return stages
+    # All three are dirty: the cleanest of them leaves out the stage that the other two share.
+    quietest = min(z, key=lambda name: z[name])
+    return left_out[quietest] if z[quietest] < 5 * quiet * loud else (*BEFORE, *BEHIND)
+
+
+def regimes(found: Fit) -> tuple[Regime, ...]:
+    """Return the regimes in which the residual of a fit stands out, the strongest first."""
+    out = []
+    for channel in ("force_N", "output_V"):
+        blocks = found.problem.blocks_of(channel, "press")
+        if not blocks:
+            continue
+        for name, share, time_share in shares_of_gap(found, blocks, _conditions(found, blocks)):
+            out.append(Regime(channel, name, float(np.clip(share, 0.0, 1.0)), share / time_share))
+    return tuple(sorted(out, key=lambda r: -r.share * np.log(max(r.lift, 1.0) + 1e-9)))
+
+
+def _conditions(found: Fit, blocks: list[Block]) -> dict[Reason, Array]:
+    case = found.problem.case
+    runs = [case.runs[b.run] for b in blocks]
+    drive = np.concatenate([_drive(run) for run in runs])
+    speed = np.concatenate([np.gradient(_drive(run), run.t_s) for run in runs])
+    part = np.concatenate([run.elapsed_s / run.elapsed_s[-1] for run in runs])
+    # Without a stage the load tells: a fiftieth of the largest counts as contact.
+    contact = found.base.u0_mm if case.has("stage_mm") else 0.02 * float(drive.max())
+    touching = drive > contact
+    # Quantiles of this recording: no speed in mm/s is fast for every rig.
+    quick = np.abs(speed[touching & (np.abs(speed) > 0)])
+    slow = float(np.quantile(quick, 0.02)) if len(quick) else 0.0
+    fast = float(np.quantile(quick, 0.6)) if len(quick) else np.inf
+    fastest = float(np.max(np.abs(speed)))
+    moving = np.abs(speed) > max(0.5 * slow, 1e-9 * fastest)
+    depth = (drive - contact) / max(float(drive.max()) - contact, 1e-9 * float(np.ptp(drive)))
+    conditions = {
+        Reason("gap.regime.loading"): touching & moving & (speed > 0),
+        Reason("gap.regime.unloading"): touching & moving & (speed < 0),
+        Reason("gap.regime.hold"): touching & ~moving,
+        Reason("gap.regime.no_contact"): ~touching,
+        Reason("gap.regime.first_touch"): touching & (depth < 0.15),
+        Reason("gap.regime.high_load"): depth > 0.8,
+        Reason("gap.regime.fast_motion"): touching & (np.abs(speed) > fast + TIED * fastest),
+        Reason("gap.regime.start"): part < 0.25,
+        Reason("gap.regime.end"): part > 0.75,
+    }
+    for k, run in enumerate(runs):
+        name = reason("gap.regime.run", run=run.name)
+        if run.profile:
+            name = reason("gap.regime.run_pressed", run=run.name, pressed=pressed(run.profile))
+        conditions[name] = np.concatenate([np.full(len(r), i == k) for i, r in enumerate(runs)])
+    return conditions
+
+
+def _drive(run: Run) -> Array:
+    drive = run.stage_mm if run.stage_mm is not None else run.force_N
+    return np.zeros(len(run)) if drive is None else drive
 
 
 @dataclass(frozen=True)
@@ -54,21 +158,21 @@ def _tone(found: Fit, block: Block) -> Tone | None:
     The largest of m ordinates of a periodogram of white noise exceeds g times their mean with a chance
     of about m·exp(−g) (R. A. Fisher, Proc. R. Soc. A 125, 54, 1929).
     """
-    run = found.problem.case.runs[block.run]
+    run, config = found.problem.case.runs[block.run], found.problem.method.place
     residual = found.residual[block.place]
     if run.kind != "press":
         return None
     step_s = float(np.median(run.step_s))
     frequency_Hz = np.fft.rfftfreq(len(residual), step_s)
-    is_fast = frequency_Hz > CONFIG.slowest_Hz
+    is_fast = frequency_Hz > config.slowest_Hz
     power = (np.abs(np.fft.rfft(residual - residual.mean())) ** 2 / len(residual))[is_fast]
-    if len(power) < CONFIG.fewest:
+    if len(power) < config.fewest:
         return None
     at = int(np.argmax(power))
     # The median of exponential ordinates is ln 2 of their mean, which a strong tone would raise.
     level = float(np.median(power)) / math.log(2.0)
     rms = math.sqrt(2.0 * max(power[at] - level, 0.0) / len(residual))
-    if rms < CONFIG.faintest or power[at] < level * math.log(len(power) / CONFIG.chance):
+    if rms < config.faintest or power[at] < level * math.log(len(power) / config.chance):
         return None
     return Tone(block.channel, float(frequency_Hz[is_fast][at]), rms, 1.0 / (step_s * len(residual)))
 
@@ -87,8 +191,8 @@ def loose_noise(found: Fit) -> LooseNoise | None:
     A clock that jitters makes fast samples noisier. A bad contact or a disturbed line throws single
     samples far off; a line picks up a tone. None of these leaves a structure that sums up.
     """
-    problem = found.problem
-    if problem.dither_V is not None:
+    problem, config = found.problem, found.problem.method.place
+    if dither_of(problem) is not None:
         return None
     rows = zip(found.effects, found.effect_values, strict=True)
     fitted = [(effect.signs.placing, values) for effect, values in rows]
@@ -97,8 +201,8 @@ def loose_noise(found: Fit) -> LooseNoise | None:
     # A named line breathes as that of mains does: what its equation leaves is a tone beside it.
     is_beside_line = tone is not None and any(
         tone.channel == "output_V"
-        and abs(tone.frequency_Hz - frequency_Hz) < CONFIG.breathes_Hz
-        and tone.rms * problem.floor("output_V") < CONFIG.most_of_line * amplitude / np.sqrt(2.0)
+        and abs(tone.frequency_Hz - frequency_Hz) < config.breathes_Hz
+        and tone.rms * problem.floor("output_V") < config.most_of_line * amplitude / np.sqrt(2.0)
         for amplitude, frequency_Hz, *_ in lines
     )
     if tone is not None and not is_beside_line:
@@ -111,12 +215,12 @@ def loose_noise(found: Fit) -> LooseNoise | None:
 
 
 def _loose_output(found: Fit, levels_V: Sequence[float]) -> LooseNoise | None:
-    problem, runs = found.problem, found.problem.case.runs
+    problem, runs, config = found.problem, found.problem.case.runs, found.problem.method.place
     blocks = [b for b in problem.blocks_of("output_V", "press") if runs[b.run].stage_mm is not None]
     if not blocks:
         return None
     every_V = np.concatenate([found.predicted[b.place] for b in blocks])
-    is_open, near_V = np.ones(len(every_V), dtype=np.bool_), CONFIG.clipped_sigma * problem.floor("output_V")
+    is_open, near_V = np.ones(len(every_V), dtype=np.bool_), config.clipped_sigma * problem.floor("output_V")
     # A clipped output has less noise than the rest, and stands still.
     for level_V in levels_V:
         is_open &= np.abs(every_V - level_V) >= near_V
@@ -128,11 +232,11 @@ def _loose_output(found: Fit, levels_V: Sequence[float]) -> LooseNoise | None:
         quick.append(own)
     error, output_V = np.concatenate(quick)[is_open], every_V[is_open]
     speed = np.abs(np.concatenate([_rate(found, b) for b in blocks]))[is_open]
-    is_loaded = output_V > output_V.min() + CONFIG.loaded * np.ptp(output_V)
+    is_loaded = output_V > output_V.min() + config.loaded * np.ptp(output_V)
     is_slow = speed < np.quantile(speed, 0.5)
-    spikes = int(np.count_nonzero(np.abs(error[is_slow]) > CONFIG.spike_sigma))
+    spikes = int(np.count_nonzero(np.abs(error[is_slow]) > config.spike_sigma))
     # More than one in twenty are no spikes but a wider noise.
-    if CONFIG.fewest_spikes <= spikes < 0.05 * len(error):
+    if config.fewest_spikes <= spikes < 0.05 * len(error):
         return LooseNoise("electronics", reason("gap.seen.spikes", count=spikes))
     if np.count_nonzero(is_loaded) < 100:
         return None
@@ -140,16 +244,16 @@ def _loose_output(found: Fit, levels_V: Sequence[float]) -> LooseNoise | None:
     slow_to, fast_from = np.quantile(speed[is_loaded], (0.4, 0.75))
     fast, slow = error[is_loaded & (speed >= fast_from)] ** 2, error[is_loaded & (speed <= slow_to)] ** 2
     z = (fast.mean() - slow.mean()) / np.sqrt(2.0 / len(fast) + 2.0 / len(slow))
-    if z > CONFIG.uneven_z and fast.mean() > CONFIG.uneven_ratio * slow.mean():
+    if z > config.uneven_z and fast.mean() > config.uneven_ratio * slow.mean():
         return LooseNoise("acquisition", Reason("gap.seen.jitter"))
     return None
 
 
 def likely_stages(base: Fit, maps: tuple[Map, ...]) -> tuple[ChainStage, ...]:
     """Return the stages the gap may sit in, the likeliest first; none where no map shows a gap."""
-    pointed = suspects(maps, base.problem.case.readout.sensor_type)
+    pointed = suspects(maps, base.problem.method.structure.quiet, base.problem.case.readout.sensor_type)
     loose, loudest = loose_noise(base), max((m.structure.z for m in maps), default=0.0)
-    if loose is not None and loudest < CONFIG.faint_z:
+    if loose is not None and loudest < base.problem.method.place.faint_z:
         return (loose.stage, *(stage for stage in pointed if stage != loose.stage))
     first: list[ChainStage] = []
     if "motion" in pointed and "transduction" not in pointed:
@@ -165,6 +269,7 @@ def _rate(found: Fit, block: Block) -> Array:
 
 
 def _behind(base: Fit, loose: LooseNoise | None) -> ChainStage:
+    config = base.problem.method.place
     blocks = base.problem.blocks_of("output_V", "press")
     if not blocks:
         return "transduction"
@@ -172,28 +277,28 @@ def _behind(base: Fit, loose: LooseNoise | None) -> ChainStage:
     output_V = np.concatenate([base.predicted[b.place] for b in blocks])
     rate = np.concatenate([_rate(base, b) for b in blocks])
     excess = max(float(error @ error) - len(error), 1.0)
-    share, swings = _static(error, output_V, excess)
-    if share > CONFIG.most:
-        return "electronics" if swings >= CONFIG.swings else "transduction"
+    share, swings = _static(error, output_V, excess, config.bins)
+    if share > config.most:
+        return "electronics" if swings >= config.swings else "transduction"
     if loose is not None:
         return loose.stage
     # A shift in time errs by the slope of the output, to first order.
-    if float(error @ rate) ** 2 / float(rate @ rate) > CONFIG.most * excess:
+    if float(error @ rate) ** 2 / float(rate @ rate) > config.most * excess:
         return "acquisition"
     # At rest neither pad nor channel acts: what errs there comes from behind them.
     at_rest = output_V < output_V.min() + 0.02 * np.ptp(output_V)
     mean = excess / len(error)
-    if np.count_nonzero(at_rest) > 50 and float(np.mean(error[at_rest] ** 2)) - 1.0 > CONFIG.most * mean:
+    if np.count_nonzero(at_rest) > 50 and float(np.mean(error[at_rest] ** 2)) - 1.0 > config.most * mean:
         return "electronics"
     return "transduction"
 
 
-def _static(error: Array, drive: Array, excess: float) -> tuple[float, int]:
+def _static(error: Array, drive: Array, excess: float, bins: int) -> tuple[float, int]:
     """Return which share of the excess the drive determines, and how often it changes sign."""
-    edges = np.linspace(drive.min(), drive.max() + 1e-12, CONFIG.bins + 1)
-    place = np.clip(np.digitize(drive, edges) - 1, 0, CONFIG.bins - 1)
-    count = np.bincount(place, minlength=CONFIG.bins)
-    sums = np.bincount(place, weights=error, minlength=CONFIG.bins)
+    edges = np.linspace(drive.min(), drive.max() + 1e-12, bins + 1)
+    place = np.clip(np.digitize(drive, edges) - 1, 0, bins - 1)
+    count = np.bincount(place, minlength=bins)
+    sums = np.bincount(place, weights=error, minlength=bins)
     seen = count > 8
     means = sums[seen] / count[seen]
     clear = means[np.abs(means) > 4.0 / np.sqrt(count[seen])]
@@ -206,7 +311,7 @@ def _is_motion(base: Fit) -> bool:
     blocks = base.problem.blocks_of("force_N", "press")
     if not blocks:
         return False
-    errors, travels, jumps, trends, sets = [], [], 0.0, 0.0, 0.0
+    config, errors, travels, jumps, trends, sets = base.problem.method.place, [], [], 0.0, 0.0, 0.0
     for block in blocks:
         travel = np.asarray(base.problem.case.runs[block.run].stage_mm)
         depth_mm = np.maximum(0.0, travel - base.base.u0_mm)
@@ -230,7 +335,7 @@ def _is_motion(base: Fit) -> bool:
         travels.append(travel)
     every = np.concatenate(errors)
     excess = max(float(every @ every) - len(every), 1.0)
-    share, swings = _static(every, np.concatenate(travels), excess)
-    if share > CONFIG.most and swings >= CONFIG.swings:
+    share, swings = _static(every, np.concatenate(travels), excess, config.bins)
+    if share > config.most and swings >= config.swings:
         return True
-    return jumps > CONFIG.most * excess and jumps > 1.2 * max(sets, trends)
+    return jumps > config.most * excess and jumps > 1.2 * max(sets, trends)

@@ -8,16 +8,14 @@ diagnosed. No effect of the catalogue is fitted before this has found nothing.
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations, product
+from typing import TypeAlias
 
 import numpy as np
 
-from softcal.core.gap.case import Case, Run
-from softcal.core.gap.data_mistake import DataMistake, apart, numbers, of_gain, of_sign, of_unit
-from softcal.core.gap.method import METHOD
+from softcal.core.gap.case import Case, DataMistake, Run, apart, numbers, of_gain, of_sign, of_unit
+from softcal.core.gap.method import MistakeConfig
 from softcal.core.recording import RATE_TOLERANCE, Array
 from softcal.core.words.reason import Reason, reason
-
-CONFIG = METHOD.mistake
 
 COLUMNS = {"stage": "stage_mm", "force": "force_N", "output": "output_V"}
 
@@ -38,44 +36,48 @@ UNITS_OF_RUN: Mapping[str, Mapping[str, float]] = {
 """The same for one run, where the others tell how large its values must be."""
 
 
-def mistakes(case: Case) -> tuple[DataMistake, ...]:
+def mistakes(case: Case, config: MistakeConfig) -> tuple[DataMistake, ...]:
     """Return the mistakes that the channels show by themselves, none where they look sound.
 
     The first kind that is found hides what comes after it: a wrong column has no unit.
     """
     for look in (_rates, _columns, _ranges, _strays, _runs_exchanged, _directions, _against_stated, _runs_apart):
-        found = tuple(look(case))
+        found = tuple(look(case, config))
         if found:
             return found
     return ()
 
 
-def doubts(case: Case) -> tuple[DataMistake, ...]:
+def doubts(case: Case, config: MistakeConfig) -> tuple[DataMistake, ...]:
     """Return units that would make an unusual pad of a case a usual one: questions, no findings."""
     size = _size(case)
-    if case.stiffness_N_mm is not None or not size.is_odd:
+    if case.stiffness_N_mm is not None or not size.is_odd(config):
         return ()
     fitting = []
     for channel, unit, factor in EVERY_UNIT:
         repaired = size.with_unit(channel, factor)
-        if not repaired.is_odd and repaired.oddness < np.log(CONFIG.near_usual):
+        oddness = repaired.oddness(config)
+        if not repaired.is_odd(config) and oddness < np.log(config.near_usual):
             # Stages are told to go at round speeds, which speaks for a unit of theirs.
             speed = repaired.speed_mm_s if channel == "stage" else None
             is_round = speed is not None and abs(float(f"{speed:.1e}") / speed - 1.0) < 2e-3
-            fitting.append((repaired.oddness - 0.5 * is_round, channel, unit, factor))
+            fitting.append((oddness - 0.5 * is_round, channel, unit, factor))
     if not fitting:
         return ()
     _, channel, unit, factor = min(fitting)
-    return (of_unit(channel, (), unit, factor, _unusual(size, channel, *CONFIG.stiffness_N_mm), "data.ask.unit"),)
+    return (of_unit(channel, (), unit, factor, _unusual(size, channel, *config.stiffness_N_mm), "data.ask.unit"),)
 
 
-def _in_runs(look: Callable[[Run], Iterable[DataMistake]]) -> Callable[[Case], Iterator[DataMistake]]:
+Look: TypeAlias = Callable[[Run, MistakeConfig], Iterable[DataMistake]]
+
+
+def _in_runs(look: Look) -> Callable[[Case, MistakeConfig], Iterator[DataMistake]]:
     """Look at every run of a case; a mistake in all that are pressed is one of the whole case."""
 
-    def in_case(case: Case) -> Iterator[DataMistake]:
+    def in_case(case: Case, config: MistakeConfig) -> Iterator[DataMistake]:
         groups: dict[tuple[str, str, float | None], tuple[DataMistake, set[int]]] = {}
         for k, run in enumerate(case.runs):
-            for one in look(run):
+            for one in look(run, config):
                 factor = None if one.factor is None else float(f"{one.factor:.2g}")
                 groups.setdefault((one.what, one.channel, factor), (one, set()))[1].add(k)
         number = numbers(case)
@@ -97,7 +99,7 @@ def _channels(run: Run) -> dict[str, Array]:
 
 
 @_in_runs
-def _rates(run: Run) -> Iterator[DataMistake]:
+def _rates(run: Run, _: MistakeConfig) -> Iterator[DataMistake]:
     stated_Hz, ratio = run.readout.sample_rate_Hz, run.seen_Hz / run.readout.sample_rate_Hz
     if abs(ratio - 1.0) <= RATE_TOLERANCE:
         return
@@ -110,12 +112,12 @@ def _rates(run: Run) -> Iterator[DataMistake]:
 
 
 @_in_runs
-def _columns(run: Run) -> Iterator[DataMistake]:
+def _columns(run: Run, config: MistakeConfig) -> Iterator[DataMistake]:
     """The output shows by the steps of the ADC, the stage by its smoothness."""
     channels = _channels(run)
     if run.kind != "press" or len(channels) < 2:
         return
-    output, pair = _output_by_steps(run, channels), ""
+    output, pair = _output_by_steps(run, channels, config), ""
     if output not in (None, "output"):
         pair = "+".join(name for name in COLUMNS if name in ("output", output))
     elif output is not None and len(channels) == 3:
@@ -126,7 +128,7 @@ def _columns(run: Run) -> Iterator[DataMistake]:
             bends = np.sort(np.abs(np.diff(channels[name], 2)))
             rms = np.sqrt(np.mean(bends[: max(1, int(0.8 * len(bends)))] ** 2))
             rough[name] = float(rms / max(high - low, 1e-12))
-        is_commanded = rough["force"] < rough["stage"] and rough["force"] < CONFIG.smooth * rough["stage"]
+        is_commanded = rough["force"] < rough["stage"] and rough["force"] < config.smooth * rough["stage"]
         pair = "stage+force" if is_commanded else ""
     if pair:
         one, other = pair.split("+")
@@ -135,11 +137,11 @@ def _columns(run: Run) -> Iterator[DataMistake]:
         yield DataMistake("swapped_columns", pair, (), None, evidence, repair)
 
 
-def _output_by_steps(run: Run, channels: Mapping[str, Array]) -> str | None:
+def _output_by_steps(run: Run, channels: Mapping[str, Array], config: MistakeConfig) -> str | None:
     """Return the column that stands on the steps of the ADC, None where the steps do not tell."""
     step_V, vref_V = run.readout.step_V, run.readout.vref_V
     # The last digit of a file moves a value off its step; on finer steps no column stands.
-    tolerance = CONFIG.off_step * step_V
+    tolerance = config.off_step * step_V
     shares = {}
     for name, values in channels.items():
         is_on = np.abs(values - np.round(values / step_V) * step_V) < tolerance
@@ -148,11 +150,11 @@ def _output_by_steps(run: Run, channels: Mapping[str, Array]) -> str | None:
         is_within = (values > 0) & (values <= vref_V + step_V)
         shares[name] = float(np.mean((is_on & is_within)[is_telling])) if is_telling.mean() > 0.2 else 0.0
     first, *others = sorted(shares, key=lambda name: -shares[name])
-    return first if shares[first] > CONFIG.on_grid and all(shares[name] < CONFIG.off_grid for name in others) else None
+    return first if shares[first] > config.on_grid and all(shares[name] < config.off_grid for name in others) else None
 
 
 @_in_runs
-def _ranges(run: Run) -> Iterator[DataMistake]:
+def _ranges(run: Run, config: MistakeConfig) -> Iterator[DataMistake]:
     """An output cannot leave what its ADC can read."""
     output_V, vref_V = run.output_V, run.readout.vref_V
     if output_V is None:
@@ -163,7 +165,7 @@ def _ranges(run: Run) -> Iterator[DataMistake]:
         return
     worst_V, count = float(output_V[np.argmax(np.abs(output_V))]), int(is_beyond.sum())
     evidence = reason("data.out_of_range.output", worst=worst_V, vref=vref_V, count=count)
-    if is_beyond.mean() <= CONFIG.few:
+    if is_beyond.mean() <= config.few:
         yield _of_samples("output", count, evidence)
         return
     # The unit or sign that brings the output of the run back.
@@ -184,13 +186,13 @@ def _of_samples(channel: str, count: int, evidence: Reason) -> DataMistake:
 
 
 @_in_runs
-def _strays(run: Run) -> Iterator[DataMistake]:
+def _strays(run: Run, config: MistakeConfig) -> Iterator[DataMistake]:
     """Single samples of a position or force far beyond all others."""
     for name, values in _channels(run).items() if run.kind == "press" else ():
         low, high = (float(end) for end in np.quantile(values, (0.01, 0.99)))
-        reach = CONFIG.far * (high - low)
+        reach = config.far * (high - low)
         is_beyond = (values < low - reach) | (values > high + reach)
-        if 0 < is_beyond.mean() <= CONFIG.few:
+        if 0 < is_beyond.mean() <= config.few:
             count, unit = int(is_beyond.sum()), COLUMNS[name].split("_")[1]
             worst = float(values[np.argmax(np.abs(values - 0.5 * (low + high)))])
             ends = {"worst": worst, "low": low, "high": high}
@@ -202,7 +204,7 @@ def _agreement(one: Array, other: Array) -> float:
     return float(np.corrcoef(one, other)[0, 1])
 
 
-def _runs_exchanged(case: Case) -> list[DataMistake]:
+def _runs_exchanged(case: Case, config: MistakeConfig) -> list[DataMistake]:
     """A column that fits its own run badly and that of another run well."""
     for name, ((i, one), (j, other)) in product(("output", "force", "stage"), combinations(_presses(case), 2)):
         mine, theirs = _channels(one), _channels(other)
@@ -210,12 +212,12 @@ def _runs_exchanged(case: Case) -> list[DataMistake]:
             continue
         rest = [r for r in mine if r != name]
         alike = [_agreement(*(run[r] for r in rest)) for run in (mine, theirs) if len(rest) == 2]
-        if min(alike, default=1.0) < CONFIG.paired:
+        if min(alike, default=1.0) < config.paired:
             continue
         now = max(abs(_agreement(run[name], run[r])) for run in (mine, theirs) for r in rest)
         pairs = ((mine, theirs), (theirs, mine))
         exchanged = min(_agreement(to[r], of[name]) for to, of in pairs for r in rest)
-        if now < CONFIG.unpaired and exchanged > CONFIG.paired:
+        if now < config.unpaired and exchanged > config.paired:
             evidence = reason("data.swapped_runs", channel=name, now=now, exchanged=exchanged)
             repair = reason("data.repair.exchange", channel=name, one=i, other=j)
             return [DataMistake("swapped_runs", name, (i, j), None, evidence, repair)]
@@ -223,7 +225,7 @@ def _runs_exchanged(case: Case) -> list[DataMistake]:
 
 
 @_in_runs
-def _directions(run: Run) -> Iterator[DataMistake]:
+def _directions(run: Run, config: MistakeConfig) -> Iterator[DataMistake]:
     channels = _channels(run) if run.kind == "press" else {}
     stage, force, output = (channels.get(name) for name in COLUMNS)
     turned = []
@@ -233,7 +235,7 @@ def _directions(run: Run) -> Iterator[DataMistake]:
             turned, force = ["force"], -force
     if stage is not None:
         pressed = force if force is not None else output
-        is_against = pressed is not None and _agreement(stage, pressed) < CONFIG.opposed
+        is_against = pressed is not None and _agreement(stage, pressed) < config.opposed
         if is_against and (force is not None or float(np.median(stage)) < 0):
             turned, stage = [*turned, "stage"], -stage
     for name in turned:
@@ -242,7 +244,7 @@ def _directions(run: Run) -> Iterator[DataMistake]:
     if output is None or pressing is None or run.readout.sensor_type == "strain":
         return
     correlation = _agreement(output, pressing)
-    if correlation < CONFIG.opposed:
+    if correlation < config.opposed:
         evidence, repair = reason("data.swapped_divider", correlation=correlation), reason("data.repair.divider")
         yield DataMistake("swapped_divider", "output", (), None, evidence, repair)
 
@@ -264,17 +266,16 @@ class _Size:
         own = {name: getattr(self, name) for name in names}
         return replace(self, **{name: None if value is None else value * factor for name, value in own.items()})
 
-    @property
-    def oddness(self) -> float:
-        """Largest distance from the usual, as a logarithm."""
-        known = [(value, usual) for name, usual in CONFIG.usual if (value := getattr(self, name)) is not None]
+    def oddness(self, config: MistakeConfig) -> float:
+        """Return the largest distance from the usual, as a logarithm."""
+        known = [(value, usual) for name, usual in config.usual if (value := getattr(self, name)) is not None]
         return max((abs(np.log(value / usual)) for value, usual in known), default=0.0)
 
-    @property
-    def is_odd(self) -> bool:
+    def is_odd(self, config: MistakeConfig) -> bool:
+        """Whether no common pad is pressed so."""
         for name in ("stiffness_N_mm", "depth_mm", "force_N"):
             if (value := getattr(self, name)) is not None:
-                low, high = getattr(CONFIG, name)
+                low, high = getattr(config, name)
                 return not low <= value <= high
         return False
 
@@ -312,7 +313,7 @@ def _unusual(size: _Size, channel: str, low: float, high: float) -> Reason:
     return reason("data.unit.size", channel=channel, seen=size.force_N or 0.0, unit="N")
 
 
-def _against_stated(case: Case) -> list[DataMistake]:
+def _against_stated(case: Case, config: MistakeConfig) -> list[DataMistake]:
     """Units and gains of a whole case: the pad's stiffness against what the lot states."""
     size, stated = _size(case), case.stiffness_N_mm
     stiffness = size.stiffness_N_mm
@@ -322,15 +323,15 @@ def _against_stated(case: Case) -> list[DataMistake]:
     distance, channel, unit, factor = min(
         (abs(np.log(size.with_unit(c, f).stiffness_N_mm or 1e-9) - np.log(middle)), c, u, f) for c, u, f in EVERY_UNIT
     )
-    if distance < abs(np.log(stated[1] / middle)) + np.log(CONFIG.near_stated):
+    if distance < abs(np.log(stated[1] / middle)) + np.log(config.near_stated):
         return [of_unit(channel, (), unit, factor, evidence)]
     return [of_gain("force", (), middle / stiffness, evidence)]
 
 
-def _runs_apart(case: Case) -> list[DataMistake]:
+def _runs_apart(case: Case, config: MistakeConfig) -> list[DataMistake]:
     """One run that differs from all others by a factor that no effect has."""
     presses = _presses(case)
-    if len(presses) < CONFIG.fewest_runs:
+    if len(presses) < config.fewest_runs:
         return []
     for name, reference in (("force", "output"), ("stage", "output"), ("force", "stage"), ("stage", "force")):
         if not (case.has(COLUMNS[name]) and case.has(COLUMNS[reference])):
@@ -341,8 +342,8 @@ def _runs_apart(case: Case) -> list[DataMistake]:
         for at, (k, _) in enumerate(presses):
             ratio = float(np.exp(np.median(np.delete(spans, at)) - spans[at]))
             others = np.ptp(np.delete(spans, at))
-            if abs(np.log(ratio)) > np.log(CONFIG.apart) + others:
-                return [apart(name, k, ratio, UNITS_OF_RUN[name], others)]
+            if abs(np.log(ratio)) > np.log(config.apart) + others:
+                return [apart(name, k, ratio, UNITS_OF_RUN[name], config.same_factor, others)]
     return []
 
 

@@ -1,0 +1,262 @@
+"""How probable each effect is, by equations that may be a little wrong; what cannot be told apart; what is a rest.
+
+What a hypothesis leaves may be a rest that nothing in the list says. Then a cause of the list may only imitate a part
+of that rest. A cause that is there takes most of what is left once all others are fitted, and has one size in every
+part of every run, whatever the rest does. One that imitates takes a part, and asks for more here and less there.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import expit
+
+from softcal.core.gap.coordinates import fit_scale
+from softcal.core.gap.fit import Fit, Tangent, structure
+from softcal.core.gap.linear import combine, dots, energy
+from softcal.core.gap.method import PresenceConfig
+from softcal.core.recording import Array
+
+Fits = Mapping[tuple[str, ...], Fit]
+
+
+def misfit(excess: float, modes: float) -> float:
+    """Return −2·ln of the likelihood of an excess of χ² when every equation may be a little wrong.
+
+    The difference between equation and rig is that many normal coordinates of unknown common size, at the
+    size that fits best. A large excess counts by its logarithm: by which factor a hypothesis lowers
+    what the others leave, not how many σ that is.
+    """
+    return excess if excess < modes else modes * (1.0 + float(np.log(excess / modes)))
+
+
+@dataclass(frozen=True)
+class Yardstick:
+    """χ² of the hypothesis that comes closest, and of the structure even this one may leave."""
+
+    chi2: float
+    floor: float
+
+    @classmethod
+    def of(cls, fits: Iterable[Fit]) -> "Yardstick":
+        """Take the measure from fits under one noise level."""
+        every = list(fits)
+        config = every[0].problem.method.evidence
+        closest = min(every, key=lambda f: f.chi2)
+        left, gap = structure(closest), max(f.chi2 for f in every) - closest.chi2
+        seen = left.rms**2 * closest.problem.count if left.is_significant else 0.0
+        driven = config.driven_cost if closest.problem.is_driven_by_force else 0.0
+        return cls(closest.chi2, max(seen, config.exactness * gap, driven))
+
+    def log_evidence(self, found: Fit) -> float:
+        """Return the logarithm of prior times evidence of a hypothesis."""
+        modes = found.problem.method.evidence.modes
+        return -0.5 * (misfit(max(found.chi2 - self.chi2, 0.0) + self.floor, modes) + penalty(found))
+
+
+def exact_log_evidence(found: Fit) -> float:
+    """Return the logarithm of prior times evidence of a hypothesis whose equations hold exactly."""
+    return -0.5 * (found.chi2 + penalty(found))
+
+
+def penalty(found: Fit) -> float:
+    """Return the penalty where a loose lead is one cause, however often it gaps.
+
+    Each episode was paid for in full when it was placed. A size that these runs hardly determine pays
+    less than Schwarz's ln n: −2·ln of posterior over prior (Laplace). An unusual size is less likely.
+    """
+    problem, most = found.problem, float(np.log(found.problem.count))
+    config = problem.method.evidence
+    more = max(found.hypothesis.episode_count - 1, 0)
+    cheaper = more * (config.episode_cost - config.further_episode_cost) * most
+    if problem.is_driven_by_force:
+        # What its noise feigns is in the floor already.
+        cheaper += config.driven_cost * len(found.ids)
+    spared, unusual, on_bound = 0.0, 0.0, 0
+    for effect, values in zip(found.effects, found.effect_values, strict=True):
+        size, at = problem.scale.sized(effect.parameters[0]), found.hypothesis.place_of(effect.id)
+        ends = [end for end in (size.low, size.high) if end not in (0.0, size.neutral)]
+        on_bound += size.scale == "linear" and any(abs(values[0] - end) < 0.01 * abs(end) for end in ends)
+        variance = 0.0 if problem.is_driven_by_force else float(found.covariance[at, at])
+        if variance > 0.0 and not effect.is_episodic:
+            width = config.usual_range * fit_scale(size) / np.sqrt(2.0 * np.pi * variance)
+            spared += size.weight * max(0.0, most - 2.0 * float(np.log(max(width, 1.0))))
+        if size.neutral == 0.0:
+            # Of two sets that these runs cannot tell apart the one of usual sizes is likelier: Cauchy's prior.
+            unusual += 2.0 * float(np.log1p((values[0] / (config.usual_range * size.usual)) ** 2))
+    return found.penalty - (cheaper + spared) + unusual + config.bound_cost * on_bound
+
+
+def log_evidences(fits: Fits) -> dict[tuple[str, ...], float]:
+    """Return the log of prior times evidence of every hypothesis, all under one noise level."""
+    yardstick = Yardstick.of(fits.values())
+    return {ids: yardstick.log_evidence(found) for ids, found in fits.items()}
+
+
+def probabilities(logs: Mapping[tuple[str, ...], float], effects: Iterable[str]) -> dict[str, float]:
+    """Return for every effect the probability that it is present, from log evidences.
+
+    Effects that were screened away have no hypothesis and get 0; the numbers need not sum to 1.
+    """
+    top = max(logs.values())
+    weights = {ids: float(np.exp(value - top)) for ids, value in logs.items()}
+    total = sum(weights.values())
+    return {e: sum(w for ids, w in weights.items() if e in ids) / total for e in effects}
+
+
+def rivals(
+    fits: Fits, best: Fit, logs: Mapping[tuple[str, ...], float], held_open: tuple[Fit, ...] = ()
+) -> tuple[Fit, ...]:
+    """Return the best hypothesis, those held open, and those the evidence cannot rule out.
+
+    One that adds a cause counts where the evidence for that is neither negligible nor decisive.
+    """
+    if not best.ids:
+        return (best,)
+    config = best.problem.method.rival
+    top = logs[best.ids]
+    near = [fits[ids] for ids in sorted(logs, key=lambda i: -logs[i]) if logs[ids] > top - config.odds]
+    in_play: list[Fit] = [best, *held_open]
+    for found in near:
+        ids = set(found.ids)
+        # A larger set of causes holds the evidence of the smaller one and says nothing new.
+        if ids and not any(ids >= set(other.ids) for other in in_play):
+            in_play.append(found)
+    most = max(config.most_causes, len(best.ids) + 1)
+    # Hypotheses with one cause more that can be neither named nor left out.
+    best_ids = set(best.ids)
+    larger = [f for ids, f in fits.items() if set(ids) > best_ids and len(ids) == len(best_ids) + 1]
+    ahead = {f.ids: exact_log_evidence(f) - exact_log_evidence(best) for f in larger}
+    least = max(ahead.values(), default=0.0) - config.odds
+    # Another form of one cause may be two in the catalogue's equations: a joint is frame and toe.
+    is_in_other_form = any(form.effect is e for e in best.effects for form in best.problem.model.forms.get(e.id, ()))
+    within = config.odds if is_in_other_form else config.added
+    most_z = max(best.problem.method.structure.dirty_z, config.structure_left * structure(best).z)
+    for found in sorted(larger, key=lambda f: -ahead[f.ids]):
+        gain, behind = ahead[found.ids], top - logs[found.ids]
+        is_near = behind < within or (behind < config.negligible and gain > config.exact)
+        if gain < least or not is_near or structure(found).z >= most_z or any(found.ids == f.ids for f in in_play):
+            continue
+        if len({*found.ids}.union(*(other.ids for other in in_play))) <= most:
+            in_play.append(found)
+    return tuple(in_play[: config.most])
+
+
+def confused_pairs(group: tuple[Fit, ...]) -> list[list[str]]:
+    """Return the pairs of effects that stand for each other in rival hypotheses.
+
+    A cause beside another rival's stands for what the equation of the largest of those leaves.
+    """
+    best = set(group[0].ids)
+    pairs: list[list[str]] = []
+    for other in group[1:]:
+        mine = sorted(best - set(other.ids))
+        theirs = sorted(set(other.ids) - best)
+        shared = sorted(best & set(other.ids), key=lambda i: -energy(signature(group[0], i)))
+        between = [[a, b] for a in mine for b in theirs] or [[shared[0], extra] for extra in (*mine, *theirs)]
+        pairs += [pair for pair in between if pair not in pairs]
+    return pairs
+
+
+def hidden_fraction(found: Fit, effect_id: str) -> float:
+    """Return which share of an effect's signature, at its size, the refitted base would swallow."""
+    own = signature(found, effect_id)
+    size = energy(own)
+    if size <= 0.0:
+        return 1.0
+    # To first order: a full refit for each effect would take as long as the diagnosis.
+    seen = Tangent(found, base_only=True).visible(own)
+    return float(np.clip(1.0 - energy(seen) / size, 0.0, 1.0))
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """How a cause stands to the rest that its hypothesis leaves.
+
+    Args:
+        taken: share of the cause in the energy of cause and rest, of what no other fitted parameter imitates.
+        disagreement: root mean square by which the parts of all runs ask for another size, relative to the fitted one.
+    """
+
+    taken: float
+    disagreement: float
+
+    def genuine_chance(self, config: PresenceConfig) -> float:
+        """Return how likely a cause that stands so to a rest is there, and imitates nothing."""
+        if self.taken >= 1.0:
+            return 1.0
+        if self.taken <= 0.0:
+            return 0.0
+        odds = float(np.log(self.taken / (1.0 - self.taken)))
+        apart = float(np.log(max(self.disagreement, 1e-3) / config.disagreement))
+        return float(expit(config.of_share * (odds - config.share_odds) - config.of_disagreement * apart))
+
+
+def signature(found: Fit, effect_id: str) -> Array:
+    """Return (samples,) change of the whitened prediction when an effect of a fit is switched off."""
+    smaller, left = found.hypothesis.without(effect_id)
+    without = found.problem.predict(smaller, found.coordinates[left])
+    return found.problem.whitened(found.predicted - without)
+
+
+def rest_energy(found: Fit, noise_chance: float) -> float:
+    """Return how much of χ² is a rest that is no noise; 0 where noise leaves as much often enough.
+
+    Args:
+        noise_chance: how likely noise alone leaves as much, a p-value.
+    """
+    if noise_chance > found.problem.method.floor.chance:
+        return 0.0
+    count, left = found.problem.count, structure(found)
+    # A noise level read off the residual itself holds a part of the rest: at least two standard errors of χ².
+    least = 2.0 * float(np.sqrt(2.0 * count))
+    return max(energy(found.residual) - count, left.rms**2 * count if left.is_significant else 0.0, least)
+
+
+def consistency_of(found: Fit, effect_id: str, rest: float) -> Consistency:
+    """Return how a cause of a fit stands to the rest that the fit leaves, in units of χ²."""
+    config, seen = found.problem.method.presence, _visible_part(found, effect_id)
+    whole = energy(seen)
+    if whole <= 0.0:
+        return Consistency(0.0, np.inf)
+    asked = 0.0
+    for block in found.problem.blocks:
+        for part in np.array_split(np.arange(block.place.start, block.place.stop), config.parts):
+            own = energy(seen[part])
+            # A part where the cause does not act asks for nothing.
+            if own > config.acts * whole:
+                asked += float(seen[part] @ found.residual[part]) ** 2 / own
+    return Consistency(whole / (whole + rest), float(np.sqrt(asked / whole)))
+
+
+def _visible_part(found: Fit, effect_id: str) -> Array:
+    """Return (samples,) what of an effect's signature no other fitted parameter imitates."""
+    own, at = signature(found, effect_id), found.hypothesis.slices[effect_id]
+    others = np.delete(found.jacobian, range(at.start, at.stop), axis=0)
+    size = np.sqrt(np.sum(others**2, axis=1))
+    others = others[size > 0.0] / size[size > 0.0][:, None]
+    if not len(others):
+        return own
+    strength, axes = np.linalg.eigh(others @ others.T)
+    kept = strength > 1e-10 * strength.max()
+    basis = (axes[:, kept] / np.sqrt(strength[kept])).T @ others
+    return np.asarray(own - combine(dots(basis, own), basis))
+
+
+def list_completeness(noise_chance: float, rest_share: float, has_unlisted: bool, config: PresenceConfig) -> float:
+    """Return how likely nothing unmodelled is left.
+
+    Args:
+        noise_chance: how likely noise alone leaves as much, a p-value.
+        rest_share: share of the gap that is left beside the causes.
+        has_unlisted: whether a departure outside the list explains more than the list does.
+    """
+    if has_unlisted:
+        return config.unlisted
+    # The most a p-value can say for a rest: Bayes factor −e·p·ln p (Sellke, Bayarri and Berger 2001).
+    p = min(max(noise_chance, 1e-300), float(np.exp(-1.0)))
+    odds = config.complete_odds * -float(np.e * p * np.log(p))
+    by_noise = odds / (1.0 + odds)
+    # Another law of the same cause leaves a small part of a large gap.
+    by_share = 1.0 / (1.0 + (max(rest_share, 0.0) / config.half_share) ** 2)
+    return max(by_noise, by_share * config.open_law)

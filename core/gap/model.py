@@ -1,0 +1,212 @@
+"""What is held against recordings: softcal's twin, or a simulator of somebody else; all that a diagnosis asks of it."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from softcal.core.recording import Array
+from softcal.core.twin.effects import Effect, Form, Parameter
+
+if TYPE_CHECKING:
+    from softcal.core.gap.case import Case, DataMistake, Mask, MenuEntry, Run
+    from softcal.core.gap.causes import RankedCause, Where
+    from softcal.core.gap.coordinates import RigScale
+    from softcal.core.gap.diagnosis import Diagnosis, Judgement
+    from softcal.core.gap.experiments import NextExperiment
+    from softcal.core.gap.fit import Fit, Probe
+    from softcal.core.gap.method import GapMethod, SearchConfig
+    from softcal.core.gap.problem import Block, Hypothesis, Problem
+    from softcal.core.gap.search import Search
+
+Sizes: TypeAlias = Mapping[int, Array]
+"""By run, (k,), the sizes of its offsets that are in a prediction."""
+
+Directions: TypeAlias = list[Array | None]
+"""Per block, (k, n), how a channel changes with each offset; None where a run has none."""
+
+Mistakes: TypeAlias = "tuple[DataMistake, ...]"
+
+
+class Model(ABC):
+    """What predicts recordings, what it may lack, and what every run may have of its own: a zero, a delay.
+
+    Args:
+        method: every number of the diagnosis.
+        base: parameters that every hypothesis has.
+        candidates: effects it may lack; causes are sought among them.
+        forms: other realisations of a cause, by its identifier.
+        offset_names: of what every run may have of its own.
+        are_relative: of which offsets only what the runs differ by is taken off.
+        are_bending: which offsets move a channel other than in proportion.
+        hands_on_closest: whether the set of least error held back is handed on where no cause is certain.
+        smooth_order: which differences of a residual hold noise alone: second ones where all is quick.
+    """
+
+    method: GapMethod
+    smooth_order: int
+    hands_on_closest: bool
+
+    @property
+    @abstractmethod
+    def base(self) -> tuple[Parameter, ...]: ...
+
+    @property
+    @abstractmethod
+    def candidates(self) -> tuple[Effect, ...]: ...
+
+    @property
+    @abstractmethod
+    def forms(self) -> Mapping[str, Sequence[Form]]: ...
+
+    @property
+    @abstractmethod
+    def offset_names(self) -> tuple[str, ...]: ...
+
+    @property
+    @abstractmethod
+    def are_relative(self) -> Mask: ...
+
+    @property
+    @abstractmethod
+    def are_bending(self) -> Mask: ...
+
+    @property
+    @abstractmethod
+    def search_config(self) -> SearchConfig:
+        """How wide causes are sought."""
+
+    # What it predicts.
+
+    @abstractmethod
+    def scale_of(self, case: Case) -> RigScale:
+        """Return by what a rig is larger than the one of the bounds of its parameters."""
+
+    @abstractmethod
+    def channels_of(self, run: Run) -> tuple[str, ...]:
+        """Return the recorded channels of a run that are predicted."""
+
+    @abstractmethod
+    def recorded(self, run: Run, channel: str) -> Array:
+        """Return a recorded column of a run, (n,)."""
+
+    @abstractmethod
+    def scored_channels(self, problem: Problem) -> list[str]:
+        """Return the channels whose gap is measured."""
+
+    @abstractmethod
+    def least_noise(self, problem: Problem, channel: str) -> float:
+        """Return the least noise of a channel that is believed: one without any has no weight."""
+
+    @abstractmethod
+    def times_slower(self, case: Case) -> float:
+        """Return by what these runs are slower than those of a common rig."""
+
+    @abstractmethod
+    def is_free(self, case: Case) -> Array:
+        """Return (base,) which base parameters these channels determine."""
+
+    @abstractmethod
+    def largest_offsets(self, case: Case) -> Array:
+        """Return (k,) bounds of what every run has of its own."""
+
+    @abstractmethod
+    def clean(self, problem: Problem, hypothesis: Hypothesis, coordinates: Array, sizes: Sizes) -> Array:
+        """Return the (samples,) prediction with these offsets in it, NaN where nobody can know."""
+
+    @abstractmethod
+    def directions(
+        self, problem: Problem, hypothesis: Hypothesis, coordinates: Array, clean: Array, sizes: Sizes
+    ) -> Directions:
+        """Return how a prediction with these offsets in it changes with each of them."""
+
+    @abstractmethod
+    def with_unknown(self, problem: Problem, predicted: Array) -> Array:
+        """Return a prediction, (samples,), as a fit reads it where it is NaN."""
+
+    # What it leaves.
+
+    @abstractmethod
+    def is_clean(self, found: Fit) -> bool:
+        """Whether a hypothesis leaves no structure."""
+
+    @abstractmethod
+    def is_uneven(self, found: Fit) -> bool:
+        """Whether noise that a hypothesis leaves is not the same everywhere."""
+
+    @abstractmethod
+    def followed(self, found: Fit, channel: str) -> Iterable[Sequence[Array]]:
+        """Give groups of (samples,) columns that the residual of a channel may follow."""
+
+    @abstractmethod
+    def halves(self, found: Fit, block: Block) -> tuple[Mask | None, ...]:
+        """Return which samples of a block, (n,), lie in one of two conditions; None where nothing tells."""
+
+    @abstractmethod
+    def load_of(self, found: Fit) -> Array:
+        """Return (samples,) how much the mechanism is loaded."""
+
+    @abstractmethod
+    def axes_of(self, found: Fit, run: int) -> tuple[Array, Array]:
+        """Return what drives a run and its load, (n,) each, as a figure shows them."""
+
+    # How causes are sought.
+
+    @abstractmethod
+    def mistakes(self, case: Case) -> Mistakes:
+        """Return mistakes that recordings show by themselves."""
+
+    @abstractmethod
+    def base_beside(self, case: Case) -> Fit:
+        """Return the base that a report of mistaken recordings shows."""
+
+    @abstractmethod
+    def base_fit(self, case: Case) -> Fit:
+        """Fit the base alone to all runs, with noise levels taken from its own residual."""
+
+    @abstractmethod
+    def mistakes_by_base(self, base: Fit) -> tuple[Mistakes, Mistakes]:
+        """Return mistakes that a fitted base shows, and questions that are asked beside a diagnosis."""
+
+    @abstractmethod
+    def mistakes_by_search(self, search: Search) -> Mistakes:
+        """Return mistakes of recordings that explain more than the causes found do."""
+
+    @abstractmethod
+    def visible(self, case: Case) -> tuple[Effect, ...]:
+        """Return the candidates that these runs can show at all."""
+
+    @abstractmethod
+    def probes(self, base: Fit, effects: Sequence[Effect]) -> tuple[Probe, ...]:
+        """Return where a search begins for effects that need not be placed in time first."""
+
+    @abstractmethod
+    def start_again(self, search: Search) -> None:
+        """Fit hypotheses of a search from other starts, for structure is left."""
+
+    @abstractmethod
+    def departures(self, case: Case) -> tuple[Effect, ...]:
+        """Return departures outside the list that these runs can show."""
+
+    # What is reported.
+
+    @abstractmethod
+    def menu(self, base: Fit) -> Sequence[MenuEntry]:
+        """Return the experiments that could be made."""
+
+    @abstractmethod
+    def terms(self, base: Fit) -> Iterable[Any]:
+        """Give the empirical terms that may be tried on what is left."""
+
+    @abstractmethod
+    def where(self, search: Search, judgement: Judgement, causes: Sequence[RankedCause]) -> Where:
+        """Return where the gap lies."""
+
+    @abstractmethod
+    def next_experiment(self, search: Search, judgement: Judgement) -> NextExperiment:
+        """Return what to record next."""
+
+    @abstractmethod
+    def report(self, diagnosis: Diagnosis[Any]) -> dict[str, object]:
+        """Return what the report of this model has besides, ready for JSON."""

@@ -1,0 +1,366 @@
+"""Softcal's twin of a soft sensor as the model of a diagnosis."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from softcal.core.gap.case import Case, DataMistake, Mask, MenuEntry, Run
+from softcal.core.gap.causes import GapPlace, RankedCause, Where, beside_rest, partial_of, places_of, regime_places
+from softcal.core.gap.coordinates import RigScale
+from softcal.core.gap.departures import STRANGERS, WARM_DIVIDER, outlier_run, outlier_run_beside, stranger_of
+from softcal.core.gap.experiments import NextExperiment, most_telling
+from softcal.core.gap.explained import explained_twin, offsets
+from softcal.core.gap.fit import Fit, Map, Probe, fit, structure
+from softcal.core.gap.forward import bases_of, dither_of, mean_code_V, offset_rows, predict_run
+from softcal.core.gap.method import METHOD, GapMethod, SearchConfig
+from softcal.core.gap.mistakes import doubts, mistakes
+from softcal.core.gap.model import Directions, Model, Sizes
+from softcal.core.gap.places import cases_of_maps, likely_stages, loose_noise, regimes
+from softcal.core.gap.problem import BASE, Block, Hypothesis, Problem
+from softcal.core.gap.residual import noise_levels, with_driving_noise
+from softcal.core.gap.twin_reach import (
+    extent_of,
+    first_noise,
+    is_told,
+    known_by_chain,
+    menu,
+    rough_start,
+    terms_of_twin,
+    visible_effects,
+)
+from softcal.core.recording import Array
+from softcal.core.twin.catalogue import EFFECTS, FORMS, OWN_EFFECTS
+from softcal.core.twin.effects import Alias, Effect, Form
+from softcal.core.twin.empirical_terms import EmpiricalTerm
+from softcal.core.twin.mechanics import elastic_force_at
+from softcal.core.twin.parameters import BaseParameters
+from softcal.core.twin.simulate import twin_record
+from softcal.core.words.reason import Reason, reason, several
+
+if TYPE_CHECKING:
+    from softcal.core.gap.diagnosis import Diagnosis, Judgement
+    from softcal.core.gap.search import Search
+
+QUIETEST = 1e-6
+"""Least noise of a force that is believed, N on the common rig."""
+
+SHOWN_ALONE = {"rigid_block": "stage_mm", "dead_weights": "force_N", "dummy_resistor": "output_V"}
+"""The one channel that a special run shows."""
+
+SEATED = ("press", "rest")
+"""Kinds of run in which the unit lies under the stage."""
+
+
+@dataclass(frozen=True)
+class TwinModel(Model):
+    """The twin of a soft sensor with the effects of a list.
+
+    Args:
+        effects: the list that is searched; one that is left out can only be a rest.
+    """
+
+    effects: Mapping[str, Effect]
+    method: GapMethod = METHOD
+
+    base = BASE
+    forms: ClassVar[Mapping[str, Sequence[Form]]] = FORMS
+    offset_names = ("zero of force_N", "unloaded resistance", "height of the surface")
+    smooth_order = 1
+    hands_on_closest = False
+    # Whose common part is the base's own: resistance and surface, not the zero of the force.
+    are_relative = np.array([False, True, True])
+    are_bending = are_relative
+
+    @property
+    def candidates(self) -> tuple[Effect, ...]:
+        return tuple(self.effects.values())
+
+    @property
+    def search_config(self) -> SearchConfig:
+        return self.method.search
+
+    # What it predicts.
+
+    def scale_of(self, case: Case) -> RigScale:
+        return RigScale.of(case)
+
+    def channels_of(self, run: Run) -> tuple[str, ...]:
+        # What drives the twin is not predicted.
+        alone = "output_V" if run.kind == "press" and run.stage_mm is None else SHOWN_ALONE.get(run.kind)
+        return (alone,) if alone else tuple(c for c in ("force_N", "output_V") if getattr(run, c) is not None)
+
+    def recorded(self, run: Run, channel: str) -> Array:
+        return np.asarray(getattr(run, channel))
+
+    def scored_channels(self, problem: Problem) -> list[str]:
+        # Where the stage stands on a rigid block is none.
+        return [c for c in ("output_V", "force_N") if any(b.channel == c for b in problem.blocks)]
+
+    def least_noise(self, problem: Problem, channel: str) -> float:
+        return 0.1 * problem.case.readout.step_V if channel == "output_V" else QUIETEST * problem.scale.factor("N")
+
+    def times_slower(self, case: Case) -> float:
+        return 1.0
+
+    def is_free(self, case: Case) -> Array:
+        stage, force, output = (case.has(c) for c in ("stage_mm", "force_N", "output_V"))
+        # Without a force only κ·k1 and κ·k3 act; k1 stays and κ takes their common factor.
+        return np.array([stage, stage and force, stage, output, output])
+
+    def largest_offsets(self, case: Case) -> Array:
+        def span(channel: str) -> float:
+            values = (getattr(run, channel) for run in case.runs if run.kind in SEATED)
+            return max((float(np.ptp(v)) for v in values if v is not None), default=0.0)
+
+        config = self.method.offset
+        return np.array([config.tare * span("force_N"), config.resistance, config.seat * span("stage_mm")])
+
+    def clean(self, problem: Problem, hypothesis: Hypothesis, coordinates: Array, sizes: Sizes) -> Array:
+        given, values = hypothesis.split(coordinates)
+        base, dither_V = BaseParameters(*given), dither_of(problem)
+        own = bases_of(base, sizes)
+        out = np.empty(len(problem.measured))
+        last, channels = -1, {}
+        for block in problem.blocks:
+            # One pass of the chain gives all channels of a run.
+            if block.run != last:
+                run, last, mine = problem.case.runs[block.run], block.run, own.get(block.run, base)
+                channels = predict_run(run, last, mine, hypothesis.chain, values, hypothesis.episodes_of(last))
+            channel = channels.get(block.channel)
+            if block.channel == "output_V" and dither_V is not None and channel is not None:
+                channel = mean_code_V(channel, dither_V, problem.case.readout.step_V)
+            out[block.place] = problem.measured[block.place] if channel is None else channel
+            if block.channel == "force_N" and block.run in sizes:
+                out[block.place] += sizes[block.run][0]
+        return out
+
+    def directions(
+        self, problem: Problem, hypothesis: Hypothesis, coordinates: Array, clean: Array, sizes: Sizes
+    ) -> Directions:
+        base = BaseParameters(*hypothesis.split(coordinates)[0])
+        own = bases_of(base, sizes)
+        out: Directions = []
+        for block in problem.blocks:
+            run, mine = problem.case.runs[block.run], own.get(block.run, base)
+            if run.kind not in SEATED:
+                out.append(None)
+                continue
+            # Where nothing is pressed, or nobody knows how deep, the seat changes nothing.
+            stage_mm = run.stage_mm if run.stage_mm is not None and run.kind == "press" else np.full(len(run), -np.inf)
+            kinds = (block.channel == "force_N", run.readout.sensor_type == "strain")
+            given = (mine.u0_mm, mine.k1_N_mm, mine.k3_N_mm3, mine.kappa_per_N)
+            out.append(offset_rows(kinds, stage_mm, clean[block.place], run.readout.vref_V, given))
+        return out
+
+    def with_unknown(self, problem: Problem, predicted: Array) -> Array:
+        # A sample nobody can foretell costs what a right prediction would: ignorance wins nothing.
+        unknown = np.isnan(predicted)
+        return np.where(unknown, problem.measured - problem.noise, predicted) if unknown.any() else predicted
+
+    # What it leaves.
+
+    def is_clean(self, found: Fit) -> bool:
+        return not structure(found).is_significant
+
+    def is_uneven(self, found: Fit) -> bool:
+        return loose_noise(found) is not None
+
+    def followed(self, found: Fit, channel: str) -> list[list[Array]]:
+        return [known_by_chain(found, channel)]
+
+    def halves(self, found: Fit, block: Block) -> tuple[Mask | None]:
+        """Return where the sensor is pressed."""
+        run = found.problem.case.runs[block.run]
+        return (None if run.kind != "press" or run.stage_mm is None else run.stage_mm > found.base.u0_mm,)
+
+    def load_of(self, found: Fit) -> Array:
+        load, problem = np.zeros(len(found.predicted)), found.problem
+        for block in problem.blocks:
+            run = problem.case.runs[block.run]
+            if run.stage_mm is not None:
+                load[block.place] = elastic_force_at(run.stage_mm, found.base)
+            elif run.force_N is not None:
+                load[block.place] = run.force_N
+        return load
+
+    def axes_of(self, found: Fit, run: int) -> tuple[Array, Array]:
+        one = found.problem.case.runs[run]
+        load_N = one.force_N if one.force_N is not None else elastic_force_at(np.asarray(one.stage_mm), found.base)
+        return (one.stage_mm if one.stage_mm is not None else load_N), load_N
+
+    # How causes are sought.
+
+    def mistakes(self, case: Case) -> tuple[DataMistake, ...]:
+        return mistakes(case, self.method.mistake)
+
+    def base_beside(self, case: Case) -> Fit:
+        """Return the base at its rough start, for recordings that are not to be fitted."""
+        problem = Problem(self, case, first_noise(case))
+        return fit(problem, Hypothesis(), np.nan_to_num(rough_start(case)), steps=0)
+
+    def base_fit(self, case: Case) -> Fit:
+        problem = Problem(self, case, first_noise(case))
+        fitted = fit(problem, Hypothesis(), rough_start(case))
+        for _ in range(2):
+            problem = with_driving_noise(problem.with_noise(noise_levels(fitted)), fitted)
+            fitted = fit(problem, Hypothesis(), fitted.coordinates)
+        return fitted
+
+    def mistakes_by_base(self, base: Fit) -> tuple[tuple[DataMistake, ...], tuple[DataMistake, ...]]:
+        odd = outlier_run(base)
+        return () if odd is None else (odd,), doubts(base.problem.case, self.method.mistake)
+
+    def mistakes_by_search(self, search: "Search") -> tuple[DataMistake, ...]:
+        odd = outlier_run_beside(search)
+        return () if odd is None else (odd,)
+
+    def visible(self, case: Case) -> tuple[Effect, ...]:
+        return visible_effects(case, self.effects)
+
+    def probes(self, base: Fit, effects: Sequence[Effect]) -> tuple[Probe, ...]:
+        extent, sized = extent_of(base), base.problem.scale.sized
+        return tuple(Probe(e, row, e.is_one_sided) for e in effects for row in e.probes(extent, sized))
+
+    def start_again(self, search: "Search") -> None:
+        """Fit the likeliest from other bases: one fitted through a large gap may be far off."""
+        likely = sorted(search.fits.values(), key=lambda f: f.bic)[: self.method.search.again]
+        likely += search.one_less(search.leader).values()
+        first = rough_start(search.base.problem.case)
+        for _ in range(2):
+            for found in likely:
+                start = np.append(first, found.coordinates[found.hypothesis.of_base.stop :])
+                search.keep(fit(found.problem, found.hypothesis, start, steps=40))
+            first = search.leader.coordinates[search.leader.hypothesis.of_base]
+
+    def departures(self, case: Case) -> tuple[Effect, ...]:
+        is_warming, warmed_K = case.changes("temperature_C"), self.method.stranger.warmed_K
+        seen = [e for e in STRANGERS if e.stage not in case.unseen_stages]
+        seen = [e for e in seen if is_warming or not e.parameters[0].unit.endswith("/K")]
+        # A dummy resistor that was read while it warmed tells of the electronics.
+        return (*seen, *((WARM_DIVIDER,) if case.changes("temperature_C", "dummy_resistor", warmed_K) else ()))
+
+    def closest_set(self, search: "Search") -> Fit:
+        return search.best
+
+    # What is reported.
+
+    def menu(self, base: Fit) -> tuple[MenuEntry, ...]:
+        return menu(base.problem.case, extent_of(base))
+
+    def terms(self, base: Fit) -> Iterator[EmpiricalTerm]:
+        return terms_of_twin(base)
+
+    def maps(self, case: Case) -> tuple[Map, ...]:
+        """Fit each chain relation of the base alone, without any effect, and measure what it leaves."""
+        return tuple(Map(name, structure(self.base_fit(one))) for name, one in cases_of_maps(case).items())
+
+    def where(self, search: "Search", judgement: "Judgement", causes: Sequence[RankedCause]) -> Where:
+        base, best, verdict = search.base, search.best, judgement.verdict
+        search.say("refitting the three maps separately")
+        maps = self.maps(base.problem.case)
+        seen = tuple(replace(r, channel=short(r.channel)) for r in regimes(base))
+        if verdict == "no_gap":
+            return Where((), seen, maps)
+        dirty = [reason("gap.map", map=m.name) for m in maps if m.structure.is_significant]
+        detail = reason("gap.seen.maps", maps=several(dirty or [Reason("gap.map.none")], "gap.list"))
+        channel, regime = (seen[0].channel, seen[0].name) if seen else ("output", Reason("gap.regime.everywhere"))
+        if verdict == "unknown":
+            partial = partial_of(search, judgement)
+            share, largest = partial.share if partial is not None else 0.0, seen[0].share if seen else 1.0
+            places = _unknown_places(search, maps, GapPlace("", channel, regime, largest, detail), share)
+        else:
+            named = [c for c in causes if c.effect in best.ids]
+            of_causes = places_of(named, channel, regime, lambda i: reason("gap.seen.effect", effect=i, seen=detail))
+            aliases, places = _open_aliases(best), []
+            for c, place in zip(named, of_causes, strict=True):
+                alias = aliases.get(c.effect)
+                if alias is None:
+                    places.append(place)
+                    continue
+                # The alias takes its share to its own stage.
+                known = reason("gap.seen.alias", alias=Reason.of(alias.detail))
+                places.append(replace(place, share=(1.0 - alias.share) * place.share))
+                places.append(replace(place, stage=alias.stage, share=alias.share * place.share, detail=known))
+            if verdict == "explained_in_part":
+                left = 1.0 - search.explained_share(best)
+                places = beside_rest(places, GapPlace("unknown", channel, regime, left))
+        at = max(places, key=lambda p: p.share).stage
+        return Where((*places, *regime_places(at, seen, "gap.seen.energy")), seen, maps)
+
+    def next_experiment(self, search: "Search", judgement: "Judgement") -> NextExperiment:
+        group, verdict = judgement.group, judgement.verdict
+        # Where something is left besides, causes that look alike are told apart all the same.
+        proposed = most_telling(self.menu(search.start), group) if len(group) > 1 else None
+        if proposed is not None and (verdict not in ("unknown", "explained_in_part") or proposed.profile != "none"):
+            return proposed
+        if verdict in ("unknown", "explained_in_part"):
+            seen, unseen = Reason("gap.next.what_follows"), Reason("gap.next.what_follows_unseen")
+            return NextExperiment("rate_sweep", seen if search.base.problem.case.has("stage_mm") else unseen)
+        if verdict == "no_gap":
+            return NextExperiment("long_hold", Reason("gap.next.slow"))
+        for effect_id, alias in _open_aliases(search.best).items():
+            values = {"alias": Reason.of(alias.detail), "advice": Reason.of(alias.advice)}
+            return NextExperiment(alias.told_by, reason("gap.next.alias", effect=effect_id, **values))
+        return NextExperiment("none", Reason("gap.next.separated"))
+
+    def report(self, diagnosis: "Diagnosis[TwinModel]") -> dict[str, object]:
+        named, case, is_spoilt = diagnosis.named, diagnosis.case, diagnosis.verdict == "data"
+        out: dict[str, object] = {"gap": {short(channel): vars(gap) for channel, gap in diagnosis.gap.items()}}
+        if (described := diagnosis.residual) is not None:
+            first = described.terms[0].term
+            twin = explained_twin(described.fit, [one.term for one in described.terms])
+            rig = {"load_N": first.load_N, "depth_mm": first.depth_mm, "twin": twin_record(twin)}
+            out["residual"] = described.record() | rig
+        return out | {
+            "missing_channels": list(case.missing_channels),
+            "unseen_stages": list(case.unseen_stages),
+            "plugins": [effect_id for effect_id in EFFECTS if effect_id not in OWN_EFFECTS],
+            "base": {p.name: getattr(named.base, p.name) for p in BASE},
+            "noise": {
+                short(channel): {"white": sigma, "fading": fades.spread, "fading_s": fades.fading_s}
+                for channel, sigma in named.problem.sigma.items()
+                if (fades := named.problem.colour.get(channel)) is not None
+            },
+            "offsets": [vars(one) | {"run": one.run + 1} for one in offsets(named)],
+            "twin": None if is_spoilt else twin_record(explained_twin(diagnosis.best)),
+            "base_twin": None if is_spoilt else twin_record(explained_twin(diagnosis.base)),
+            "maps": [
+                {"map": m.name, "z": m.structure.z, "structured_sigma": m.structure.rms} for m in diagnosis.where.maps
+            ],
+        }
+
+
+TWIN = TwinModel(EFFECTS)
+"""The twin with every effect of the catalogue."""
+
+
+def short(channel: str) -> str:
+    """Return a channel without its unit, as reports have it."""
+    return channel.split("_")[0]
+
+
+def _open_aliases(best: Fit) -> dict[str, Alias]:
+    """What a named cause may be outside the catalogue, where no run tells; by cause."""
+    aliases = {i: EFFECTS[i].signs.alias for i in best.ids}
+    return {i: alias for i, alias in aliases.items() if alias is not None and not is_told(best.problem.case, alias)}
+
+
+def _unknown_places(search: "Search", maps: tuple[Map, ...], seen: GapPlace, share: float) -> list[GapPlace]:
+    """Where a gap lies that nothing in the catalogue explains: the likeliest stage first."""
+    loose, detail = loose_noise(search.best), seen.detail
+    stages: tuple[str, ...] = likely_stages(search.base, maps)
+    if search.stranger is not None:
+        stranger = stranger_of(search.stranger)
+        stages = tuple(dict.fromkeys((stranger.stage, *stages)))
+        detail = reason("gap.seen.like", like=Reason(stranger.id), seen=detail)
+    elif loose is not None and (not stages or search.model.is_clean(search.best)):
+        stages = tuple(dict.fromkeys((loose.stage, *stages)))
+        detail = reason("gap.seen.noise", noise=loose.detail, seen=detail)
+    if not stages:
+        stages = tuple(dict.fromkeys(EFFECTS[i].stage for i in search.best.ids)) or ("unknown",)
+    code = "gap.seen.left" if search.stranger is None else "gap.seen.better"
+    # Nothing measures how a gap splits between stages that may each hold it: the likelier is first.
+    others = [replace(seen, stage=stage, detail=Reason("gap.seen.same_maps")) for stage in stages[1:]]
+    return [replace(seen, stage=stages[0], detail=reason(code, seen=detail, share=share)), *others]
