@@ -86,16 +86,19 @@ def by_product(
             seconds = time.process_time() - start_s
             scored: dict[str, dict[str, tuple[float, float, float]]] = {ALONE: {}, TOGETHER: {}}
             network = registry.networks.get(report.network.network.id)
-            for unit in report.units:
-                if unit.state is None:
+            for result in report.units:
+                if result.state is None:
                     continue
                 for method, revision in ((ALONE, 1), (TOGETHER, None)):
-                    state = registry.calibrations.get(unit.serial, revision).state
-                    scored[method][unit.serial] = _scored(network, state, tests[unit.serial])
-        fitted = [unit.serial for unit in report.units if unit.state and unit.state.fit.lot_fit]
-        every = [unit.serial for unit in report.units]
-        columns = [{m: {s: one[k] for s, one in of.items()} for m, of in scored.items()} for k in range(3)]
-        return Outcome(*columns, tuple(fitted), tuple(s for s in every if s not in fitted), seconds / len(units))
+                    state = registry.calibrations.get(result.serial, revision).state
+                    scored[method][result.serial] = _scored(network, state, tests[result.serial])
+        fitted = [result.serial for result in report.units if result.state and result.state.fit.lot_fit]
+        every = [result.serial for result in report.units]
+        errors, forecasts, inside = (
+            {m: {s: one[k] for s, one in of.items()} for m, of in scored.items()} for k in range(3)
+        )
+        alone = tuple(s for s in every if s not in fitted)
+        return Outcome(errors, forecasts, inside, tuple(fitted), alone, seconds / len(units))
 
 
 def _scored(network: object, state: UnitState, test: LabelledRecording) -> tuple[float, float, float]:
