@@ -184,9 +184,15 @@ def expected(text: str) -> np.ndarray | None:
     return values[np.isfinite(values[:, 0])]
 
 
+MISSING = ("#N/A", "NULL", "NA")
+"""Words among those that break a file which stand for a missing sample."""
+
+
 def _sample(cell: str) -> float:
     # A typographic minus sign is a minus; every other letter beyond ASCII makes no number.
     cell = cell.strip().replace("\N{MINUS SIGN}", "-")
+    if cell in MISSING:
+        return np.nan
     value = float(cell.replace("_", "x").encode("ascii")) if cell else np.nan
     return value if np.isfinite(value) else np.nan
 

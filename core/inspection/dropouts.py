@@ -4,40 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from softcal.core.inspection.config import DropoutConfig
 from softcal.core.recording import Array, Indices
-from softcal.core.settings import setting
-
-RIGS = "good rigs of benchmarks/station_proof.py, seeds 2000 to 2149"
 
 THIRD_DIFFERENCE = 0.6745 * np.sqrt(20.0)
 """Median size of the third differences of white noise by its standard deviation; motion hardly has any."""
-
-
-@dataclass(frozen=True)
-class DropoutConfig:
-    """What makes a dropout.
-
-    Args:
-        max_share: it lasts this share of the recording at most.
-        neighbours: an edge is compared with so many steps outside of it, one guard step left out: a converter that
-            averages may show the edge in two samples.
-        edge_steps: an edge is so many times the largest of these.
-        edge_share: and this share of the dropout, and of the other edge.
-        range_share, noises, counts: and this share of the recording's range, so many standard deviations of its noise,
-            so many steps of its converter. Where nobody knows the stage, all of the range and so many times the usual
-            fastest step as of its neighbours: a press may be as fast.
-        stage_share: the stage's own excursion meanwhile, as a share of its range, is at most so many times the
-            output's: a short press is none.
-    """
-
-    max_share: float = setting(0.1, RIGS)
-    neighbours: int = setting(5, RIGS)
-    edge_steps: float = setting(3.0, RIGS)
-    edge_share: float = setting(0.45, RIGS)
-    range_share: float = setting(0.05, RIGS)
-    noises: float = setting(10.0, RIGS)
-    counts: float = setting(4.0, RIGS)
-    stage_share: float = setting(0.25, RIGS)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from softcal.core.recording import Array, Indices, LabelledRecording, Mask, Outp
 from softcal.core.unit.health import OutputLimits, clipped_share
 from softcal.core.unit.knowledge import SHARED, LoadKnowledge, known_by
 from softcal.core.unit.line_spread import LineSpread
-from softcal.core.unit.lot_fit import LotFitPart
+from softcal.core.unit.lot_fit_part import LotFitPart
 from softcal.core.unit.method import ForecastConfig, Method
 from softcal.core.unit.source_model import SourceModel, unit_difference
 from softcal.core.unit.uncertainty import WindowShape

@@ -7,25 +7,7 @@ from softcal.core.identity import content_sha256
 from softcal.core.maps.choose import ChosenMap
 from softcal.core.maps.common_load import LoadGroup, LotUnit
 from softcal.core.maps.interface import map_sha256
-
-
-@dataclass(frozen=True, kw_only=True)
-class LotFitPart:
-    """The part of a unit in the fit of its lot. Uncertainties are standard ones, in the reference unit.
-
-    Args:
-        number: 1, 2, 3 ... of the fits of this lot.
-        sitting: content hash of the recordings that were pressed by one load at once.
-        units: how many these are.
-        common_rmse: uncertainty of the load that all of them share: one error for every unit of the sitting.
-        unit_rmse: uncertainty of the unit's own part.
-    """
-
-    number: int
-    sitting: str
-    units: int
-    common_rmse: float
-    unit_rmse: float
+from softcal.core.unit.lot_fit_part import LotFitPart
 
 
 @dataclass(frozen=True, eq=False)

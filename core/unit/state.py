@@ -19,7 +19,7 @@ from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.health import OutputLimits
 from softcal.core.unit.knowledge import LoadKnowledge
-from softcal.core.unit.lot_fit import LotFitPart
+from softcal.core.unit.lot_fit_part import LotFitPart
 from softcal.core.unit.measured_error import Scores
 from softcal.core.unit.method import Method
 from softcal.core.unit.missing import MissingShares

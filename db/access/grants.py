@@ -20,7 +20,7 @@ CHANGING = {
 }
 """Tables whose rows change at the line, and how. Of people it may count wrong PINs and pause."""
 
-DECIDED_ELSEWHERE = ("limits", "line_rules", "certificates", "network_releases")
+DECIDED_ELSEWHERE = ("limits", "line_rules", "certificates", "network_releases", "confirmed_audits", "laboratories")
 """What the line goes by and must not set: its account reads it, the managing one adds to it."""
 
 ROLE = re.compile(r"[a-z_][a-z0-9_]{0,62}")

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from softcal.core.inspection.dropouts import DropoutConfig
+from softcal.core.inspection.config import DropoutConfig
 from softcal.core.settings import NumberedMethod, setting
 
 RIGS = "good rigs of benchmarks/station_proof.py, seeds 0 to 99, 156, 400 to 519 and 600 to 1099"

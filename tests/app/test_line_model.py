@@ -78,7 +78,7 @@ class Played:
     world: World
     ordered: list[Order] = field(default_factory=list)
 
-    stations = SimpleNamespace(golden_runs=lambda station: [])
+    stations = SimpleNamespace(golden_runs=lambda station, serial=None: [])
 
     @property
     def order_queue(self) -> Any:

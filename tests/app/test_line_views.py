@@ -333,11 +333,13 @@ def contrast(one: str, other: str) -> float:
     return (high + 0.05) / (low + 0.05)
 
 
-def test_white_words_stand_out_on_the_ground_of_every_state():
+def test_words_stand_out_on_the_ground_of_every_state():
     css = Path(line_card.__file__).with_suffix(".css").read_text()
     grounds = dict(re.findall(r"\.sc-(\w+) \{ background: (#\w{6}); \}", css))
-    assert {state.tone for state in STATES.values()} <= set(grounds)
+    of_verdicts = dict(re.findall(r"\.sc-(\w+) \{ background: var\(--sc-verdict-(\w+)\); \}", css))
+    assert {state.tone for state in STATES.values()} <= {*grounds, *of_verdicts}
     assert all(contrast("#FFFFFF", ground) >= 4.5 for ground in grounds.values())
+    assert all(contrast(palette.VERDICT_INK, palette.VERDICT[one]) >= 4.5 for one in of_verdicts.values())
 
 
 @pytest.mark.parametrize(

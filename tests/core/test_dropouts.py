@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from softcal.core.inspection import dropouts
-from softcal.core.inspection.dropouts import DropoutConfig
+from softcal.core.inspection.config import DropoutConfig
 
 RATE_HZ = 50.0
 T_S = np.arange(0.0, 40.0, 1 / RATE_HZ)

@@ -11,8 +11,7 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.inspection.build import InspectedRecording, build_recording
-from softcal.core.inspection.config import InspectionConfig
-from softcal.core.inspection.dropouts import DropoutConfig
+from softcal.core.inspection.config import DropoutConfig, InspectionConfig
 from softcal.core.inspection.levels import find_flat_ends
 from softcal.core.inspection.words import check_reference
 from softcal.core.recording import Array

@@ -159,7 +159,7 @@ def test_the_hash_of_a_row_can_be_computed_by_anybody(filled):
 
 
 def test_events_that_change_no_table_stand_in_the_trail(filled):
-    filled.registry.trail.add("export", "exports", ("A1", 2), {"format": "json"}, actor="kim", reason="shipment 7")
+    filled.registry.trail.add("export", "shipments", ("A1", 2), {"format": "json"}, actor="kim", reason="shipment 7")
     last = filled.registry.trail.rows()[-1]
     assert (last.action, last.actor, last.reason) == ("export", "kim", "shipment 7")
     assert filled.registry.verify() == []
