@@ -7,7 +7,7 @@ from softcal.app.batch.audit import update_lot
 from softcal.app.batch.changes import compare_verdicts, read_verdicts
 from softcal.app.batch.judging import redecide_dependent_lots
 from softcal.app.batch.known import KeptFacts, lot_facts, lot_method, state_family, state_line, state_sources
-from softcal.app.batch.lot_fit import plan_lot_fit, store_lot_fit
+from softcal.app.batch.lot_fit import make_batch_fit
 from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
 from softcal.app.batch.release import decide_lot
 from softcal.app.batch.report import BatchReport, unused_audits
@@ -71,8 +71,7 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
         pressed = {sha256: (serial, golden) for serial, sha256 in work.recordings(list(folder.unit_paths)).items()}
         pressed[golden] = run.serial, golden
         keep_golden_of(registry, lot_id, pressed, actor=actor)
-    plan = plan_lot_fit(registry, lot_id)
-    store_lot_fit(registry, plan.for_batch(), actor, "batch")
+    plan = make_batch_fit(registry, lot_id, actor)
     decided = decide_lot(registry, lot_id, actor)
     audit = update_lot(registry, lot_id, actor)
     redecide_dependent_lots(registry, lot_id, actor)

@@ -15,7 +15,7 @@ from softcal.app.batch.lot_decision import LotFitDecision, decision_in_force
 from softcal.app.batch.release import decide_lot
 from softcal.app.registry.lot_recordings import source_model, target_serials, unlabelled
 from softcal.app.registry.trimmed import trim_kept
-from softcal.core.errors import InputError
+from softcal.core.errors import ChangedMeanwhile
 from softcal.core.maps.common_load import find_groups
 from softcal.core.maps.config import DEFAULT
 from softcal.core.maps.shared_load import LotFit, fit_lot
@@ -43,6 +43,7 @@ class LotFitPlan:
         states: the changed units as they will be, by serial.
         open: those of them that a batch leaves as they are.
         alone: why other units that share a load would stand alone.
+        before: revisions of the units that may take part, when it was planned.
         is_withdrawal: whether every unit gets back the map of its own.
     """
 
@@ -51,6 +52,7 @@ class LotFitPlan:
     states: Mapping[str, UnitState]
     open: frozenset[str] = frozenset()
     alone: Mapping[str, Reason] = field(default_factory=dict)
+    before: Mapping[str, int] = field(default_factory=dict)
     is_withdrawal: bool = False
 
     def for_batch(self) -> "LotFitPlan":
@@ -94,7 +96,7 @@ def plan_lot_fit(registry: Registry, lot_id: str, *, is_withdrawal: bool = False
     lot = _Lot(registry, lot_id, number)
     if is_withdrawal:
         states = {serial: lot.alone(serial) for serial, one in lot.states.items() if one.fit.lot_fit is not None}
-        return LotFitPlan(lot_id, number, states, is_withdrawal=True)
+        return LotFitPlan(lot_id, number, states, before=lot.revisions, is_withdrawal=True)
     states, alone, is_open = dict[str, UnitState](), dict[str, Reason](), set[str]()
     for model, targets in lot.by_network():
         has_groups = any(find_groups(targets, model.method.map))
@@ -115,21 +117,25 @@ def plan_lot_fit(registry: Registry, lot_id: str, *, is_withdrawal: bool = False
                 is_open.add(target.serial)
     if in_force.is_withdrawn:
         is_open.update(states)
-    return LotFitPlan(lot_id, number, states, frozenset(is_open), alone)
+    return LotFitPlan(lot_id, number, states, frozenset(is_open), alone, lot.revisions)
 
 
 def store_lot_fit(registry: Registry, plan: LotFitPlan, actor: str | None = None, why: str = "") -> None:
     """Put the units of a plan into use, and write the decision down; nothing where the plan changes nothing.
 
     Raises:
-        InputError: somebody else fitted the lot since it was planned; nothing was changed.
+        ChangedMeanwhile: somebody else fitted the lot or calibrated a unit since it was planned; nothing was changed.
     """
     if not plan.states:
         return
     with registry.transaction():
         before = decision_in_force(registry, plan.lot_id)
-        if before.fit.number + 1 != plan.number:
-            raise InputError(f"lot {plan.lot_id}: somebody else fitted it meanwhile; nothing was changed; fit it again")
+        what = None if before.fit.number + 1 == plan.number else f"lot {plan.lot_id}: somebody else fitted it"
+        for serial, one in registry.pages.standings(plan.lot_id, list(plan.states), has_stale=True).items():
+            if one.summary is None or one.summary.revision != plan.before[serial]:
+                what = what or f"unit {serial} of lot {plan.lot_id}: somebody else changed it"
+        if what:
+            raise ChangedMeanwhile(f"{what} meanwhile; nothing was changed; fit the lot again")
         for serial, state in plan.states.items():
             with trim_kept(registry, plan.lot_id, serial, actor):
                 said = f"lot fit {plan.number}"
@@ -138,6 +144,17 @@ def store_lot_fit(registry: Registry, plan: LotFitPlan, actor: str | None = None
         registry.decisions.add(
             plan.lot_id, msgspec.to_builtins(replace(before, fit=fit)), action="fit", actor=actor, reason=why
         )
+
+
+def make_batch_fit(registry: Registry, lot_id: str, actor: str | None) -> LotFitPlan:
+    """Carry out what a batch may of a fit of a lot; it is planned anew where somebody else was first."""
+    while True:
+        plan = plan_lot_fit(registry, lot_id)
+        try:
+            store_lot_fit(registry, plan.for_batch(), actor, "batch")
+        except ChangedMeanwhile:
+            continue
+        return plan
 
 
 def make_lot_fit(registry: Registry, plan: LotFitPlan, actor: str | None = None, why: str = "") -> None:
@@ -186,8 +203,9 @@ class _Lot:
         self._method = lot_method(registry, lot_id)
         serials = target_serials(registry, lot_id)
         standings = registry.pages.standings(lot_id, serials, has_stale=True)
-        found = {serial: one.summary.state for serial, one in standings.items() if one.summary is not None}
-        self.states = {serial: state for serial, state in found.items() if self._may_share(state)}
+        found = {serial: one.summary for serial, one in standings.items() if one.summary is not None}
+        self.states = {serial: one.state for serial, one in found.items() if self._may_share(one.state)}
+        self.revisions = {serial: found[serial].revision for serial in self.states}
         self._kept = KeptFacts(registry, lot_id, serials)
         self._models: dict[str, SourceModel] = {}
         self._recordings: dict[str, OutputRecording] = {}

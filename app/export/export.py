@@ -115,9 +115,7 @@ def withdraw_given(registry: Registry, lot_ids: Sequence[str]) -> list[Recall]:
         if not (Path(place) / NAME).is_file():
             continue
         lost = {one.serial: one.verdict for one in recalls if (one.place, one.lot, one.host) == (place, lot_id, here)}
-        units = read_manifest(Path(place)).units
-        open_ = {serial: word for serial, word in lost.items() if not units.get(serial, {}).get("withdrawn")}
-        withdraw_units(Path(place), lot_id, (), open_)
+        withdraw_units(Path(place), lot_id, (), lost)
     return recalls
 
 

@@ -120,7 +120,7 @@ def write_manifest(folder: Path, manifest: Manifest, key: SigningKey | None) -> 
 
 
 def withdraw_units(folder: Path, lot_id: str, released: Collection[str], verdicts: Mapping[str, str]) -> list[str]:
-    """Remove the files of units of a lot that are not released; return their serials.
+    """Remove the files of units of a lot that are not released; return the serials of those that had some.
 
     Args:
         folder: an export folder; nothing happens where there is none yet.
@@ -129,12 +129,14 @@ def withdraw_units(folder: Path, lot_id: str, released: Collection[str], verdict
     """
     manifest = read_manifest(folder)
     mine = {serial for serial, facts in manifest.units.items() if facts["lot"] == lot_id}
-    gone = sorted(mine & verdicts.keys() - set(released))
-    for serial in gone:
+    gone, before = [], dict(manifest.units)
+    for serial in sorted(mine & verdicts.keys() - set(released)):
         names = [name for name, entry in manifest.files.items() if entry.serial == serial]
         manifest.remove(folder, names)
-        manifest.units[serial] = {**manifest.units[serial], "verdict": verdicts[serial], "withdrawn": bool(names)}
-    if gone:
+        gone += [serial] if names else []
+        is_withdrawn = bool(names) or before[serial].get("withdrawn", False)
+        manifest.units[serial] = {**before[serial], "verdict": verdicts[serial], "withdrawn": is_withdrawn}
+    if manifest.units != before:
         # A signature of the folder as it was would vouch for files that are gone.
         write_manifest(folder, manifest, None)
     return gone

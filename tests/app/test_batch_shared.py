@@ -6,16 +6,18 @@ import signal
 import socket
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from softcal.app.batch import lot_work, unit_work
+from softcal.app.batch import lot_fit, lot_work, unit_work
 from softcal.app.batch.batch import run_batch
 from softcal.app.batch.claims import Claims
 from softcal.app.batch.engine import EngineChoice
+from softcal.app.batch.lot_decision import decision_in_force
 from softcal.app.batch.lot_work import BatchConfig
 from softcal.app.cli.main import main
 from softcal.app.files.lot_folder import open_lot_folder
@@ -24,10 +26,14 @@ from softcal.core.lot import Lot
 from softcal.core.network.config import NetworkConfig
 from softcal.db.connection import open_registry
 from softcal.db.queues.work_queue import WorkSet
+from softcal.db.registry import Registry
 from softcal.db.truth.calibrations import CalibrationTables
 from tests.wait import wait_until
 
 UNITS = 16
+SHARING = ["A1", *(f"A{k}" for k in range(4, UNITS + 1))]
+"""The units that were pressed by one load at once: copies of A1. A2 and A3 were pressed apart."""
+
 SMALL = ("--hidden", "16,8")
 
 
@@ -47,11 +53,27 @@ def start(folder: Path, url: str, *more: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen(command, **quiet, env=os.environ | {"OMP_NUM_THREADS": "1"})
 
 
-def kept(url: str) -> dict[str, int]:
-    """How often every unit was fitted: a fit keeps how long it took, so that no two are stored as one."""
+def fits(url: str) -> list[tuple[str, bool]]:
+    """Every fit of a unit, and whether it came of a lot fit: a fit keeps how long it took, so no two are one."""
     with open_registry(url, create=False) as registry, registry.database.reading() as connection:
-        rows = connection.exec_driver_sql("SELECT serial, count(*) FROM fits GROUP BY serial").all()
-    return {str(serial): int(count) for serial, count in rows}
+        rows = connection.exec_driver_sql("SELECT serial, content FROM fits").all()
+    return [(str(serial), json.loads(content)["lot_fit"] is not None) for serial, content in rows]
+
+
+def kept(url: str) -> dict[str, int]:
+    """How often every unit was fitted by itself."""
+    return Counter(serial for serial, is_of_lot in fits(url) if not is_of_lot)
+
+
+def assert_one_lot_fit(url: str) -> None:
+    """One lot fit was made: it fitted each unit that shares a load once, and is the one in force."""
+    assert Counter(serial for serial, is_of_lot in fits(url) if is_of_lot) == dict.fromkeys(SHARING, 1)
+    with open_registry(url, create=False) as registry:
+        fit = decision_in_force(registry, "small").fit
+        parts = [registry.calibrations.get(serial).state.fit.lot_fit for serial in SHARING]
+        assert registry.verify() == []
+    assert fit.number == 1 and [sorted(sitting) for sitting in fit.sittings] == [sorted(SHARING)]
+    assert [part and part.number for part in parts] == [1] * len(SHARING)
 
 
 def children_of(pid: int) -> list[int]:
@@ -72,8 +94,47 @@ def test_a_batch_that_is_killed_goes_on_at_once_and_repeats_nothing(folder: Path
     units = json.loads(report.read_text())["units"]
     assert [unit["is_new"] for unit in units].count(False) == len(before)
     assert kept(registry_url) == {f"A{k}": 1 for k in range(1, UNITS + 1)}
-    with open_registry(registry_url, create=False) as registry:
-        assert registry.verify() == []
+    assert_one_lot_fit(registry_url)
+
+
+@pytest.mark.parametrize("where", ["lot_fit.LotFitDecision", "batch.decide_lot"], ids=["as it is stored", "after it"])
+def test_a_batch_that_is_killed_at_its_lot_fit_makes_one_all_the_same(
+    where: str, folder: Path, registry_url: str
+) -> None:
+    command = ["batch", str(folder), "--registry", registry_url, *SMALL, "--no-own"]
+    module, name = where.split(".")
+    lines = f"""
+import os, signal
+from softcal.app.batch import {module} as module
+from softcal.app.cli.main import main
+module.{name} = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+main({command})
+"""
+    for _ in range(2):
+        dead = subprocess.run([sys.executable, "-c", lines], capture_output=True, check=False)
+        assert dead.returncode == -signal.SIGKILL, dead.stderr.decode()
+        assert kept(registry_url) == {f"A{k}": 1 for k in range(1, UNITS + 1)}
+        if module == "lot_fit":
+            assert not any(is_of_lot for _, is_of_lot in fits(registry_url)), "half a lot fit was kept"
+    for _ in range(2):
+        assert main(command) in (0, 1)
+        assert_one_lot_fit(registry_url)
+    assert kept(registry_url) == {f"A{k}": 1 for k in range(1, UNITS + 1)}
+
+
+def test_a_batch_goes_on_where_another_made_the_lot_fit_meanwhile(
+    folder: Path, registry_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def plan_late(registry: Registry, lot_id: str) -> lot_fit.LotFitPlan:
+        late = plan(registry, lot_id)
+        if decision_in_force(registry, lot_id).fit.number == 0:
+            lot_fit.store_lot_fit(registry, plan(registry, lot_id))
+        return late
+
+    plan = lot_fit.plan_lot_fit
+    monkeypatch.setattr(lot_fit, "plan_lot_fit", plan_late)
+    assert main(["batch", str(folder), "--registry", registry_url, *SMALL, "--no-own"]) in (0, 1)
+    assert_one_lot_fit(registry_url)
 
 
 def test_only_work_of_a_process_of_this_machine_that_died_comes_free_before_its_lease(registry_url: str) -> None:
@@ -97,6 +158,7 @@ def test_two_batches_share_a_lot(folder: Path, registry_url: str, tmp_path: Path
     assert all(process.wait(120) in (0, 1) for process in processes)
     first, second = (json.loads(report.read_text())["units"] for report in reports)
     assert kept(registry_url) == {f"A{k}": 1 for k in range(1, UNITS + 1)}
+    assert_one_lot_fit(registry_url)
     assert [unit["map"] for unit in first] == [unit["map"] for unit in second]
     assert all(a["is_new"] != b["is_new"] for a, b in zip(first, second, strict=True))
 
@@ -165,7 +227,8 @@ def test_a_result_that_comes_after_the_lease_ran_out_is_dropped(
         monkeypatch.setattr("softcal.app.batch.lot_work.work_on", steal)
         report = run_batch(open_lot_folder(folder), registry, config)
     assert len(report.units) == UNITS
-    assert set(kept(registry_url).values()) == {1}
+    assert kept(registry_url) == {f"A{k}": 1 for k in range(1, UNITS + 1)}
+    assert_one_lot_fit(registry_url)
 
 
 def test_every_file_is_read_once_and_nothing_made_is_read_back(
@@ -199,6 +262,7 @@ def test_a_lot_that_is_not_held_whole_is_calibrated_whole(
     monkeypatch.setattr(lot_work, "HELD_BYTES", 1)
     assert main(["batch", str(folder), "--registry", registry_url, *SMALL, "--no-own"]) in (0, 1)
     assert kept(registry_url) == {f"A{k}": 1 for k in range(1, UNITS + 1)}
+    assert_one_lot_fit(registry_url)
 
 
 def test_files_that_change_become_new_work(folder: Path, registry_url: str) -> None:
@@ -208,6 +272,7 @@ def test_files_that_change_become_new_work(folder: Path, registry_url: str) -> N
     np.testing.assert_array_equal(pd.read_csv(folder / "units/A3.csv").output, unit.output)
     assert main(["batch", str(folder), "--registry", registry_url, *SMALL, "--no-own"]) in (0, 1)
     counts = kept(registry_url)
-    assert (counts.pop("A3"), set(counts.values())) == (2, {1})
+    assert counts == {f"A{k}": 1 + (k == 3) for k in range(1, UNITS + 1)}
+    assert_one_lot_fit(registry_url)
     with open_registry(registry_url, create=False) as registry:
         assert registry.work_queue.counts("small") == {"queued": 0, "claimed": 0, "failed": 0}

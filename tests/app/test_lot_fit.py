@@ -215,6 +215,19 @@ def test_a_fit_that_somebody_else_made_meanwhile_is_not_overwritten(lot, registr
         make_lot_fit(registry, plan)
 
 
+def test_a_unit_that_somebody_else_changed_meanwhile_keeps_its_newest_map(lot, registry, run, batch):
+    press(lot / "lot", "U5", presses(77, 2500, 60.0))
+    batch()
+    plan, before = plan_lot_fit(registry, "tuesday"), maps(registry)
+    assert "U1" in plan.states
+    assert run("registry", "rollback", "--serial", "U1", "--to", "1", "--reason", "as before", "--yes") == 0
+    after = maps(registry)
+    assert after["U1"] != before["U1"]
+    with pytest.raises(softcal.InputError, match="U1 .* meanwhile"):
+        make_lot_fit(registry, plan)
+    assert maps(registry) == after and decision_in_force(registry, "tuesday").fit.number == 1
+
+
 def test_an_audit_is_scored_by_the_map_of_the_lot(lot, registry, batch):
     recorded(presses(33, 1500, 5.0), 4).to_csv(lot / "lot/audit/U4.csv", index=False)
     report = batch()

@@ -356,7 +356,10 @@ def test_a_person_can_confirm_a_doubted_audit_and_a_new_one_ends_the_doubt(make_
     batch(folder)
     confirm = ["lot", "audit", str(folder), "--confirm", "large-03", "--registry", registry_url]
     assert main(confirm) == 2, "without a reason"
-    assert main([*confirm, "--reason", "the cell was read by hand"]) == 1
+    confirm += ["--reason", "the cell was read by hand"]
+    assert main(confirm) == 2, "it withdraws released units, and nobody was asked"
+    assert registry.pages.standings("large", ["large-03"])["large-03"].verdict == "retest"
+    assert main([*confirm, "--yes"]) == 1
     assert registry.pages.standings("large", ["large-03"])["large-03"].verdict == "fail", "it counts as it stands now"
     assert batch(folder)["release"]["audited"] == 12
     (folder / "audit/large-03.csv").write_bytes(right)

@@ -187,7 +187,7 @@ def test_documents_and_files_say_the_same_word(lot, word, tmp_path):
         assert word is not Verdict.PASS
 
 
-def test_a_worse_verdict_takes_the_files_back(trained_lot, tmp_path):
+def test_a_worse_verdict_takes_the_files_back(trained_lot, tmp_path, capsys):
     shutil.copytree(trained_lot / "lot", tmp_path / "lot")
     url, out = f"sqlite:///{tmp_path / 'r.db'}", tmp_path / "out"
     batch = ["batch", str(tmp_path / "lot"), "--registry", url, "--hidden", "16,8", "--no-own", "--out", str(out)]
@@ -195,7 +195,10 @@ def test_a_worse_verdict_takes_the_files_back(trained_lot, tmp_path):
     released = {path.name for path in out.iterdir() if path.name.startswith("unit-")}
     assert released
     main(["lot", "limit", "small", "--registry", url, "--rmse", "0.0001", "--reason", "too strict", "--yes"])
+    assert not [path for path in out.iterdir() if path.name.startswith("unit-")]
+    capsys.readouterr()
     assert main(batch) == 1
+    assert "were taken back" not in capsys.readouterr().err, "they were gone already"
     assert not [path for path in out.iterdir() if path.name.startswith("unit-")]
     units = read_manifest(out).units.values()
     assert units and all(facts["verdict"] == "fail" and facts["withdrawn"] for facts in units)
