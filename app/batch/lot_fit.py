@@ -63,9 +63,9 @@ class LotFitPlan:
     def batch_messages(self) -> list[Reason]:
         """What a batch changed and what it left to a person, and who stands alone."""
         done = len(self.states) - len(self.open)
-        said = [reason("lot_fit.changes", number=self.number, units=_units(done))] if done else []
+        said = [reason("lot_fit.changes", number=self.number, count=done)] if done else []
         if self.open:
-            said.append(reason("lot_fit.open", number=self.number + bool(done), units=_units(len(self.open))))
+            said.append(reason("lot_fit.open", number=self.number + bool(done), count=len(self.open)))
         return said + self.named
 
     @property
@@ -178,11 +178,7 @@ def open_lot_fit(registry: Registry, lot_id: str, recording: OutputRecording) ->
         first = unlabelled(registry.recordings.get(standing.summary.state.fit.recording_sha256))
         joins = find_synchrony(first, recording, config).is_synchronous
         count += len(others) * (joins or recording.serial in sitting) + joins
-    return reason("lot_fit.open", number=in_force.number + 1, units=_units(count)) if count else None
-
-
-def _units(count: int) -> Reason:
-    return reason("part.one_unit") if count == 1 else reason("part.many_units", count=count)
+    return reason("lot_fit.open", number=in_force.number + 1, count=count) if count else None
 
 
 def _sittings(registry: Registry, lot_id: str) -> tuple[tuple[str, ...], ...]:

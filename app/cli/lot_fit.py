@@ -38,7 +38,7 @@ def _fit(options: argparse.Namespace) -> int:
                     [s, one.fit.lot_fit and one.fit.lot_fit.units, one.forecast.rmse] for s, one in plan.states.items()
                 ]
                 print_table(("unit", "of units under one load", "forecast"), rows[:MOST_TOLD])
-                print(f"lot fit {plan.number} changes the maps of {len(rows)} units")
+                print(f"lot fit {plan.number} changes maps (units: {len(rows)})")
                 print_changes(changes)
             if is_done := is_confirmed(options.yes):
                 act()

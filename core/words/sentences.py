@@ -338,17 +338,15 @@ still: its output stays at one value; press the unit and record it again ({level
 still.shared: its output stays at one value under the loads it shares with the source; check its
   cable, then record it again ({level:.6g} {unit})
 lot_fit.alone: it shares no load in time with other units of the lot; its map is its own
-lot_fit.changes: lot fit {number} changes {units}
-part.one_unit: one unit
-part.many_units: {count} units
+lot_fit.changes: lot fit {number}: maps changed (units: {count})
 lot_fit.few: too few share a load in time (units: {count}); each keeps its own map
 lot_fit.known: its load is known better than by other units: its map rests on pairs or known loads
-lot_fit.member: its map comes from lot fit {number}: it is paired with the load that {units} units share, which is
-  known to {common_rmse:.3g} {unit}; its own part to {unit_rmse:.3g} {unit}
+lot_fit.member: its map comes from lot fit {number}: it is paired with the load that units share (units: {units}), which
+  is known to {common_rmse:.3g} {unit}; its own part to {unit_rmse:.3g} {unit}
 lot_fit.named: mapped alone: {serial}: {why}
 lot_fit.noisy: its output swings {times:.3g} times as often as those of the units it was pressed with, like noise; its
   map is its own
-lot_fit.open: lot fit {number} would change {units}
+lot_fit.open: lot fit {number} would change maps (units: {count})
 lot_fit.outlier: it was pressed otherwise than the units it was pressed with: once its map is paired with their load,
   {rmse:.3g} {unit} are left, usually {usual:.3g} {unit}; its map is its own
 lot_fit.spread: the units differ more the harder they are pressed, by {share:.1%} of the load: the press differs from

@@ -146,7 +146,7 @@ def test_pressing_one_unit_changes_that_unit_alone_and_says_what_a_fit_would_cha
     assert {serial for serial in UNITS if after[serial] != before[serial]} == {"U5"}
     assert len(report["lot_fit"]["open"]) == 5 and report["lot_fit"]["number"] == 2
     said = " ".join(capsys.readouterr().out.split())
-    assert "lot fit 2 would change 5 units" in said
+    assert "lot fit 2 would change maps (units: 5)" in said
     assert "mapped alone: U5: it shares no load in time with other units" in said
     assert decision_in_force(registry, "tuesday").fit.number == 1
 
@@ -154,10 +154,10 @@ def test_pressing_one_unit_changes_that_unit_alone_and_says_what_a_fit_would_cha
 def test_the_line_says_what_a_fit_would_change(lot, registry):
     away = recorded(presses(77, 2500, 60.0), 5)
     moved = OutputRecording("U5", away["t_s"].to_numpy(), away["output"].to_numpy(), RATE_HZ)
-    assert str(open_lot_fit(registry, "tuesday", moved)) == "lot fit 2 would change 5 units"
+    assert str(open_lot_fit(registry, "tuesday", moved)) == "lot fit 2 would change maps (units: 5)"
     with_them = recorded(TOGETHER_N, 9)
     joined = OutputRecording("U9", with_them["t_s"].to_numpy(), with_them["output"].to_numpy(), RATE_HZ)
-    assert str(open_lot_fit(registry, "tuesday", joined)) == "lot fit 2 would change 7 units"
+    assert str(open_lot_fit(registry, "tuesday", joined)) == "lot fit 2 would change maps (units: 7)"
     stranger = OutputRecording("U9", away["t_s"].to_numpy(), away["output"].to_numpy(), RATE_HZ)
     assert open_lot_fit(registry, "tuesday", stranger) is None
 
@@ -167,7 +167,7 @@ def test_a_person_makes_the_next_one_and_is_asked(lot, registry, run, batch, cap
     batch()
     before = maps(registry)
     assert run("lot", "fit", "tuesday") == 2
-    assert "lot fit 2 changes the maps of 5 units" in capsys.readouterr().out and maps(registry) == before
+    assert "lot fit 2 changes maps (units: 5)" in capsys.readouterr().out and maps(registry) == before
     assert run("lot", "fit", "tuesday", "--yes") == 0
     after = maps(registry)
     assert {serial for serial in UNITS if after[serial] != before[serial]} == set(UNITS) - {"U5"}
