@@ -9,6 +9,7 @@ from softcal.core.errors import InputError
 from softcal.core.lot import UnitKey
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.words.reason import Reason
+from softcal.db.provenance import Provenance
 
 if TYPE_CHECKING:
     from softcal.core.quality.audit_plan import AuditPlan
@@ -67,25 +68,55 @@ class RunEntry:
 
 
 @dataclass(frozen=True, eq=False)
-class StoredCalibration:
+class _Calibration:
+    """What every reading of a revision holds.
+
+    Args:
+        revision: 1, 2, 3 ... per serial.
+        input_sha256: content hash of what asked for it.
+        made_at: UTC; never before the revision it follows.
+        version, build: of the program that made it.
+    """
+
+    state: "UnitState"
+    revision: int
+    input_sha256: str
+    made_at: datetime
+    actor: str
+    version: str
+    build: str
+
+    @property
+    def serial(self) -> str:
+        return self.state.serial
+
+    @property
+    def provenance(self) -> Provenance:
+        """What made this revision, and from what."""
+        fit, audit = self.state.fit, self.state.audit
+        inputs = {"request": self.input_sha256, "network": fit.network_id, "recording": fit.recording_sha256}
+        return Provenance(
+            version=self.version,
+            build=self.build,
+            method=fit.method.id,
+            inputs=inputs if audit is None else inputs | {"audit": audit.recording_sha256},
+            made_at=self.made_at.isoformat(),
+            actor=self.actor,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class StoredCalibration(_Calibration):
     """One revision in the history of a serial.
 
     Args:
-        input_sha256: content hash of what asked for it.
-        revision: 1, 2, 3 ... per serial.
-        made_at: UTC; never before the revision it follows.
         rolled_back_to: the older revision this one repeats, for a rollback.
         origin: the registry that wrote it.
         is_current: this is the map in use in its lot. None is while two registries disagree.
         is_conflict: this map and another one are in use; a person has to decide.
     """
 
-    state: "UnitState"
-    input_sha256: str
     lot_id: str
-    revision: int
-    made_at: datetime
-    actor: str
     reason: str
     rolled_back_to: int | None
     origin: str
@@ -93,16 +124,12 @@ class StoredCalibration:
     is_conflict: bool
 
     @property
-    def serial(self) -> str:
-        return self.state.serial
-
-    @property
     def key(self) -> UnitKey:
         return UnitKey(self.lot_id, self.serial)
 
 
 @dataclass(frozen=True, eq=False)
-class CalibrationSummary:
+class CalibrationSummary(_Calibration):
     """One revision as a report needs it: its state without arrays, so that a lot of ten thousand fits into memory.
 
     Args:
@@ -110,13 +137,7 @@ class CalibrationSummary:
         map_sha256: content hash of the map in force.
     """
 
-    state: "UnitState"
-    revision: int
     map_sha256: str
-
-    @property
-    def serial(self) -> str:
-        return self.state.serial
 
 
 UNIT_ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
@@ -188,6 +209,8 @@ class LotDecisionEntry:
     made_at: datetime
     actor: str
     reason: str
+    version: str
+    build: str
     decision: Mapping[str, object]
 
 

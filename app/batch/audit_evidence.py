@@ -93,7 +93,9 @@ class AuditReader:
         )
         audited = {serial: known for serial, known in audited.items() if serial not in suspects}
         own = {serial: known for serial, known in audited.items() if known[2].fit.method.id == self._method.id}
-        here = [audit for serial, (audit, _, _) in own.items() if serial in drawn]
+        # The error of another map than the one in force is nobody's: it counts where it is a fail that stays.
+        measured = {serial: known for serial, known in own.items() if known[2].decision.measured is not None}
+        here = [audit for serial, (audit, _, _) in measured.items() if serial in drawn]
         past: list[PastAudit] = []
         if len(here) < min_units(self._config.risk) and lot.sensor_model:
             # The drawn audits of all other lots of the sensor model
@@ -121,7 +123,7 @@ class AuditReader:
         units = max(planned, sum(registry.pages.verdict_counts(lot.id).values()))
         golden_failed_at = self._golden_failed_at(lot)
         qualification = qualify(here, past, now, lot.sensor_model, self._method, golden_failed_at, units)
-        gains = [state.audit.line.gain for _, _, state in own.values() if state.audit is not None]
+        gains = [state.audit.line.gain for _, _, state in measured.values() if state.audit is not None]
         lines = {
             serial: AuditedLine(state.audit.fitted_line, state.fit.output_level)
             for serial, (_, _, state) in own.items()

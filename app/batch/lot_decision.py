@@ -37,6 +37,7 @@ class LotDecision:
         correction: what audited units misread alike, taken off the maps of the lot.
         next_unit: what the statement says of a unit that is to come; None where none is released by sample.
         released: units released by sample.
+        limit_rmse: stated limit that the statement was made for; None without one.
         source: which audits the statement rests on.
         statement: the statement itself.
     """
@@ -45,6 +46,7 @@ class LotDecision:
     correction: LotCorrection = LotCorrection(0)
     next_unit: SampleRelease | None = None
     released: tuple[str, ...] = ()
+    limit_rmse: float | None = None
     source: str = ""
     statement: Reason | None = None
 

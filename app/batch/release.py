@@ -14,16 +14,19 @@ import numpy as np
 
 from softcal.app.batch.audit_evidence import RELEASABLE, AuditEvidence, AuditReader
 from softcal.app.batch.lot_decision import decision_in_force, next_number
+from softcal.app.bootstrap import current_user
 from softcal.app.registry.limit import limit_or_none, lot_limit
 from softcal.app.registry.lot_recordings import audit_of, newest_audits, source_recording, target_serials, unlabelled
 from softcal.core.quality.lot_release import LotRelease, release_lot
 from softcal.core.quality.lot_standing import LotStanding, UnitInLot
+from softcal.core.quality.qualification import NONE
 from softcal.core.quality.release import min_passing
 from softcal.core.unit.audit import measure, measure_again
 from softcal.core.unit.lot_correction import LotCorrection
 from softcal.core.unit.state import SampleRelease, UnitState
 from softcal.core.words.reason import reason
 from softcal.db.entries import CalibrationSummary, UnitStanding
+from softcal.db.provenance import Provenance, record_provenance
 from softcal.db.registry import Registry
 
 WHY = "decided on the audits of the lot"
@@ -53,6 +56,7 @@ def decide_lot(
             correction=correction,
             next_unit=following,
             released=decided.released,
+            limit_rmse=decided.limit.stated_rmse,
             source=evidence.qualification.source,
             statement=decided.statement,
         )
@@ -75,11 +79,11 @@ def redecide_lot(registry: Registry, lot_id: str, actor: str | None = None, now:
     with registry.transaction():
         lot = _Lot.read(registry, lot_id, actor, now)
         in_force = decision_in_force(registry, lot_id)
-        if not lot.states or in_force.next_unit is None:
+        if not lot.states or in_force.source in ("", NONE):
             return
         evidence = lot.evidence()
         decided = lot.decided(evidence, in_force.correction)
-        is_new_limit = in_force.next_unit.limit_rmse != decided.limit.maximum_rmse or not decided.limit.is_stated
+        is_new_limit = in_force.limit_rmse != decided.limit.stated_rmse
         released = set(decided.released) if is_new_limit else set(in_force.released) & set(decided.released)
         # A unit that the audits say nothing of any more, as it was trimmed or measured, is its own affair.
         lost = {serial for serial in in_force.released if serial in decided.forecasts} - released
@@ -91,6 +95,7 @@ def redecide_lot(registry: Registry, lot_id: str, actor: str | None = None, now:
             in_force,
             next_unit=following,
             released=tuple(sorted(released)),
+            limit_rmse=decided.limit.stated_rmse,
             source=evidence.qualification.source,
             statement=decided.statement,
         )
@@ -108,10 +113,9 @@ def decide_unit(registry: Registry, lot_id: str, serial: str, actor: str | None 
     """Hold a unit that was calibrated just now against the decisions in force; no other unit changes."""
     with registry.transaction():
         in_force = decision_in_force(registry, lot_id)
-        standing = registry.pages.standings(lot_id, [serial]).get(serial)
-        if standing is None or standing.summary is None:
-            return
         lot = _Lot.read(registry, lot_id, actor, only=serial)
+        if not lot.states:
+            return
         lot.correct(in_force.correction)
         state = lot.open().get(serial)
         if state is None or in_force.next_unit is None:
@@ -173,6 +177,16 @@ def lot_standing(registry: Registry, lot_id: str) -> LotStanding:
         is_measured = state is not None and state.decision.is_audited
         rows.append(UnitInLot(serial, unit.verdict, unit.reasons, is_measured, had_passed, at, forecast, measured))
     return LotStanding(lot_id, rows, limit, decided)
+
+
+def statement_provenance(registry: Registry, lot_id: str) -> Provenance:
+    """Return what a statement on a lot with calibrated units rests on that is made now."""
+    standings = registry.pages.standings(lot_id, target_serials(registry, lot_id), has_stale=True)
+    fits = [state.fit for state in _states(standings).values()]
+    inputs = {f"network {one[:12]}": one for one in sorted({fit.network_id for fit in fits})}
+    audits = newest_audits(registry, lot_id)
+    inputs |= {f"audit of {serial}": entry.sha256 for serial, entry in sorted(audits.items())}
+    return record_provenance(fits[0].method.id, inputs, current_user())
 
 
 def is_decided(registry: Registry, standing: LotStanding) -> bool:
@@ -280,12 +294,11 @@ class _Lot:
                 whole = replace(self._with_arrays(serial), unreadable_audit=None)
                 scored = measure(self._network(whole), whole, audit, self._recording(whole))
                 self.put(serial, scored, "release", "scored on a newer audit")
-        if only is None:
-            suspects = self.evidence().suspects
-            for serial, state in list(self.states.items()):
-                if state.suspect_audit != suspects.get(serial):
-                    why = "its audit is set aside" if serial in suspects else "its audit counts again"
-                    self.put(serial, replace(state, suspect_audit=suspects.get(serial)), "release", why)
+        suspects = self.evidence().suspects
+        for serial, state in list(self.states.items()):
+            if state.suspect_audit != suspects.get(serial):
+                why = "its audit is set aside" if serial in suspects else "its audit counts again"
+                self.put(serial, replace(state, suspect_audit=suspects.get(serial)), "release", why)
 
     def _with_arrays(self, serial: str) -> UnitState:
         state = self.states[serial]

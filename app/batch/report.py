@@ -126,6 +126,7 @@ def report_json(report: BatchReport) -> dict[str, object]:
                 "released": report.releases(unit),
                 "method": state and state.fit.method.id,
                 "is_new": unit.is_new,
+                "provenance": summary and summary.provenance.to_json(),
             }
         )
     passed = [unit.serial for unit in report.units if unit.verdict == Verdict.PASS]

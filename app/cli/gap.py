@@ -1,7 +1,6 @@
 """`softcal gap`: diagnose the gap between the twin and a rig, and apply what was found."""
 
 import argparse
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -231,7 +230,7 @@ def _apply(options: argparse.Namespace) -> None:
     if options.simulator:
         diagnosed = diagnose_with(options.case, simulator := load_simulator(options.simulator), say)
         _show(diagnosed)
-        _apply_parameters(options, diagnosed.report(), str(options.case))
+        _apply_parameters(options, _report(diagnosed, options), str(options.case))
         read_parameters(options.out, simulator)
         return
     if options.report is not None:
@@ -315,17 +314,9 @@ def _forecast(shrink: "Shrink") -> str:
 
 def _report(diagnosis: "Diagnosis[Any]", options: argparse.Namespace) -> dict[str, object]:
     """Return the report of a diagnosis with what made it and the hashes of what was read."""
-    from softcal.app.files.case_folder import METADATA, RECORDING
-    from softcal.app.provenance import record_provenance
-    from softcal.core.gap.method import METHOD
+    from softcal.app.gap.diagnose import case_provenance
 
-    root, files = options.case.parent, [options.case]
-    if options.case.is_dir():
-        root = options.case
-        files = [path for path in root.rglob("*") if path.name in (RECORDING, METADATA) and path.is_file()]
-    if options.simulator:
-        files += [Path(str(sys.modules[options.simulator.partition(":")[0]].__file__))]
-    return diagnosis.report() | {"provenance": record_provenance(METHOD.id, root, files).to_json()}
+    return diagnosis.report() | {"provenance": case_provenance(options.case, options.simulator).to_json()}
 
 
 def _show_twin(diagnosis: "Diagnosis[TwinModel]", options: argparse.Namespace) -> None:

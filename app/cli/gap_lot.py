@@ -40,10 +40,11 @@ def _lot(options: argparse.Namespace) -> None:
     which size in each, and which units do not follow. Units with an audit show how many rig
     recordings the twin saves.
     """
+    from softcal.app.gap.diagnose import case_provenance
     from softcal.app.gap.lot import diagnose_lot_folder
 
     lot = diagnose_lot_folder(options.folder, say)
-    write_json(options.json, lot.record())
+    write_json(options.json, lot.record() | {"provenance": case_provenance(options.folder).to_json()})
     if options.json == "-":
         return
     diagnosis, calibration = lot.diagnosis, lot.calibration

@@ -195,7 +195,8 @@ def _release(options: argparse.Namespace) -> int:
     if options.pdf is not None:
         write_bytes(options.pdf, lot_statement_pdf(facts, partial(text, options.language)))
         say(f"{options.pdf}: statement on lot {lot_id}")
-    if answer(options, "lot.release/1", {"lot": lot_id, "sample": facts.sample.to_json(), **standing.to_json()}):
+    told = {"lot": lot_id, "sample": facts.sample.to_json(), "provenance": facts.provenance.to_json()}
+    if answer(options, "lot.release/1", told | standing.to_json()):
         limit = decided.limit.maximum_rmse
         rows = [
             [

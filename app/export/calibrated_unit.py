@@ -24,6 +24,7 @@ from softcal.core.unit.trim import as_given_now
 from softcal.core.unit.verdict import Release, Verdict
 from softcal.core.words.reason import Reason, joined
 from softcal.db.entries import StoredCalibration, UnitStanding
+from softcal.db.provenance import Provenance
 from softcal.db.registry import Registry
 
 
@@ -128,6 +129,12 @@ class CalibratedUnit:
     @property
     def network(self) -> Network:
         return self.shared.network
+
+    @property
+    def provenance(self) -> Provenance:
+        """What made the revision that is given out, and from what; the same for each of its files."""
+        made = self.stored.provenance
+        return replace(made, inputs={**made.inputs, "source recording": self.shared.source_sha256})
 
     @cached_property
     def calibration(self) -> Calibration:

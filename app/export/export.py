@@ -152,6 +152,7 @@ def _export(
         "recording": fit.recording_sha256,
         "refused": refusal,
         "device": dict(device),
+        "provenance": unit.provenance.to_json(),
         # What was refused altogether is complete without a file.
         **({} if contents else {"withdrawn": True}),
     }

@@ -1,11 +1,12 @@
 """One function per export format: a calibrated unit in, the contents of its files out."""
 
+import json
 import re
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from importlib.metadata import EntryPoint, version
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +85,7 @@ def calibration_values(unit: CalibratedUnit) -> dict[str, object]:
             name: {"dtype": array.dtype.str, "shape": list(array.shape), "values": array.ravel().tolist()}
             for name, array in sorted(stored.arrays.items())
         },
-        "softcal": version("softcal"),
+        "provenance": unit.provenance.to_json(),
     }
 
 
@@ -141,7 +142,7 @@ def _onnx_files(unit: CalibratedUnit) -> dict[str, bytes]:
         "interval": "lower ... upper holds 90 %",
         "flag": f"sum of {OUT_OF_RANGE} (a sample outside the calibrated range) and {CLAMPED} (the estimate clamped)",
         "map_rms_deviation": repr(compiled.rms_deviation),
-        "softcal": version("softcal"),
+        "provenance": json.dumps(unit.provenance.to_json()),
     }
     graph = compose(compiled.form, unit.network, limits_of_unit(unit.facts, unit.network, unit.options.scaled_device))
     return {f"unit-{unit.escaped_serial}.onnx": onnx_bytes(graph, metadata)}

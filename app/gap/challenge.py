@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from softcal.app.bootstrap import current_user
 from softcal.app.files.atomic import whole_folder, write_text
 from softcal.app.files.lot_folder import write_lot_toml
 from softcal.app.files.recording_file import write_columns
 from softcal.app.gap.sealed_file import key_beside, read_sealed, write_sealed
-from softcal.app.provenance import Provenance, record_provenance
 from softcal.core.challenge.cases import EXPERIMENTS, RunPlan, SealedCase, press_lot
 from softcal.core.challenge.draw import LINES, SEED_BITS, draw_case, draw_challenge, drawn_seed
 from softcal.core.challenge.mistakes import RunOnFile
@@ -26,6 +26,7 @@ from softcal.core.errors import InputError
 from softcal.core.gap.method import METHOD
 from softcal.core.json_input import parse_json
 from softcal.core.lot import Lot
+from softcal.db.provenance import Provenance, hash_files, record_provenance
 
 SCHEMA = "softcal.challenge/1"
 FOLDER_FILE = "challenge.json"
@@ -269,7 +270,7 @@ def score_challenge(
         raise InputError(f"{reports}: no report of this challenge; expected files such as {labels[0].case.name}.json")
     sheet = score_reports(labels, read, lambda label, report: realised_shrink(label.case, report))
     files = [path for path in paths.values() if path.exists()]
-    provenance = record_provenance(METHOD.id, reports, files)
+    provenance = record_provenance(METHOD.id, hash_files(reports, files), current_user())
     return ScoredChallenge(sheet, Seal(text).commitment, commitment is not None, seed_origin(text), provenance)
 
 

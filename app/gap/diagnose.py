@@ -1,13 +1,15 @@
 """Diagnose the gap of a case on disk, and write the explained twin."""
 
 import json
+import sys
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from softcal.app.bootstrap import current_user
 from softcal.app.files.atomic import write_text
-from softcal.app.files.case_folder import open_case, open_table
+from softcal.app.files.case_folder import METADATA, RECORDING, open_case, open_table
 from softcal.app.tables.options import DETECT, TableOptions
 from softcal.app.texts.catalogue import text
 from softcal.core.errors import InputError
@@ -15,10 +17,12 @@ from softcal.core.gap.case import Case, DataMistake
 from softcal.core.gap.diagnosis import Diagnosis, checked, diagnose
 from softcal.core.gap.experiments import Identifiability
 from softcal.core.gap.explained import described_twin, repaired_twin
+from softcal.core.gap.method import METHOD
 from softcal.core.gap.twin import TwinModel
 from softcal.core.json_input import parse_json
 from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.twin.simulate import Twin, twin_from_record, twin_record
+from softcal.db.provenance import Provenance, hash_files, record_provenance
 
 if TYPE_CHECKING:
     from softcal.app.charts.gap import RunView
@@ -110,7 +114,7 @@ def apply_case(
         if described is None:
             raise InputError(f"{folder}: {NO_TERMS}")
         twin = described
-    write_twin(out, twin)
+    write_twin(out, twin, case_provenance(folder))
     return diagnosis, twin
 
 
@@ -135,13 +139,26 @@ def apply_report(report_file: Path, out: Path, empirical: bool = False) -> Twin:
             raise InputError(f"{report_file}: {NO_TERMS}")
         record = described.get("twin")
     twin = twin_from_record(record, str(report_file))
-    write_twin(out, twin)
+    inputs = hash_files(report_file.parent, [report_file])
+    write_twin(out, twin, record_provenance(METHOD.id, inputs, current_user()))
     return twin
 
 
-def write_twin(path: Path, twin: Twin) -> None:
+def case_provenance(folder: Path, simulator: str = "") -> Provenance:
+    """Return what a diagnosis that is made now rests on: the recordings of a case, and the module of a simulator."""
+    root, files = folder.parent, [folder]
+    if folder.is_dir():
+        root = folder
+        files = [path for path in root.rglob("*") if path.name in (RECORDING, METADATA) and path.is_file()]
+    if simulator:
+        files += [Path(str(sys.modules[simulator.partition(":")[0]].__file__))]
+    return record_provenance(METHOD.id, hash_files(root, files), current_user())
+
+
+def write_twin(path: Path, twin: Twin, provenance: Provenance) -> None:
     """Write a twin as JSON, ready for the simulated station and for simulated lots."""
-    write_text(path, json.dumps(twin_record(twin), indent=2, allow_nan=False) + "\n")
+    record = twin_record(twin) | {"provenance": provenance.to_json()}
+    write_text(path, json.dumps(record, indent=2, allow_nan=False) + "\n")
 
 
 def read_twin(path: Path, key: str = "twin") -> Twin:

@@ -148,7 +148,7 @@ def write_parameters(
     if not isinstance(parameters, Mapping) or not all(v is None or _is_number(v) for v in parameters.values()):
         raise InputError(f"{source}: holds no parameters; diagnose the simulator again with --json")
     record = {"schema": PARAMETERS_SCHEMA, "simulator": content.get("simulator"), "parameters": dict(parameters)}
-    record["terms"] = terms
+    record |= {"terms": terms, "provenance": content.get("provenance")}
     write_text(path, json.dumps(record, indent=2, allow_nan=False) + "\n")
     return {name: None if value is None else float(value) for name, value in parameters.items()}
 

@@ -46,7 +46,9 @@ def history_json(stored: StoredCalibration) -> dict[str, object]:
     from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
 
     state = stored.state
-    plain = {name: value for name, value in vars(stored).items() if name not in ("state", "made_at")}
+    plain = {
+        name: value for name, value in vars(stored).items() if name not in ("state", "made_at", "version", "build")
+    }
     return {
         **plain,
         "made_at": stored.made_at.isoformat(),
@@ -62,4 +64,5 @@ def history_json(stored: StoredCalibration) -> dict[str, object]:
         "fit_s": state.fit.fit_s,
         "fit": {name: value for name, value in fit_to_json(state.fit).content.items() if name != "fitted"},
         "state": adjustments_to_json(state),
+        "provenance": stored.provenance.to_json(),
     }

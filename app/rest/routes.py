@@ -150,10 +150,13 @@ def lot_of(registry: Known, _: Looking, lot: LotId) -> dict[str, Any]:
 @routes.get("/lots/{lot}/release", response_model=answers.ReleaseAnswer, responses=_may_fail(404), tags=["lots"])
 def release(registry: Known, _: Looking, lot: LotId) -> dict[str, Any]:
     """Say where a lot stands: what is released and by what, what waits, what was withdrawn. Nothing is decided anew."""
-    from softcal.app.batch.release import lot_standing
+    from softcal.app.batch.release import lot_standing, statement_provenance
 
     standing = lot_standing(registry, lot)
-    return {"lot": lot, "release": None if standing.decided is None else standing.to_json()}
+    if standing.decided is None:
+        return {"lot": lot, "release": None, "provenance": None}
+    provenance = statement_provenance(registry, lot).to_json()
+    return {"lot": lot, "release": standing.to_json(), "provenance": provenance}
 
 
 @routes.get("/lots/{lot}/units", response_model=answers.UnitPageAnswer, responses=_may_fail(400, 404), tags=["units"])

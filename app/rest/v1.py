@@ -67,6 +67,7 @@ class ReleaseAnswer(_Answer):
 
     lot: str
     release: dict[str, Any] | None
+    provenance: dict[str, Any] | None
 
 
 class UnitAnswer(_Answer):
@@ -133,6 +134,7 @@ class RevisionAnswer(_Answer):
     method_id: str
     fit: dict[str, Any]
     state: dict[str, Any]
+    provenance: dict[str, Any]
 
 
 class RevisionsAnswer(_Page):

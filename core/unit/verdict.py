@@ -97,6 +97,11 @@ class Limit:
         return str(self.origin) == str(Limit.origin)
 
     @property
+    def stated_rmse(self) -> float | None:
+        """The limit that somebody agreed on; None where nobody did."""
+        return self.maximum_rmse if self.is_stated else None
+
+    @property
     def acceptance_rmse(self) -> float:
         """The largest error, with its guard band, that passes: AL of ILAC-G8:09/2019.
 

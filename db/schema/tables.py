@@ -214,7 +214,7 @@ fits = table(
 calibrations = table(
     "calibrations",
     *keys(serial=NAME, revision=Integer, origin=ORIGIN),
-    *needed(lot_id=NAME, made_at=UtcTime, actor=Text, reason=Text),
+    *needed(lot_id=NAME, made_at=UtcTime, actor=Text, reason=Text, version=Text, build=Text),
     *optional(rolled_back_to=Integer),
     *needed(fit_sha256=SHA256, network_id=SHA256, method_id=SHA256, family=Text, map_sha256=SHA256),
     *needed(state_sha256=SHA256, state=CanonicalJson),
@@ -242,7 +242,7 @@ lot_decisions = table(
     "lot_decisions",
     Column("lot_id", ForeignKey("lots.id"), primary_key=True),
     *keys(number=Integer, origin=ORIGIN),
-    *needed(made_at=UtcTime, actor=Text, reason=Text, decision=CanonicalJson),
+    *needed(made_at=UtcTime, actor=Text, reason=Text, version=Text, build=Text, decision=CanonicalJson),
     CheckConstraint("number >= 1", name="number"),
 )
 """What was decided on a lot as a whole: its correction, and the statement on the units that nobody measured."""

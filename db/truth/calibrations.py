@@ -12,6 +12,7 @@ from softcal.core.identity import content_sha256
 from softcal.core.lot import UnitKey
 from softcal.core.words.reason import Reason, to_kept
 from softcal.db.entries import StoredCalibration
+from softcal.db.provenance import software_now
 from softcal.db.schema.arrays import put_arrays
 from softcal.db.schema.database import given
 from softcal.db.schema.tables import calibrations, canonical_json, fits, methods, networks, refusals
@@ -305,7 +306,7 @@ class CalibrationTables(InUseTable):
         revision = (newest["revision"] or 0) + 1
         made_at = self._after(max((at for at in times if at is not None), default=None))
         new = {"revision": revision, "origin": self.origin, "made_at": made_at}
-        new |= {"actor": self._actor(actor), "reason": reason}
+        new |= {"actor": self._actor(actor), "reason": reason, **software_now()}
         self._store(calibrations, {**values, **new}, action, actor, reason, before)
         named = {"revision": revision, "made_by": self.origin}
         self._state(lot_id, serial, named, told, actor, reason, made_at)

@@ -6,6 +6,7 @@ import sqlalchemy as sa
 from sqlalchemy import func, select
 
 from softcal.db.entries import LotDecisionEntry
+from softcal.db.provenance import software_now
 from softcal.db.schema.database import Database
 from softcal.db.schema.tables import canonical_json, lot_decisions
 from softcal.db.truth.registry_base import RegistryBase, of_row
@@ -25,7 +26,8 @@ class LotDecisionTable(RegistryBase):
             ((number, made_at),) = self.database.tuples(newest)
             values = {"lot_id": lot_id, "number": (number or 0) + 1, "origin": self.origin}
             values |= {"made_at": self._after(made_at), "actor": self._actor(actor), "reason": reason}
-            self._store(lot_decisions, values | {"decision": dict(decision)}, action, actor, reason)
+            values |= {**software_now(), "decision": dict(decision)}
+            self._store(lot_decisions, values, action, actor, reason)
             return (number or 0) + 1
 
     def in_force(self, lot_id: str) -> LotDecisionEntry | None:

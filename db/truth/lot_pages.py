@@ -156,7 +156,7 @@ class LotPages(RegistryBase):
                     summary, row = None, rows.get((unit.serial, unit.state_sha256))
                     if is_made and row is not None:
                         state = state_of(self.database, row, found, has_arrays=False)
-                        summary = CalibrationSummary(state, row["revision"], row["map_sha256"])
+                        summary = of_row(CalibrationSummary, row, state=state)
                     stated = (unit.verdict, unit.reasons, unit.made_at)
                     standings[unit.serial] = UnitStanding(unit.serial, *stated, summary)
         return standings

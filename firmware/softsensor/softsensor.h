@@ -561,23 +561,27 @@ static inline int ss_exponent(const ss_sensor *s) { return s && s->unit ? (int8_
 
 /* ---- slots: two that updates may write, and one the factory wrote ---------------------------------------------- */
 
-/* Open the best of the slots 0, 1 (updates) and 2 (factory): the update with the highest revision that opens, self-tests
- * and all, else the factory's; of equal revisions slot 0. Returns the slot in use, or -1 with the sensor closed. Give
- * each slot's room in bytes; a file says itself how long it is. Other arguments as in ss_open. */
+/* Open the best of the slots 0, 1 (updates) and 2 (factory): the highest revision that opens, self-tests and all; of
+ * equal ones the first. An update older than the factory's file is never taken. Returns the slot in use, or -1 with the
+ * sensor closed. Give each slot's room in bytes; a file says itself how long it is. Other arguments as in ss_open. */
 static inline int ss_open_best(ss_sensor *s, const void *const slots[3], uint32_t room, const void *network,
                                uint32_t network_bytes, const char *serial) {
-  uint32_t revision[2] = {0, 0}, length;
-  const uint8_t *file;
-  int k, slot;
+  uint32_t length, revision;
+  uint32_t best = 0;
+  int k, slot, left = 7; /* one bit a slot that was not tried */
   if (s) s->unit = 0;
   if (!s || !slots || room < SS_AROUND) return -1;
-  for (k = 0; k < 2; k++)
-    if (slots[k] && !SS_IS_ODD(slots[k])) revision[k] = ss_u32((const uint8_t *)slots[k] + 20);
-  for (k = 0; k < 3; k++) { /* what a slot claims says when it is tried; only a file that opens is taken */
-    slot = k < 2 && revision[1] > revision[0] ? 1 - k : k;
-    file = (const uint8_t *)slots[slot];
-    if (!file || SS_IS_ODD(file) || (length = ss_u32(file + 8)) > room) continue;
-    if (ss_open(s, network, network_bytes, file, length, serial) == SS_OK) return slot;
+  for (k = 0; k < 3; k++)
+    if (!slots[k] || SS_IS_ODD(slots[k])) left &= ~(1 << k);
+  while (left) { /* what a slot claims says when it is tried; only a file that opens is taken */
+    for (k = 0, slot = -1; k < 3; k++) {
+      if (!(left >> k & 1)) continue;
+      revision = ss_u32((const uint8_t *)slots[k] + 20);
+      if (slot < 0 || revision > best) slot = k, best = revision;
+    }
+    left &= ~(1 << slot);
+    length = ss_u32((const uint8_t *)slots[slot] + 8);
+    if (length <= room && ss_open(s, network, network_bytes, slots[slot], length, serial) == SS_OK) return slot;
   }
   return -1;
 }

@@ -40,6 +40,7 @@ from softcal.core.unit.measured_error import MeasuredError, Scores
 from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Limit, compare_with_audit, default_limit
+from softcal.db.provenance import Provenance
 from tests.app.pdf_text import read_fonts, read_pages, read_text
 
 CELL = Reference(
@@ -95,12 +96,19 @@ def facts() -> Certificate:
         map_family="affine",
         by_loads="",
         made_because="calibrated",
-        hashes=(("network", "12" * 32), ("map", "34" * 32), ("unit's recording", "56" * 32)),
+        map_sha256="34" * 32,
+        provenance=Provenance(
+            version="1.2.3",
+            build="ab" * 20,
+            method="78" * 32,
+            inputs={"network": "12" * 32, "recording": "56" * 32},
+            made_at="2026-03-02T09:00:00+00:00",
+            actor="kim@line-2",
+        ),
         bands=(Uncertainty(0.0, 1.5, 0.3), Uncertainty(1.5, 3.0, 0.4)),
         output=np.linspace(0.5, 0.7, 60),
         mapped=np.linspace(0.4, 0.8, 60),
         estimated=estimated,
-        software="softcal 1.2.3",
     )
 
 

@@ -17,6 +17,7 @@ from softcal.core.gap.diagnosis import diagnose
 from softcal.core.simulated_lot import draw_twins
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
+from softcal.db.provenance import record_provenance
 
 READOUT = ReadoutMetadata(3.3, 12, 10.0, 50.0)
 METADATA = {"vref_V": 3.3, "adc_bits": 12, "r_series_ohm": 10.0, "sample_rate_Hz": 50.0, "serial": "G1"}
@@ -96,7 +97,7 @@ def test_apply_writes_a_twin_that_can_be_loaded(case, tmp_path):
 
 def test_a_twin_survives_its_file(tmp_path):
     settings = (LAG, EffectSetting("intermittent_contact", {"dR": 0.2}, ((1.0, 2.0),)))
-    write_twin(tmp_path / "t.json", Twin(BaseParameters(), settings, READOUT))
+    write_twin(tmp_path / "t.json", Twin(BaseParameters(), settings, READOUT), record_provenance("m", {}, "kim"))
     assert read_twin(tmp_path / "t.json") == Twin(BaseParameters(), settings, READOUT)
 
 
@@ -169,7 +170,7 @@ def test_apply_takes_either_a_case_or_a_report(case, tmp_path, capsys):
 @pytest.mark.long
 def test_the_simulated_station_presses_the_twin_of_a_diagnosis(tmp_path):
     twin = Twin(BaseParameters(r0_ohm=6.0), (LAG,), READOUT)
-    write_twin(tmp_path / "t.json", twin)
+    write_twin(tmp_path / "t.json", twin, record_provenance("m", {}, "kim"))
     press = ["station", "unit", "--simulated", "--serial", "A1", "--seconds", "3", "--spool", str(tmp_path / "spool")]
     assert main([*press, "--twin", str(tmp_path / "t.json"), "--out", str(tmp_path / "A1.csv")]) == 0
     output_V = np.loadtxt(tmp_path / "A1.csv", delimiter=",", skiprows=1)[:, 1]

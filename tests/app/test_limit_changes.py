@@ -5,6 +5,7 @@ import json
 import pytest
 
 from softcal.app.batch.changes import change_limit, preview_limit
+from softcal.app.batch.release import roll_back
 from softcal.app.cli.main import main
 from softcal.app.texts.catalogue import text
 from softcal.db.connection import open_registry
@@ -33,6 +34,17 @@ def test_what_is_shown_is_what_then_happens_and_showing_it_changes_nothing(calib
     assert {one.serial: one.next_verdict for one in changes.changed} == {serial: after[serial] for serial in changed}
     assert {one.serial for one in changes.withdrawn} == {s for s in changed if before[0][s] == "pass"}  # type: ignore[index]
     assert changes.counts == {word: [*after.values()].count(word) for word in changes.counts}
+
+
+def test_a_rollback_to_a_revision_of_another_limit_is_held_against_the_one_in_force(calibrated):
+    with open_registry(calibrated) as registry:
+        change_limit(registry, "small", STRICT_N, reason="drawing D 117")
+        strict = verdicts(registry)
+        (first,) = [one for one in registry.calibrations.history("A1") if one.revision == 1]
+        assert first.state.limit.maximum_rmse != STRICT_N
+        roll_back(registry, "A1", 1, reason="the map of then", lot_id="small")
+        now = registry.calibrations.get("A1").state
+        assert verdicts(registry) == strict and now.limit.maximum_rmse == STRICT_N
 
 
 def limit(url: str, *more: str) -> int:

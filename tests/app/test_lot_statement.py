@@ -1,7 +1,7 @@
 """The one page on a lot, read back with a tool that is not ours."""
 
 from dataclasses import replace
-from datetime import UTC, date, datetime
+from datetime import UTC, datetime
 from functools import partial
 
 import pytest
@@ -18,6 +18,7 @@ from softcal.core.quality.release import AuditedUnit
 from softcal.core.unit.method import ReleaseConfig
 from softcal.core.unit.verdict import Limit
 from softcal.core.words.reason import plain, reason
+from softcal.db.provenance import Provenance
 from tests.app.pdf_text import read_pages
 
 LOT, LIMIT = Lot("lot-1", "S0", 50.0, sensor_model="EG <3 mm>", limit_rmse=0.5), Limit("N", 0.5)
@@ -39,8 +40,15 @@ def facts_of(audits: list[AuditedUnit], units: int, waiting: int = 0, withdrawn:
         *(UnitInLot(f"GONE-{k:05d}", "fail", failed, had_passed=True) for k in range(withdrawn)),
     ]
     standing = LotStanding("lot-1", in_lot, LIMIT, decided)
-    days = {"made_on": date(2026, 5, 1), "software": "softcal 1.0", "identifier": "lot-1-20260501"}
-    return LotStatementFacts(LOT, standing, decided, "ab" * 32, "cd" * 32, sample=SAMPLE, **days)
+    made = Provenance(
+        version="1.0",
+        build="ef" * 20,
+        method="cd" * 32,
+        inputs={"network abababababab": "ab" * 32} | {f"audit of {one.serial}": "12" * 32 for one in audits},
+        made_at="2026-05-01T09:00:00+00:00",
+        actor="kim@line-2",
+    )
+    return LotStatementFacts(LOT, standing, decided, made, SAMPLE, "lot-1-20260501")
 
 
 FACTS = facts_of([AuditedUnit(f"A{k}", 0.2, 0.2 + 0.005 * k, "lot-1") for k in range(10)], 30)

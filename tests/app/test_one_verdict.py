@@ -44,7 +44,6 @@ from softcal.core.unit.verdict import (
 )
 from softcal.core.words.reason import reason
 from softcal.db.connection import open_registry
-from softcal.db.entries import CalibrationSummary
 from softcal.db.registry import Registry
 from softcal.db.truth.lot_pages import UnitFilter
 from tests.app.pdf_text import read_text
@@ -130,7 +129,7 @@ def test_every_surface_says_the_same_word(lot, rng):
     pressed(registry, lot_id)
     for number in range(DRAWS):
         state = drawn(rng, first, number)
-        revision = registry.calibrations.add(lot_id, state)
+        registry.calibrations.add(lot_id, state)
         measured, predicted = state.decision.measured, state.decision.predicted.verdict
         # A forecast alone promises nothing: without an audit the best word is conditional.
         word = measured.verdict if measured else worst_of([predicted, Verdict.CONDITIONAL])
@@ -140,7 +139,7 @@ def test_every_surface_says_the_same_word(lot, rng):
             "A1",
             stored.state.verdict,
             stored.state.decision.reasons,
-            CalibrationSummary(state, revision, state.map_sha256),
+            replace(registry.pages.standings(lot_id, ["A1"])["A1"].summary, state=state),
         )
         report = BatchReport(lot_id, None, (result,), 0.0)  # type: ignore[arg-type]
         (unit,) = registry.lots.units(lot_id, "A1")

@@ -2,6 +2,7 @@
 
 import ctypes
 from dataclasses import replace
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -43,13 +44,25 @@ def _open_best(bridge: ctypes.CDLL, case: Any, slots: list[Any], serial: str | N
 
 
 def test_the_newest_good_update_wins_and_the_factory_waits(bridge: ctypes.CDLL, real_case: Any) -> None:
-    old, new, factory = (replace(real_case.unit_file, revision=r) for r in (4, 5, 9))
+    factory, old, new = (replace(real_case.unit_file, revision=r) for r in (3, 4, 5))
     assert _open_best(bridge, real_case, [_slot(old), _slot(new), _slot(factory)]) == 1
     assert _open_best(bridge, real_case, [_slot(new), _slot(old), _slot(factory)]) == 0
     assert _open_best(bridge, real_case, [_slot(None), _slot(old), _slot(factory)]) == 1
     assert _open_best(bridge, real_case, [_slot(None), _slot(None), _slot(factory)]) == 2
     assert _open_best(bridge, real_case, [_slot(old), _slot(old), _slot(factory)]) == 0
     assert _open_best(bridge, real_case, [_slot(None)] * 3) == -1
+
+
+def test_an_older_revision_of_its_own_is_refused_in_whatever_slot_it_lies(bridge: ctypes.CDLL, real_case: Any) -> None:
+    revisions = (4, 5, 9)
+    files = {revision: replace(real_case.unit_file, revision=revision) for revision in revisions}
+    for order in permutations(revisions):
+        assert _open_best(bridge, real_case, [_slot(files[one]) for one in order]) == order.index(9), order
+    # Also where the newest one was the only one, and the older is written beside it.
+    for in_use in range(3):
+        slots = [_slot(files[4]) for _ in range(3)]
+        slots[in_use] = _slot(files[5])
+        assert _open_best(bridge, real_case, slots) == in_use
 
 
 def test_a_slot_of_another_unit_or_network_is_no_choice(bridge: ctypes.CDLL, real_case: Any) -> None:

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime
-from importlib.metadata import version
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from softcal.core.unit.state import Correction, UnitState
 from softcal.core.unit.uncertainty import NORMAL_90, ErrorForecast
 from softcal.core.unit.verdict import Limit, Verdict
 from softcal.core.words.figures import decimals_of, telling_decimals, written_value
+from softcal.db.provenance import Provenance
 
 BANDS = 4
 """The calibrated range is told in this many equal bands."""
@@ -169,12 +169,12 @@ class Certificate:
     map_family: str
     by_loads: str
     made_because: str
-    hashes: tuple[tuple[str, str], ...]
+    map_sha256: str
+    provenance: Provenance
     bands: tuple[Uncertainty, ...]
     output: Array
     mapped: Array
     estimated: Estimate
-    software: str
     by_audits: str = ""
     left_out: int = 0
     rows: str = ""
@@ -328,6 +328,11 @@ class Certificate:
         )
 
     @property
+    def provenance_rows(self) -> list[tuple[str, str]]:
+        """What made this revision and from what, a row each, for people."""
+        return [*self.provenance.rows, ("SHA-256 of the map", self.map_sha256)]
+
+    @property
     def traceability(self) -> str:
         if self.is_simulated:
             return SIMULATED
@@ -413,17 +418,12 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
         by_loads=_by_loads(state, lot.output_unit),
         by_audits=by_audits,
         made_because=unit.stored.reason,
-        hashes=(
-            ("network", fit.network_id),
-            ("map", state.map_sha256),
-            ("unit's recording", fit.recording_sha256),
-            ("source recording", unit.shared.source_sha256),
-        ),
+        map_sha256=state.map_sha256,
+        provenance=unit.provenance,
         bands=_bands(estimates, low, high),
         output=output,
         mapped=unit.calibration.unit_map.apply(windows)[:, -1],
         estimated=estimates,
-        software=f"softcal {version('softcal')}",
     )
 
 

@@ -112,7 +112,7 @@ def _simulated(facts: Certificate) -> str:
 
 
 def _software(facts: Certificate) -> ET.Element:
-    name, release = facts.software.split(" ", 1)
+    name, release = facts.provenance.software.split(" ", 1)
     return _node("software", _text("name", name), _node("release", release), _node("type", "application"))
 
 
@@ -168,7 +168,7 @@ def _result(facts: Certificate) -> ET.Element:
             conditions.append(condition)
     recorded = f"{facts.recorded}, output in {facts.output_unit}"
     provenance = [f"Map of family {facts.map_family}, from {recorded}."]
-    provenance += [f"SHA-256 of the {name}: {sha256}" for name, sha256 in facts.hashes]
+    provenance += [f"{name}: {value}" for name, value in facts.provenance_rows]
     errors = [
         _quantity(facts, f"{told} root mean square error", error.rmse, facts.interval_of(error))
         for told, error in (("Predicted", facts.forecast), ("Measured", facts.measured))

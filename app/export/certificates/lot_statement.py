@@ -2,15 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, date, datetime
+from datetime import datetime
 from functools import partial
-from importlib.metadata import version
 
 import numpy as np
 from reportlab.lib.units import mm
 from reportlab.platypus import Flowable, Paragraph, Spacer
 
 from softcal.app.batch.audit import Sample, audited_sample
+from softcal.app.batch.release import statement_provenance
 from softcal.app.export.certificates import parts
 from softcal.app.export.certificates.fonts import BOLD, marked_up, printable_serial
 from softcal.app.texts.catalogue import text
@@ -18,6 +18,7 @@ from softcal.app.texts.reasons import Words, said
 from softcal.core.lot import Lot
 from softcal.core.quality.lot_release import LotRelease, any_form
 from softcal.core.quality.lot_standing import LotStanding, Way
+from softcal.db.provenance import Provenance
 from softcal.db.registry import Registry
 
 MOST_AUDITS, MOST_SERIALS, MOST_KEPT_BACK = 10, 20, 6
@@ -32,7 +33,7 @@ class LotStatementFacts:
 
     Args:
         decided: on those that nobody measured.
-        network_id, method_id: content hashes of the shared network and of the method.
+        provenance: what it was made by and from, networks and audits.
         sample: what of the audits was drawn before it was measured.
         is_simulated: whether the lot's recordings come from a simulation.
     """
@@ -40,10 +41,7 @@ class LotStatementFacts:
     lot: Lot
     standing: LotStanding
     decided: LotRelease
-    network_id: str
-    method_id: str
-    made_on: date
-    software: str
+    provenance: Provenance
     sample: Sample
     identifier: str
     is_simulated: bool = False
@@ -51,19 +49,17 @@ class LotStatementFacts:
 
 def lot_statement_facts(registry: Registry, standing: LotStanding, decided: LotRelease) -> LotStatementFacts:
     """Gather what the page on a lot says (`decided`: on its units that nobody measured)."""
-    lot_id, now = standing.lot_id, datetime.now(UTC)
+    lot_id = standing.lot_id
     calibrated = next(u.serial for u in registry.lots.units(lot_id) if u.role == "target" and u.revision is not None)
     fit = registry.calibrations.get(calibrated, lot_id=lot_id).state.fit
+    provenance = statement_provenance(registry, lot_id)
     return LotStatementFacts(
         lot=registry.lots.get(lot_id),
         standing=standing,
         decided=decided,
-        network_id=fit.network_id,
-        method_id=fit.method.id,
-        made_on=now.date(),
-        software=f"softcal {version('softcal')}",
+        provenance=provenance,
         sample=audited_sample(registry, lot_id),
-        identifier=f"{lot_id} {now:%Y-%m-%d %H:%M} UTC",
+        identifier=f"{lot_id} {datetime.fromisoformat(provenance.made_at):%Y-%m-%d %H:%M} UTC",
         is_simulated=fit.reference is not None and fit.reference.is_simulated,
     )
 
@@ -73,16 +69,18 @@ def lot_statement_pdf(facts: LotStatementFacts, words: Words = ENGLISH) -> bytes
     page = parts.Document(
         title=words("paper.title", lot=facts.lot.id),
         author="",
-        software=facts.software,
-        footer=f"{facts.identifier}   {facts.software}",
-        made_on=facts.made_on,
+        software=facts.provenance.software,
+        footer=f"{facts.identifier}   {facts.provenance.software}",
+        made_on=datetime.fromisoformat(facts.provenance.made_at).date(),
         across=words("paper.simulated") if facts.is_simulated else "",
     )
     lot, limit, standing = facts.lot, facts.decided.limit, facts.standing
     counts = [f"{words(f'verdict.{word}')} {count}" for word, count in standing.counts.items() if count]
     model = lot.sensor_model or words("paper.no_model")
     origin, unit = said(limit.origin, words), lot.reference_unit
-    made = {"network": facts.network_id[:12], "method": facts.method_id[:12], "day": facts.made_on.isoformat()}
+    record = facts.provenance
+    made = {"made_at": record.made_at[:16], "actor": record.actor, "build": record.build[:8]}
+    made |= {"method": record.method[:8], "id": record.id[:8]}
     lot_rows = [
         (words("paper.lot"), words("paper.lot.is", lot=lot.id, model=model, source=printable_serial(lot.source))),
         (words("paper.quantity"), words("paper.quantity.is", quantity=lot.reference_quantity, unit=unit)),
@@ -98,7 +96,7 @@ def lot_statement_pdf(facts: LotStatementFacts, words: Words = ENGLISH) -> bytes
     colour = parts.VERDICT_COLOURS[verdict]
     story: list[Flowable] = [
         Paragraph(marked_up(page.title), parts.style(18, BOLD)),
-        Spacer(1, 4 * mm),
+        Spacer(1, 2 * mm),
         parts.marked(words(word), colour, [said(facts.decided.statement, words)], 10),
         *parts.section(words("paper.lot"), parts.facts_table(lot_rows)),
         *parts.section(words("paper.evidence"), parts.facts_table(_evidence_rows(facts, words))),

@@ -28,8 +28,8 @@ def certificate_pdf(facts: Certificate) -> bytes:
     page = parts.Document(
         title=f"Calibration certificate {facts.identifier}",
         author=facts.laboratory.laboratory.name,
-        software=facts.software,
-        footer=f"{simulated}   {facts.identifier}   {facts.software}".strip(),
+        software=facts.provenance.software,
+        footer=f"{simulated}   {facts.identifier}   {facts.provenance.software}".strip(),
         made_on=facts.issued_on,
         across=simulated,
     )
@@ -38,7 +38,7 @@ def certificate_pdf(facts: Certificate) -> bytes:
     colour = parts.VERDICT_COLOURS[facts.verdict if is_made else "retest"]
     word = facts.verdict.upper() if is_made else "NO STATEMENT OF CONFORMITY"
     picture = Drawing(24 * mm, 24 * mm)
-    code = f"{writable(facts.identifier)} {dict(facts.hashes)['map']}"
+    code = f"{writable(facts.identifier)} {facts.map_sha256}"
     picture.add(QrCodeWidget(code, barWidth=24 * mm, barHeight=24 * mm))
     laboratory, issued_on = facts.laboratory.laboratory, facts.issued_on.isoformat()
     head = [
@@ -70,7 +70,7 @@ def certificate_pdf(facts: Certificate) -> bytes:
         *parts.section("Traceability", parts.facts_table(_trace_rows(facts))),
         *parts.section("Method", parts.paragraph(facts.method)),
         *parts.section("Decision rule", parts.paragraph(DECISION_RULE)),
-        *parts.section("Provenance (SHA-256)", parts.facts_table(list(facts.hashes), size=7)),
+        *parts.section("Provenance", parts.facts_table(facts.provenance_rows, size=7)),
         *parts.section("Scope", parts.paragraph(ONLY_THIS)),
         *parts.section("End of the certificate", parts.paragraph(f"Issued on {issued_on}.")),
     ]
