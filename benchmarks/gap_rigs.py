@@ -45,12 +45,12 @@ from softcal.core.challenge.score import (
 )
 from softcal.core.errors import InputError
 from softcal.core.gap.diagnosis import Diagnosis, diagnose, diagnose_simulator
-from softcal.core.gap.explained import explained_twin, repaired_twin
-from softcal.core.gap.shared_cause import LotDiagnosis, diagnose_lot
-from softcal.core.gap.transfer import CalibrationWorth, LotUnit, PressedLot, Transfer, calibration_worth
-from softcal.core.gap.transfer import transfer as transferred
+from softcal.core.gap.places import explained_twin, repaired_twin
+from softcal.core.lot_diagnosis import LotDiagnosis, diagnose_lot
 from softcal.core.metrics import wilson
 from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.transfer import CalibrationWorth, LotUnit, PressedLot, Transfer, calibration_worth
+from softcal.core.transfer import transfer as transferred
 
 Row = tuple[object, ...]
 

@@ -1,8 +1,9 @@
-"""Simulators that are no function of columns: a right-hand side for SciPy, and a command that reads and writes CSV.
+"""Simulators that are no function of columns: a right-hand side for SciPy, an FMU, and a command on CSV files.
 
 SIMULATOR = Simulator(name="pendulum", run=integrate_rhs(swing, start=lambda p: (p["angle"], 0.0),
                       read_out=lambda t_s, state, p: {"angle_rad": state[0]}), ...)
 SIMULATOR = Simulator(name="rig", run=run_command(["./rig_model"], channels=("force_N",)), ...)
+SIMULATOR = Simulator(name="crane", run=run_fmu("crane.fmu", {"angle_rad": "load.phi"}, {"pull_N": "rope.f"}), ...)
 """
 
 import csv
@@ -17,6 +18,7 @@ from typing import TypeAlias
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from softcal.core.errors import InputError
 from softcal.core.gap.simulator import Columns, Simulate
 from softcal.core.recording import Array
 
@@ -103,5 +105,59 @@ def run_command(words: Sequence[str], channels: Sequence[str], timeout_s: float 
             with out.open(newline="") as file:
                 rows = list(csv.DictReader(file))
         return {channel: np.array([float(row[channel]) for row in rows]) for channel in channels}
+
+    return run
+
+
+def run_fmu(
+    path: str | Path,
+    channels: Mapping[str, str],
+    inputs: Mapping[str, str] | None = None,
+    parameters: Mapping[str, str] | None = None,
+    max_step_s: float | None = None,
+) -> Simulate:
+    """Return a simulator's `run` that steps a functional mock-up unit (FMI 2 and 3, by the package fmpy).
+
+    Args:
+        channels, inputs: variables of the unit by column.
+        parameters: variables of the unit by parameter, where their names differ; one that is infinite, as a candidate
+            that is off may be, is left at the value that the unit begins with.
+        max_step_s: longest step; the shortest time between two samples where None.
+
+    Raises:
+        InputError: the package is missing, or the unit cannot be read or lacks a variable.
+    """
+    try:
+        import fmpy
+    except ImportError as error:
+        raise InputError(f"{path}: fmpy is missing ({error}); install it with pip install fmpy") from error
+    try:
+        described, folder = fmpy.read_model_description(str(path)), fmpy.extract(str(path))
+    except Exception as error:
+        raise InputError(f"{path}: no functional mock-up unit that can be read: {error}") from error
+    of_inputs, of_parameters = dict(inputs or {}), dict(parameters or {})
+    names = {variable.name for variable in described.modelVariables}
+    if missing := sorted({*channels.values(), *of_inputs.values(), *of_parameters.values()} - names):
+        raise InputError(f"{path}: has no variable {', '.join(missing)}; it has {', '.join(sorted(names)[:20])}")
+
+    def run(given: Columns, values: Parameters) -> Columns:
+        t_s = np.asarray(given["t_s"], dtype=np.float64)
+        rows = np.zeros(len(t_s), dtype=[("time", float), *((variable, float) for variable in of_inputs.values())])
+        rows["time"] = t_s - t_s[0]
+        for column, variable in of_inputs.items():
+            rows[variable] = given[column]
+        step_s = max_step_s or float(np.min(np.diff(t_s)))
+        done = fmpy.simulate_fmu(
+            folder,
+            model_description=described,
+            start_time=0.0,
+            stop_time=float(rows["time"][-1]),
+            output_interval=step_s,
+            step_size=step_s,
+            start_values={of_parameters.get(k, k): v for k, v in values.items() if np.isfinite(v)},
+            input=rows if of_inputs else None,
+            output=list(channels.values()),
+        )
+        return {column: np.interp(rows["time"], done["time"], done[of]) for column, of in channels.items()}
 
     return run

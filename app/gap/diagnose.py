@@ -16,8 +16,8 @@ from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, DataMistake
 from softcal.core.gap.diagnosis import Diagnosis, checked, diagnose
 from softcal.core.gap.experiments import Identifiability
-from softcal.core.gap.explained import described_twin, repaired_twin
 from softcal.core.gap.method import METHOD
+from softcal.core.gap.places import described_twin, repaired_twin
 from softcal.core.gap.twin import TwinModel
 from softcal.core.json_input import parse_json
 from softcal.core.twin.parameters import ReadoutMetadata

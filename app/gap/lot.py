@@ -9,8 +9,8 @@ from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.gap.diagnose import read_twin
 from softcal.core.errors import InputError
 from softcal.core.gap.case import CHANNELS, Case
-from softcal.core.gap.shared_cause import FEWEST_UNITS, LotDiagnosis, diagnose_lot
-from softcal.core.gap.transfer import CalibrationWorth, LotUnit, PressedLot, Transfer, calibration_worth, transfer
+from softcal.core.lot_diagnosis import FEWEST_UNITS, LotDiagnosis, diagnose_lot
+from softcal.core.transfer import CalibrationWorth, LotUnit, PressedLot, Transfer, calibration_worth, transfer
 
 AUDIT = "audit"
 

@@ -15,7 +15,7 @@ from softcal.core.challenge.cases import RunPlan, SealedCase
 from softcal.core.challenge.realised import left_over
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
-from softcal.core.gap.explained import described_twin, explained_twin, repaired_twin
+from softcal.core.gap.places import described_twin, explained_twin, repaired_twin
 from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.twin.simulate import Twin, simulate, twin_from_record, twin_record
 

@@ -269,6 +269,7 @@ Kind = Literal[
     "rate",
     "out_of_range",
     "constant",
+    "repeats",
 ]
 
 
@@ -291,6 +292,10 @@ class DataMistake:
 
     def record(self) -> dict[str, object]:
         return in_words(vars(self) | {"runs": list(self.runs) or "all"}, "evidence", "repair")
+
+
+SHIFTED: Mapping[str, tuple[float, float]] = {"°F": (5.0 / 9.0, -160.0 / 9.0), "K": (1.0, -273.15)}
+"""What values in these must be multiplied by, and what be added then."""
 
 
 def numbers(case: Case) -> list[int]:
@@ -341,3 +346,16 @@ def of_gain(channel: str, runs: tuple[int, ...], factor: float, evidence: Reason
 def of_sign(channel: str, runs: tuple[int, ...], evidence: Reason) -> DataMistake:
     """Return the mistake of a channel with the other sign."""
     return DataMistake("sign", channel, runs, -1.0, evidence, reason("data.repair.sign", channel=channel))
+
+
+def of_samples(channel: str, runs: tuple[int, ...], count: int, evidence: Reason) -> DataMistake:
+    """Return the mistake of samples of a channel that no instrument can have shown."""
+    return DataMistake("out_of_range", channel, runs, None, evidence, reason("data.repair.samples", count=count))
+
+
+def of_shifted(
+    channel: str, runs: tuple[int, ...], unit: str, factor: float, offset: float, evidence: Reason
+) -> DataMistake:
+    """Return the mistake of a channel in a unit with another zero, such as degrees Fahrenheit."""
+    repair = reason("data.repair.shifted", channel=channel, factor=factor, offset=offset, unit=unit)
+    return DataMistake("unit_factor", channel, runs, factor, evidence, repair)

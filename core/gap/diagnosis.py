@@ -8,37 +8,43 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, DataMistake
-from softcal.core.gap.causes import (
+from softcal.core.gap.empirical import LearnedResidual, learned
+from softcal.core.gap.evidence import (
     DiagnosisVerdict,
     GapPlace,
     Partial,
     RankedCause,
     Where,
     bounds_reached,
-    partial_of,
-    ranked_causes,
-)
-from softcal.core.gap.empirical import LearnedResidual, learned
-from softcal.core.gap.evidence import (
     confused_pairs,
     consistency_of,
     exact_log_evidence,
     hidden_fraction,
     list_completeness,
     log_evidences,
+    partial_of,
     probabilities,
+    ranked_causes,
     rest_energy,
     rivals,
 )
 from softcal.core.gap.experiments import Identifiability, NextExperiment, identifiability, reasons
-from softcal.core.gap.explained import in_catalogue_form, with_constants
 from softcal.core.gap.fit import Fit
 from softcal.core.gap.model import Model
-from softcal.core.gap.residual import ChannelGap, Shrink, gap_of_base, noise_chance
+from softcal.core.gap.places import in_catalogue_form, with_constants
+from softcal.core.gap.residual import (
+    ChannelGap,
+    Quantified,
+    Shrink,
+    gap_of_base,
+    held_out_error,
+    noise_chance,
+    on_unseen,
+    quantify,
+    unsupported,
+)
 from softcal.core.gap.search import Progress, Search, under_its_floor
-from softcal.core.gap.shrink import Quantified, held_out_error, on_unseen, quantify, unsupported
-from softcal.core.gap.simulator import Simulator, SimulatorRun
-from softcal.core.gap.simulator_check import check_calls
+from softcal.core.gap.simulator import Simulator, SimulatorRun, check_calls
 from softcal.core.gap.simulator_model import SimulatorModel
 from softcal.core.gap.twin import TWIN, TwinModel
 from softcal.core.words.reason import several
@@ -183,8 +189,11 @@ def diagnose_simulator(
 def _called(simulator: Simulator, runs: Sequence[SimulatorRun], serial: str = "") -> tuple[SimulatorModel, Case]:
     if not runs:
         raise InputError(f"simulator {simulator.name}: no run was given; a diagnosis needs one")
+    names = [run.name for run in runs]
+    if len(set(names)) < len(names):
+        raise InputError(f"simulator {simulator.name}: two runs have one name: {', '.join(names)}")
     check_calls(simulator, runs)
-    return SimulatorModel(simulator.of_runs([run.name for run in runs])), Case(serial, tuple(runs))
+    return SimulatorModel(simulator.of_runs(names)), Case(serial, tuple(runs))
 
 
 def checked(case: Case) -> Checked:

@@ -9,44 +9,22 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Generic, Protocol, TypeAlias, TypeVar, cast
+from typing import Generic, TypeAlias, TypeVar
 
 import numpy as np
 from scipy.stats import t as student
 
-from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.linear import energy
+from softcal.core.gap.linear import energy, start_coordinates
 from softcal.core.gap.method import GapMethod
 from softcal.core.gap.problem import Problem, rows_of_runs
 from softcal.core.gap.residual import Shrink
+from softcal.core.gap.simulator_reach import SimulatorTerm
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect
+from softcal.core.twin.empirical_terms import EmpiricalTerm
 
-
-class Term(Protocol):
-    """A term of a model: place += coefficient · variable."""
-
-    @property
-    def place(self) -> str: ...
-
-    @property
-    def variable(self) -> str: ...
-
-    @property
-    def coefficient(self) -> float: ...
-
-    @property
-    def unit(self) -> str: ...
-
-    @property
-    def formula(self) -> str: ...
-
-    @property
-    def effect(self) -> Effect: ...
-
-
-T = TypeVar("T", bound=Term)
+T = TypeVar("T", bound=EmpiricalTerm | SimulatorTerm)
+"""A term of a model: place += coefficient · variable."""
 
 Cell: TypeAlias = tuple[int, int]
 """A run, and a quarter of it."""
@@ -130,7 +108,7 @@ def learned(base: Fit, parents: Sequence[Fit], tried: Sequence[T]) -> LearnedRes
     for term in terms:
         at = found.hypothesis.place_of(term.effect.id)
         chosen = np.mean([any((t.place, t.variable) == (term.place, term.variable) for t in fold) for fold in per_fold])
-        fitted = replace(cast(Any, term), coefficient=float(found.coordinates[at]))
+        fitted = replace(term, coefficient=float(found.coordinates[at]))
         ranked.append(LearnedTerm(fitted, _error(found, term.effect.id), float(chosen)))
     without, *_ = scores.interval("without", "before")
     return LearnedResidual(tuple(ranked), Shrink(total, low, high, total), without, found)

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.gap.case import Mask
-from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.linear import energy, wave_sums
+from softcal.core.gap.linear import energy, start_coordinates, wave_sums
 from softcal.core.gap.problem import Block, Episodes
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Placing

@@ -11,9 +11,8 @@ from itertools import combinations
 import numpy as np
 
 from softcal.core.gap.case import MenuEntry, Run
-from softcal.core.gap.coordinates import fit_scale, start_coordinates
 from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.linear import dots, energy, gram
+from softcal.core.gap.linear import dots, energy, fit_scale, gram, start_coordinates
 from softcal.core.gap.method import TellingConfig
 from softcal.core.gap.problem import Problem, own_rows
 from softcal.core.recording import Array

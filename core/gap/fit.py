@@ -6,8 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from softcal.core.gap.coordinates import fit_scale, start_coordinates, to_fit
-from softcal.core.gap.linear import combine, dots, energy, gram
+from softcal.core.gap.linear import combine, dots, energy, fit_scale, gram, start_coordinates, to_fit
 from softcal.core.gap.problem import Around, Block, Hypothesis, Problem
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect

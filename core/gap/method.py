@@ -10,7 +10,7 @@ from softcal.core.settings import SET, NumberedMethod, setting, table
 
 @dataclass(frozen=True)
 class MistakeConfig:
-    """When a recording is held to be mistaken (`mistakes.py`, `simulator_check.py`)."""
+    """When a recording is held to be mistaken (`mistakes.py`, `simulator_reach.py`)."""
 
     fewest_runs: int = setting(3)  # with two runs nobody can tell which one is wrong.
     same_factor: float = setting(1.1)  # a ratio this near to a unit's factor, beyond what the others differ by, is it.
@@ -42,6 +42,19 @@ class MistakeConfig:
     bad: float = setting(0.8)
     # share of what the base leaves that may be left once a mistake is repaired; else it is a question.
     repaired: float = setting(0.1)
+    # stands_out: how much more the others leave of a run than of themselves for it to be looked at.
+    stands_out: float = setting(2.0)
+    # asked, agreeing: share of that which a repair may leave for a question; share others may leave of themselves.
+    asked: float = setting(0.3)
+    agreeing: float = setting(0.5)
+    steps: int = setting(8)  # steps of a fit of all causes together to the other runs.
+    # repeats, span: samples that a channel repeats one value, while the base moves by this share of the channel's span
+    # and over as many of its steps.
+    repeats: int = setting(12)
+    span: float = setting(0.05)
+    # warmer_K, as_warm_K: how much warmer one run's log reads, and how near it comes to the others in another unit.
+    warmer_K: float = setting(20.0)
+    as_warm_K: float = setting(8.0)
     step_apart: float = setting(5.0)  # factor from which the steps of time of one run are none of jitter.
     stuck: float = setting(0.01)  # share of samples on the largest or smallest value that may be a channel cut off.
     resting: float = setting(0.05)  # share of repeated samples up to which a channel does not rest on steps.
@@ -49,7 +62,7 @@ class MistakeConfig:
 
 @dataclass(frozen=True)
 class OutlierConfig:
-    """When what is left is the mistake of one run (`departures.py`)."""
+    """When what is left is the mistake of one run (`twin_reach.py`)."""
 
     share: float = setting(0.93)  # of what the twin leaves that one run's mistake must explain.
     least: float = setting(0.02)  # smallest gain, and zero against the span, that is no tare or seating of a run.
@@ -194,7 +207,7 @@ class SearchConfig:
 
 @dataclass(frozen=True)
 class EvidenceConfig:
-    """How probable a hypothesis is (`fit.py`, `evidence.py`, `shared_cause.py`)."""
+    """How probable a hypothesis is (`fit.py`, `evidence.py`, `lot_diagnosis.py`)."""
 
     # of each effect being present.
     prior_odds: float = setting(0.02, f"{SET}: one effect in half of the cases, any of the 25")
@@ -214,7 +227,7 @@ class EvidenceConfig:
 
 @dataclass(frozen=True)
 class RivalConfig:
-    """Which hypotheses the evidence cannot rule out (`evidence.py`, `shared_cause.py`), in log odds."""
+    """Which hypotheses the evidence cannot rule out (`evidence.py`, `lot_diagnosis.py`), in log odds."""
 
     odds: float = setting(5.0)  # a hypothesis so near to the best (ΔBIC < 10) is a rival: weak evidence.
     most: int = setting(3)  # rivals, the best one among them.
@@ -246,7 +259,7 @@ class StrangerConfig:
 
 @dataclass(frozen=True)
 class ShrinkConfig:
-    """Samples held back (`shrink.py`, `empirical.py`)."""
+    """Samples held back (`residual.py`, `empirical.py`)."""
 
     parts: int = setting(4)  # contiguous parts, or interleaved stretches, of every run that are held back.
     most_chosen_from: int = setting(3)  # hypotheses that are fitted anew where a part is held back.

@@ -3,19 +3,42 @@
 Evidence lies inside the case: steps of the ADC, Vref, time stamps, channels that contradict each
 other, one run against the others, what the lot states. A pad of an unusual size is asked about, and
 diagnosed. No effect of the catalogue is fitted before this has found nothing.
+
+An effect acts in every run. Where one number, or the base parameters, of one run alone explain what
+the twin leaves in all of them, that run was recorded otherwise: by a gain, a zero, or another unit.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations, product
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from softcal.core.gap.case import Case, DataMistake, Run, apart, numbers, of_gain, of_sign, of_unit
+from softcal.core.gap.case import (
+    SHIFTED,
+    Case,
+    DataMistake,
+    Run,
+    apart,
+    numbers,
+    of_gain,
+    of_samples,
+    of_shifted,
+    of_sign,
+    of_unit,
+)
+from softcal.core.gap.fit import Fit, Tangent, fit
+from softcal.core.gap.linear import dots, energy, gram
 from softcal.core.gap.method import MistakeConfig
+from softcal.core.gap.twin_reach import changing
 from softcal.core.recording import RATE_TOLERANCE, Array
+from softcal.core.twin.effects import Effect, Hook, Parameter
 from softcal.core.words.reason import Reason, reason
+
+if TYPE_CHECKING:
+    from softcal.core.gap.search import Search
 
 COLUMNS = {"stage": "stage_mm", "force": "force_N", "output": "output_V"}
 
@@ -41,7 +64,17 @@ def mistakes(case: Case, config: MistakeConfig) -> tuple[DataMistake, ...]:
 
     The first kind that is found hides what comes after it: a wrong column has no unit.
     """
-    for look in (_rates, _columns, _ranges, _strays, _runs_exchanged, _directions, _against_stated, _runs_apart):
+    for look in (
+        _rates,
+        _columns,
+        _ranges,
+        _strays,
+        _runs_exchanged,
+        _directions,
+        _warmths,
+        _against_stated,
+        _runs_apart,
+    ):
         found = tuple(look(case, config))
         if found:
             return found
@@ -166,7 +199,7 @@ def _ranges(run: Run, config: MistakeConfig) -> Iterator[DataMistake]:
     worst_V, count = float(output_V[np.argmax(np.abs(output_V))]), int(is_beyond.sum())
     evidence = reason("data.out_of_range.output", worst=worst_V, vref=vref_V, count=count)
     if is_beyond.mean() <= config.few:
-        yield _of_samples("output", count, evidence)
+        yield of_samples("output", (), count, evidence)
         return
     # The unit or sign that brings the output of the run back.
     factors = {"mV": 1e-3, "uV": 1e-6}
@@ -178,11 +211,7 @@ def _ranges(run: Run, config: MistakeConfig) -> Iterator[DataMistake]:
             yield of_unit("output", (), unit, factor, evidence)
             return
     is_turned = high < 0 and -low <= vref_V
-    yield of_sign("output", (), evidence) if is_turned else _of_samples("output", count, evidence)
-
-
-def _of_samples(channel: str, count: int, evidence: Reason) -> DataMistake:
-    return DataMistake("out_of_range", channel, (), None, evidence, reason("data.repair.samples", count=count))
+    yield of_sign("output", (), evidence) if is_turned else of_samples("output", (), count, evidence)
 
 
 @_in_runs
@@ -197,7 +226,7 @@ def _strays(run: Run, config: MistakeConfig) -> Iterator[DataMistake]:
             worst = float(values[np.argmax(np.abs(values - 0.5 * (low + high)))])
             ends = {"worst": worst, "low": low, "high": high}
             evidence = reason("data.out_of_range.strays", count=count, channel=name, **ends, unit=unit)
-            yield _of_samples(name, count, evidence)
+            yield of_samples(name, (), count, evidence)
 
 
 def _agreement(one: Array, other: Array) -> float:
@@ -247,6 +276,43 @@ def _directions(run: Run, config: MistakeConfig) -> Iterator[DataMistake]:
     if correlation < config.opposed:
         evidence, repair = reason("data.swapped_divider", correlation=correlation), reason("data.repair.divider")
         yield DataMistake("swapped_divider", "output", (), None, evidence, repair)
+
+
+def _warmths(case: Case, config: MistakeConfig) -> list[DataMistake]:
+    """One run whose temperature agrees with that of the others in another unit alone."""
+    logs = [(n, run.temperature_C) for n, run in zip(numbers(case), case.runs, strict=True)]
+    warm = {n: float(np.median(log)) for n, log in logs if log is not None}
+    for n, own_C in warm.items():
+        others_C = [other_C for k, other_C in warm.items() if k != n]
+        for unit, (factor, offset) in SHIFTED.items():
+            # Both units read higher than degrees Celsius wherever a sensor is calibrated.
+            if others_C and own_C - max(others_C) > config.warmer_K:
+                if abs(factor * own_C + offset - float(np.median(others_C))) < config.as_warm_K:
+                    evidence = reason("data.run.shifted", channel="temperature")
+                    return [of_shifted("temperature", (n,), unit, factor, offset, evidence)]
+    return []
+
+
+def find_repeats(base: Fit) -> tuple[DataMistake, ...]:
+    """Return where a channel repeats one value while the base moves: questions, for a mechanism may stick."""
+    problem, config, out = base.problem, base.problem.method.mistake, []
+    for block in problem.blocks:
+        every = np.concatenate([problem.measured[b.place] for b in problem.blocks_of(block.channel)])
+        low, high = float(every.min()), float(every.max())
+        values, predicted = problem.measured[block.place], base.predicted[block.place]
+        steps = np.abs(np.diff(values))
+        # On the steps of an encoder a value stands until the next: the base must move over several.
+        least = max(config.span * (high - low), config.repeats * float(np.quantile(steps[steps > 0.0], 0.05)))
+        for part in np.split(np.arange(len(values)), np.flatnonzero(np.diff(values)) + 1):
+            level, moves = float(values[part[0]]), float(np.ptp(predicted[part]))
+            # What stands at an end is cut off there.
+            if len(part) >= config.repeats and low < level < high and moves > least:
+                run, name = problem.case.runs[block.run], block.channel
+                times = {"start": float(run.elapsed_s[part[0]]), "end": float(run.elapsed_s[part[-1]])}
+                evidence = reason("data.repeats", channel=name, level=level, count=len(part), **times)
+                number = (numbers(problem.case)[block.run],)
+                out.append(DataMistake("repeats", name, number, None, evidence, Reason("data.repair.repeats")))
+    return tuple(out)
 
 
 @dataclass(frozen=True)
@@ -357,3 +423,165 @@ def _spread_at(reference: Array, values: Array) -> float:
     top = values[reference >= low + 0.6 * (high - low)]
     bottom = values[reference <= low + 0.1 * (high - low)]
     return max(abs(float(np.median(top) - np.median(bottom))) / max(float(high - low), 1e-12), 1e-12)
+
+
+@dataclass(frozen=True)
+class _Oddity:
+    """One way in which a run may differ: what, of which channel, by which effects of the twin."""
+
+    what: str
+    channel: str
+    hooks: tuple[tuple[Hook, str, bool], ...]
+    """(place of the chain, signal, whether it is multiplied instead of shifted) of every number."""
+
+
+ODDITIES = (
+    _Oddity("gain", "force", ((Hook.READING, "reading_N", True),)),
+    _Oddity("zero", "force", ((Hook.READING, "reading_N", False),)),
+    _Oddity("gain", "output", ((Hook.OUTPUT, "output_V", True),)),
+    _Oddity("zero", "output", ((Hook.OUTPUT, "output_V", False),)),
+    _Oddity("zero", "stage", ((Hook.MOTION, "pad_mm", False),)),
+    _Oddity(
+        "other_unit",
+        "",
+        (
+            (Hook.FORCE, "force_N", True),
+            (Hook.CHANNEL, "drive", True),
+            (Hook.RESISTANCE, "resistance_ohm", True),
+            (Hook.MOTION, "pad_mm", False),
+        ),
+    ),
+)
+
+_Fitted = tuple[Fit, int, _Oddity, float]
+"""A fit with a mistake, its run, what it is, and the share it explains."""
+
+
+def outlier_run(base: Fit) -> DataMistake | None:
+    """Return the mistake of one run that explains what a fit leaves, None where none does."""
+    config = base.problem.method.outlier
+    outliers = [one for one in nearest(base, config.promised)[:1] if one[3] >= config.share]
+    return _finding(*outliers[0]) if outliers else None
+
+
+def outlier_run_beside(search: "Search") -> DataMistake | None:
+    """Return the mistake of one run that, with one cause or none, explains more than all causes."""
+    best, base, config = search.best, search.base, search.base.problem.method.outlier
+    if len(best.ids) < 2 and search.model.is_clean(best):
+        return None
+    singles = sorted((f for ids, f in search.fits.items() if len(ids) == 1), key=lambda f: f.chi2)[: config.parents]
+    tried = [(parent, found) for parent in (*singles, best) for found in nearest(parent, config.promised)[:1]]
+    if not search.is_explained(best):
+        # A cause as large as the mistake hides it from the base; beside it, it may explain the rest.
+        for fitted, run, oddity, share in nearest(base, config.least_promised)[:2]:
+            clean = [grown for grown in search.grown_from(fitted) if search.model.is_clean(grown)]
+            tried += [(base, (grown, run, oddity, share)) for grown in clean]
+    priced = []
+    for parent, (fitted, run, oddity, share) in tried:
+        # The mistake counts as one number more; it is of no catalogue and has no prior odds.
+        price = parent.penalty if parent is not base or not singles else singles[0].penalty
+        price += float(np.log(base.problem.count)) * len(oddity.hooks)
+        if (share > config.share_beside or parent is base) and fitted.chi2 + price < best.bic - config.ahead:
+            priced.append((fitted.chi2 + price, (fitted, run, oddity, share)))
+    return _finding(*min(priced, key=lambda one: one[0])[1]) if priced else None
+
+
+def nearest(base: Fit, promised_share: float) -> list[_Fitted]:
+    """Return fitted mistakes of one run that promise this share of what is left, simplest first."""
+    problem, is_clean = base.problem, base.problem.model.is_clean
+    if is_clean(base):
+        return []
+    # Small zeros of single runs are taken off every fit; a mistake is looked for with none of them.
+    base = fit(base.problem.bare, base.hypothesis, base.coordinates)
+    runs = [k for k, run in enumerate(base.problem.case.runs) if run.kind == "press"]
+    excess = base.chi2 - base.problem.count
+    is_within_noise = excess < 4.0 * np.sqrt(2.0 * base.problem.count)
+    if len(runs) < problem.method.mistake.fewest_runs or is_within_noise or is_clean(base):
+        return []
+    config, promised = problem.method.outlier, sorted(_promised(base, runs), key=lambda p: -p[0])
+    found = []
+    for gain, run, oddity in promised[:3]:
+        if gain < max(promised_share * excess, 0.5 * promised[0][0]):
+            continue
+        effects = _effects(run, oddity, base)
+        start = np.append(base.coordinates, np.zeros(len(effects)))
+        fitted = fit(base.problem, base.hypothesis.adding(*effects), start, steps=30)
+        found.append((fitted, run, oddity, (base.chi2 - fitted.chi2) / excess))
+
+    def price(one: _Fitted) -> float:
+        dearer = 0.0 if is_clean(one[0]) else config.dearer * excess
+        return one[0].chi2 + len(one[2].hooks) * (config.each * float(np.log(base.problem.count)) + dearer)
+
+    return sorted(found, key=price)
+
+
+def _promised(base: Fit, runs: Sequence[int]) -> list[tuple[float, int, _Oddity]]:
+    """Return to first order by how much each oddity of each run would lower χ² after a refit."""
+    tangent, problem = Tangent(base), base.problem
+    promised = []
+    slopes = base.jacobian[base.hypothesis.of_base]
+    for run in runs:
+        inside = np.zeros(len(problem.measured))
+        rows: dict[tuple[str, str], list[Array]] = {}
+        for block in (b for b in problem.blocks if b.run == run):
+            inside[block.place] = 1.0
+            channel, here = block.channel.split("_")[0], np.zeros(len(problem.measured))
+            here[block.place] = 1.0
+            rows["zero", channel] = [problem.whitened(here)]
+            rows["gain", channel] = [problem.whitened(here * base.predicted)]
+        rows["other_unit", ""] = [row * inside for row in slopes]
+        if problem.is_free[0]:
+            rows["zero", "stage"] = [slopes[0] * inside]
+        for oddity in ODDITIES:
+            signatures = rows.get((oddity.what, oddity.channel))
+            if signatures is None:
+                continue
+            gain, seen = 0.0, np.array([tangent.visible(s) for s in signatures if energy(s) > 0])
+            if len(seen):
+                pull = dots(seen, base.residual)
+                coefficients, *_ = np.linalg.lstsq(gram(seen) + 1e-12 * np.eye(len(seen)), pull, rcond=1e-9)
+                gain = float(coefficients @ pull)
+            promised.append((gain, run, oddity))
+    return promised
+
+
+def _effects(run: int, oddity: _Oddity, base: Fit) -> list[Effect]:
+    columns, effects = {"reading_N": "force_N", "output_V": "output_V", "pad_mm": "stage_mm"}, []
+    # It acts in this run alone.
+    step = partial(changing, follows=lambda flow: float(flow.run == run))
+    for hook, signal, is_gain in oddity.hooks:
+        span = 1.0 if is_gain else _span(base.problem.case, columns[signal])
+        size = Parameter("size", "", -0.9 * span, 3.0 * span, 0.05 * span, neutral=0.0)
+        effects.append(Effect(f"{signal} of run {run}", "", hook, "", "", (size,), step(signal, is_offset=not is_gain)))
+    return effects
+
+
+def _span(case: Case, column: str) -> float:
+    parts = case.recorded(column)
+    return float(np.ptp(np.concatenate(parts))) if parts else 1.0
+
+
+def _finding(fitted: Fit, run: int, oddity: _Oddity, share: float) -> DataMistake | None:
+    case, least = fitted.problem.case, fitted.problem.method.outlier.least
+    number = (numbers(case)[run],)
+    of_run = {e.id: values[0] for e, values in zip(fitted.effects, fitted.effect_values, strict=True)}
+    sizes = [of_run[effect.id] for effect in _effects(run, oddity, fitted)]
+    if oddity.what == "other_unit":
+        stiffness, sensitivity, resistance, _ = sizes
+        told = {"stiffness": stiffness, "resistance": resistance, "sensitivity": sensitivity, "share": min(share, 1.0)}
+        evidence = reason("data.run.other_unit", **told)
+        return DataMistake("other_unit", "", number, None, evidence, reason("data.repair.other_unit"))
+    column = {"force": "force_N", "output": "output_V", "stage": "stage_mm"}[oddity.channel]
+    span, size = _span(case, column), sizes[0]
+    if oddity.what == "gain":
+        ratio = 1.0 + size
+        if abs(ratio - 1.0) < least:
+            return None
+        evidence = reason("data.run.gain", channel=oddity.channel, ratio=ratio, share=min(share, 1.0))
+        return of_gain(oddity.channel, number, 1.0 / ratio, evidence)
+    offset, unit = size if oddity.channel != "stage" else -size, column.split("_")[1]
+    if abs(offset) < least * span:
+        return None
+    evidence = reason("data.run.zero", channel=oddity.channel, offset=offset, unit=unit, share=min(share, 1.0))
+    repair = reason("data.repair.zero", channel=oddity.channel, offset=offset, unit=unit)
+    return DataMistake("zero", oddity.channel, number, offset, evidence, repair)

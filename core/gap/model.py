@@ -11,11 +11,11 @@ from softcal.core.twin.effects import Effect, Form, Parameter
 
 if TYPE_CHECKING:
     from softcal.core.gap.case import Case, DataMistake, Mask, MenuEntry, Run
-    from softcal.core.gap.causes import RankedCause, Where
-    from softcal.core.gap.coordinates import RigScale
     from softcal.core.gap.diagnosis import Diagnosis, Judgement
+    from softcal.core.gap.evidence import RankedCause, Where
     from softcal.core.gap.experiments import NextExperiment
     from softcal.core.gap.fit import Fit, Probe
+    from softcal.core.gap.linear import RigScale
     from softcal.core.gap.method import GapMethod, SearchConfig
     from softcal.core.gap.problem import Block, Hypothesis, Problem
     from softcal.core.gap.search import Search

@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from softcal.core.gap.case import Case, Mask, Run, RunKind
-from softcal.core.gap.coordinates import RigScale, from_fit
 from softcal.core.gap.linear import (
     Colour,
+    RigScale,
     add_normal_equations,
     bounded_sizes,
     combine,
     filter_of,
     filtered,
+    from_fit,
     most_moved,
 )
 from softcal.core.recording import Array

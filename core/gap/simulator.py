@@ -14,15 +14,18 @@ parameter of a candidate as `candidate.parameter`, at its neutral value where th
 """
 
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import TypeAlias, cast
+from functools import cached_property, partial
+from numbers import Real
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.gap.case import SHORTEST, Case, Run
+from softcal.core.gap.fit import DIFFERENCE
+from softcal.core.gap.linear import fit_scale, from_fit, to_fit
 from softcal.core.gap.problem import Hypothesis
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs
@@ -86,13 +89,19 @@ class Simulator:
     run_parameters: tuple[Parameter, ...] = ()
 
     def __post_init__(self) -> None:
+        if not callable(self.run):
+            raise InputError(f"simulator {self.name}: run is {self.run!r}; a function was expected")
         for what, names in (
             ("channel", self.channels),
             ("base parameter", [p.name for p in (*self.base, *self.run_parameters)]),
             ("candidate", [c.id for c in self.candidates]),
+            ("parameter", [*self.parameter_names, *(p.name for p in self.run_parameters)]),
+            ("input column", ["t_s", *self.inputs]),
         ):
             if not names:
                 raise InputError(f"simulator {self.name}: no {what} is given; at least one was expected")
+            if isinstance(self.inputs, str) or isinstance(self.channels, str):
+                raise InputError(f"simulator {self.name}: inputs and channels are names in a tuple, as ('force_N',)")
             if len(set(names)) < len(names):
                 raise InputError(f"simulator {self.name}: two of the {what}s have one name: {', '.join(names)}")
         self._check_bounds()
@@ -111,6 +120,9 @@ class Simulator:
     def _check_bounds(self) -> None:
         of_causes = [(f"{effect.id}.{p.name}", p) for effect in self.candidates for p in effect.parameters]
         for name, p in (*((p.name, p) for p in (*self.base, *self.run_parameters)), *of_causes):
+            numbers = {"lower bound": p.low, "upper bound": p.high, "usual size": p.usual}
+            if wrong := [f"{what} {value!r}" for what, value in numbers.items() if not isinstance(value, Real)]:
+                raise InputError(f"simulator {self.name}: {name} has the {wrong[0]}; a number was expected")
             bounds = f"simulator {self.name}: {name} has the bounds {p.low:g} and {p.high:g} {p.unit}".rstrip()
             if not -np.inf < p.low < p.high < np.inf:
                 raise InputError(f"{bounds}; two numbers were expected, the smaller first")
@@ -118,6 +130,15 @@ class Simulator:
                 raise InputError(f"{bounds}; with scale={p.scale!r} both must be above 0")
             if not p.low <= p.usual <= p.high:
                 raise InputError(f"{bounds} and the usual size {p.usual:g}; it must lie within them")
+            if p.neutral == p.usual:
+                raise InputError(f"simulator {self.name}: {name} has the usual size {p.usual:g}, which switches it off")
+        for effect in self.candidates:
+            for row in effect.signs.probes(PROBED) if effect.signs.probes else ():
+                if len(row) != len(effect.parameters):
+                    raise InputError(
+                        f"simulator {self.name}: a probe of {effect.id} has {len(row)} values; a value for each of "
+                        f"{', '.join(p.name for p in effect.parameters)} was expected"
+                    )
 
     @cached_property
     def offsets(self) -> tuple[tuple[str, str], ...]:
@@ -180,7 +201,7 @@ class Simulator:
             # What overflows is found below, and is said once.
             with np.errstate(all="ignore"):
                 found = self.run(inputs, self.parameters_of(parameters, run_name))
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             lines = [one.lineno for one in traceback.extract_tb(error.__traceback__) if one.filename == self._file]
             line = f", line {lines[-1]}" if lines else ""
             raise self._failed(f"{type(error).__name__}: {error}", parameters, line) from error
@@ -190,6 +211,8 @@ class Simulator:
                 gives = ", ".join(map(str, found)) if isinstance(found, Mapping) else type(found).__name__
                 raise self._failed(f"gives no {channel}; it gives {gives or 'nothing'}", parameters)
             try:
+                if np.iscomplexobj(found[channel]):
+                    raise TypeError("it is complex")
                 out[channel] = np.asarray(found[channel], dtype=np.float64)
             except (TypeError, ValueError) as error:
                 raise self._failed(f"{channel} is no array of numbers: {error}", parameters) from error
@@ -212,16 +235,16 @@ class Simulator:
         return SimulatorFailed(f"simulator {self.name} ({self._file}{line}) fails: {what}; at {at}")
 
 
+PROBED = Extent(1.0, 1.0, 0.0, 1.0, 1.0, 1.0)
+"""What probes of a mechanism are asked at; they do not depend on it."""
+
+
 def _elsewhere(flow: Flow, values: Sequence[float], state: Memory) -> None:
     raise ValueError("this effect belongs to another simulator, not to the twin of a soft sensor")
 
 
-@dataclass(frozen=True)
-class _Rows:
-    rows: tuple[tuple[float, ...], ...]
-
-    def __call__(self, at: Extent) -> Sequence[tuple[float, ...]]:
-        return self.rows
+def _given(rows: Sequence[tuple[float, ...]], at: Extent) -> Sequence[tuple[float, ...]]:
+    return rows
 
 
 def candidate(
@@ -240,7 +263,9 @@ def candidate(
         probes: values at which a search begins; a fifth of the usual size where none are given.
         hides_behind: candidates it is mistaken for.
     """
-    signs = Signs(probes=_Rows(tuple(probes)) if probes else None, hides_behind=hides_behind)
+    if not parameters or parameters[0].neutral is None:
+        raise InputError(f"candidate {name}: its first parameter must have the neutral value that switches it off")
+    signs = Signs(probes=partial(_given, tuple(probes)) if probes else None, hides_behind=hides_behind)
     return Effect(name, place, Hook.READING, "", "a simulator's own", parameters, _elsewhere, signs=signs)
 
 
@@ -274,7 +299,14 @@ def recorded(simulator: Simulator, name: str, columns: Columns, profile: str = "
     missing = [column for column in needed if column not in columns]
     if missing:
         raise InputError(f"{name}: {', '.join(missing)} missing; simulator {simulator.name} needs {', '.join(needed)}")
-    kept = {column: np.asarray(columns[column], dtype=np.float64) for column in needed}
+    kept = {}
+    for column in needed:
+        try:
+            kept[column] = np.asarray(columns[column], dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{name}: {column} is no column of numbers: {error}") from error
+        if kept[column].ndim != 1:
+            raise InputError(f"{name}: {column} has shape {kept[column].shape}; one column was expected")
     return _run(name, kept, profile)
 
 
@@ -292,3 +324,200 @@ def planned(simulator: Simulator, name: str) -> SimulatorRun:
     """Return an experiment as the run it would be, its channels still empty (zeros)."""
     inputs = {k: np.asarray(v, dtype=np.float64) for k, v in simulator.experiments[name].inputs.items()}
     return _run(name, {channel: np.zeros(len(inputs["t_s"])) for channel in simulator.channels} | inputs)
+
+
+REPEATABLE = 1e-7
+"""Largest difference of equal calls, as a share of a channel's span: a tenth of what derivatives bear."""
+
+LONG_STEP = 100.0
+"""Steps of the fit in the longer of two difference quotients that are compared."""
+
+MOVED, ROUNDED = 1e-3, 0.5
+"""Share of the largest change from which a sample is compared; share of samples and changes that rounding spoils."""
+
+
+class _ReadNames(dict[str, float]):
+    """Parameters that remember which of them were read by name; reading all at once is told apart."""
+
+    def __init__(self, values: Mapping[str, float]) -> None:
+        super().__init__(values)
+        self.names: set[str] = set()
+        self.is_iterated = False
+
+    def __getitem__(self, name: str) -> float:
+        # A copy fetches every value by its name, one after another.
+        if not self.is_iterated:
+            self.names.add(name)
+        return super().__getitem__(name)
+
+    def get(self, name: str, default: Any = None) -> Any:
+        self.names.add(name)
+        return super().get(name, default)
+
+    # Without these `**p` and `dict(p)` copy the values past both methods above.
+    def __iter__(self) -> Iterator[str]:
+        self.is_iterated = True
+        return super().__iter__()
+
+    def keys(self) -> Any:
+        self.is_iterated = True
+        return super().keys()
+
+    def values(self) -> Any:
+        self.is_iterated = True
+        return super().values()
+
+    def items(self) -> Any:
+        self.is_iterated = True
+        return super().items()
+
+
+class _Calls:
+    """A simulator on the runs of a case, every call with copies of its inputs and parameters."""
+
+    def __init__(self, simulator: Simulator, runs: Sequence[SimulatorRun]) -> None:
+        self.simulator, self._runs = simulator, runs
+        self.names: set[str] = set()
+        self.is_iterated = False
+        # Watched where the user's own code reads: what a simulator does before that reads every name.
+        self._watched = replace(simulator, run=self._watch)
+        self._given: Mapping[str, float] = {}
+        self._read = _ReadNames({})
+
+    def first(self, values: Mapping[str, float]) -> Array:
+        """Return the channels of the first run, one after another."""
+        return self._run(self._runs[0], values)
+
+    def every(self, values: Mapping[str, float]) -> Array:
+        """Return the channels of all runs, one after another."""
+        return np.concatenate([self._run(run, values) for run in self._runs])
+
+    def excited(self, values: Mapping[str, float]) -> Array:
+        """Return the channels of the first run where every input swings about what was recorded."""
+        t_s = self._runs[0].columns["t_s"]
+        phase = 2.0 * np.pi * (t_s - t_s[0]) / max(float(t_s[-1] - t_s[0]), 1e-300)
+        swings = {}
+        for k, name in enumerate(self.simulator.inputs, start=1):
+            column = self._runs[0].columns[name]
+            swings[name] = column + (float(np.max(np.abs(column))) or 1.0) * np.sin((2 * k + 1) * phase)
+        return self._run(self._runs[0], values, swings)
+
+    def _run(self, run: SimulatorRun, values: Mapping[str, float], swings: Columns | None = None) -> Array:
+        recorded = {name: run.columns[name] for name in ("t_s", *self.simulator.inputs)} | dict(swings or {})
+        inputs = {name: column.copy() for name, column in recorded.items()}
+        channels = self._watched(inputs, values)
+        self.names |= self._read.names
+        self.is_iterated |= self._read.is_iterated
+        self._refuse_written(inputs, recorded, "copy its inputs before changing them")
+        changed = {name: np.asarray(dict.get(self._read, name)) for name in self._given}
+        self._refuse_written(changed, {name: np.asarray(v) for name, v in self._given.items()}, "copy the parameters")
+        return np.concatenate([channels[name] for name in self.simulator.channels])
+
+    def _watch(self, inputs: Columns, parameters: Mapping[str, float]) -> Columns:
+        self._given, self._read = dict(parameters), _ReadNames(parameters)
+        return self.simulator.run(inputs, self._read)
+
+    def _refuse_written(self, after: Columns, before: Columns, cure: str) -> None:
+        for name, values in before.items():
+            if not np.array_equal(after[name], values):
+                raise refused(self.simulator, f"writes into {name}; {cure}")
+
+
+def refused(simulator: Simulator, why: str) -> InputError:
+    """Return the refusal of a simulator that cannot be fitted."""
+    return InputError(f"simulator {simulator.name}: {why}; nothing was fitted")
+
+
+def check_calls(simulator: Simulator, runs: Sequence[SimulatorRun]) -> None:
+    """Call a simulator a few times, and refuse one whose answers a fit could not use.
+
+    A simulator that fails at its usual values is left to the fit, which goes elsewhere.
+
+    Raises:
+        InputError: equal calls differ, an input is written into, channels are rounded, or a parameter is never read.
+    """
+    calls, usual = _Calls(simulator, runs), {p.name: p.usual for p in _of_base(simulator)}
+    off, on = usual | simulator.neutral_values, usual | {name: p.usual for name, p in _of_candidates(simulator)}
+    try:
+        plain = calls.first(off)
+        _refuse_differing(simulator, plain, calls.first(off), "called twice with equal arguments")
+        with_causes = calls.first(on)
+        after = "called again after a call with other parameters"
+        _refuse_differing(simulator, plain, calls.first(off), after)
+        near, far = (calls.first(_moved(simulator, on, steps)) for steps in (1.0, LONG_STEP))
+    except SimulatorFailed:
+        return
+    if np.array_equal(far, with_causes) and np.array_equal(with_causes, plain):
+        raise refused(simulator, "no parameter changes a channel; it gives what it gave before")
+    if _is_rounded(near - with_causes, far - with_causes):
+        raise refused(
+            simulator,
+            "a small change of its parameters does not show as a hundredth of a larger one: it rounds its channels, "
+            "or is not smooth; give them in full precision",
+        )
+    _refuse_unread(calls, on)
+
+
+def _of_base(simulator: Simulator) -> tuple[Parameter, ...]:
+    return (*simulator.base, *simulator.run_parameters)
+
+
+def _of_candidates(simulator: Simulator) -> list[tuple[str, Parameter]]:
+    return [(f"{effect.id}.{p.name}", p) for effect in simulator.candidates for p in effect.parameters]
+
+
+def _refuse_differing(simulator: Simulator, one: Array, other: Array, when: str) -> None:
+    apart = float(np.max(np.abs(one - other)))
+    if apart > REPEATABLE * max(float(np.ptp(one)), float(np.max(np.abs(one)))):
+        raise refused(
+            simulator, f"{when} its channels differ by {apart:.3g}; fix the seed of its noise, and start anew each time"
+        )
+
+
+def _moved(simulator: Simulator, values: Mapping[str, float], steps: float) -> dict[str, float]:
+    """Return the parameters, each moved by so many steps of the fit's difference quotients."""
+    out = {}
+    for name, p in (*((p.name, p) for p in _of_base(simulator)), *_of_candidates(simulator)):
+        x, step = to_fit(p, values[name]), steps * DIFFERENCE * fit_scale(p)
+        out[name] = (
+            values[name]
+            if p.is_fixed
+            else from_fit(p, x + step if x + step <= max(to_fit(p, p.low), to_fit(p, p.high)) else x - step)
+        )
+    return out
+
+
+def _is_rounded(near: Array, far: Array) -> bool:
+    """Whether most samples that a long step moves are not moved in proportion by a short one."""
+    moves = np.abs(far) > MOVED * np.max(np.abs(far), initial=0.0)
+    is_apart = np.abs(LONG_STEP * near - far)[moves] > ROUNDED * np.abs(far)[moves]
+    return bool(moves.any() and np.mean(is_apart) > ROUNDED)
+
+
+def _refuse_unread(calls: _Calls, values: Mapping[str, float]) -> None:
+    """Refuse a parameter that is never read, or that is copied with all others and never changes a channel.
+
+    What these runs alone do not excite is left to the diagnosis, which says that they cannot tell it.
+    """
+    simulator = calls.simulator
+    for name, p in (*((p.name, p) for p in _of_base(simulator)), *_of_candidates(simulator)):
+        if name in calls.names or p.is_fixed:
+            continue
+        makes = (calls.every, calls.excited) if calls.is_iterated else ()
+        if not any(_changes_something(make, values, name, p) for make in makes):
+            raise refused(
+                simulator,
+                f"parameter {name} is never read, or changes no channel; check how the simulator spells it, or leave "
+                "it out",
+            )
+
+
+def _changes_something(
+    make: Callable[[Mapping[str, float]], Array], values: Mapping[str, float], name: str, parameter: Parameter
+) -> bool:
+    ends = [end for end in (parameter.low, parameter.high) if end != values[name]]
+    try:
+        usual = make(values)
+        return any(not np.array_equal(usual, make({**values, name: end})) for end in ends)
+    except SimulatorFailed:
+        return True

@@ -10,24 +10,27 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, DataMistake, Mask, MenuEntry, Run
-from softcal.core.gap.causes import GapPlace, RankedCause, Where, beside_rest, places_of, regime_places
-from softcal.core.gap.coordinates import RigScale
+from softcal.core.gap.evidence import GapPlace, RankedCause, Where, beside_rest, places_of, regime_places
 from softcal.core.gap.experiments import NextExperiment, causes_of, most_telling, together
 from softcal.core.gap.fit import Fit, Probe, Tangent, fit, structure
-from softcal.core.gap.linear import COMMON_STEP_s, energy
+from softcal.core.gap.linear import COMMON_STEP_s, RigScale, energy
 from softcal.core.gap.method import METHOD, GapMethod, SearchConfig
+from softcal.core.gap.mistakes import find_repeats
 from softcal.core.gap.model import Directions, Model, Sizes
 from softcal.core.gap.problem import Block, Hypothesis, Problem, rows_of_runs
 from softcal.core.gap.residual import noise_chance, noise_levels
-from softcal.core.gap.screen import best_start, likely_pairs, try_from_many_starts
+from softcal.core.gap.search import best_start, likely_pairs, try_from_many_starts
 from softcal.core.gap.simulator import STRAIGHT, Simulator, SimulatorFailed, SimulatorRun, planned, runs_of
-from softcal.core.gap.simulator_check import against_others, cut_off, shown
 from softcal.core.gap.simulator_reach import (
     SimulatorTerm,
     TermStep,
+    against_others,
+    cut_off,
+    find_strays,
     known_of_signals,
     regimes_of,
     shifted,
+    shown,
     terms_of,
 )
 from softcal.core.metrics import finite_or_none
@@ -272,8 +275,10 @@ class SimulatorModel(Model):
         return replace(problem, of_base=tuple(map(bool, is_taken)))
 
     def mistakes_by_base(self, base: Fit) -> tuple[tuple[DataMistake, ...], tuple[DataMistake, ...]]:
-        test, questions = against_others(self, base), cut_off(self.simulator, base.problem.case, self.method.mistake)
-        if test is None:
+        if broken := find_strays(self, base):
+            return broken, ()
+        questions = (*cut_off(self.simulator, base.problem.case, self.method.mistake), *find_repeats(base))
+        if (test := against_others(self, base)) is None:
             return (), questions
         return ((test.mistake,), ()) if test.is_claim else ((), (test.mistake, *questions))
 

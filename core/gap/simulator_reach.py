@@ -1,25 +1,44 @@
-"""What recordings of a mechanism show of a residual: what it may follow, where it stands out, terms that describe it.
+"""What recordings of a mechanism show: mistakes; what a residual follows, and where; terms that describe it.
 
-A term is a number times what of an input or a channel it follows.
+A term is a number times what of an input or a channel it follows. Mistakes: a dead channel, a unit of time, one run
+against the others. What needs the simulator is looked for only where the base leaves a large part of a channel: a run
+is held against what all others say of it, and against the same run repaired.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from softcal.core.errors import InputError
-from softcal.core.gap.case import Run
-from softcal.core.gap.fit import Fit, Regime, shares_of_gap
-from softcal.core.gap.method import FloorConfig
-from softcal.core.gap.problem import Block
-from softcal.core.gap.simulator import Columns, Simulator
+from softcal.core.gap.case import (
+    SHIFTED,
+    Case,
+    DataMistake,
+    Run,
+    apart,
+    numbers,
+    of_samples,
+    of_shifted,
+    of_sign,
+    unit_of,
+)
+from softcal.core.gap.fit import Fit, Regime, fit, shares_of_gap
+from softcal.core.gap.linear import start_coordinates
+from softcal.core.gap.method import FloorConfig, MistakeConfig
+from softcal.core.gap.problem import Block, Hypothesis
+from softcal.core.gap.simulator import Columns, Simulator, SimulatorFailed, SimulatorRun, runs_of
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter
 from softcal.core.twin.signals import low_pass
 from softcal.core.words.reason import Reason, reason
+
+if TYPE_CHECKING:
+    from softcal.core.gap.simulator_model import SimulatorModel
 
 STANDS_OUT = 1.5
 """Share of the gap over share of time from which a condition is listed."""
@@ -257,3 +276,255 @@ def regimes_of(base: Fit) -> list[Regime]:
             if share > STANDS_OUT * time_share:
                 seen.append(Regime(channel, name, share, share / time_share))
     return sorted(seen, key=lambda r: -r.share * np.log(r.lift))
+
+
+FACTORS: Mapping[str, float] = {
+    "inch": 25.4,
+    "kgf": 9.80665,
+    "lbf": 4.44822,
+    "min": 60.0,
+    "degree": float(np.pi / 180.0),
+    "rad": float(180.0 / np.pi),
+    "1000 x the unit": 1e3,
+    "the unit / 1000": 1e-3,
+    "1000000 x the unit": 1e6,
+    "the unit / 1000000": 1e-6,
+    "10 x the unit": 10.0,
+    "the unit / 10": 0.1,
+}
+"""What values in these must be multiplied by."""
+
+
+def shown(simulator: Simulator, case: Case, config: MistakeConfig) -> tuple[DataMistake, ...]:
+    """Return the mistakes that columns show by themselves: another unit of time, a dead channel."""
+    runs, number, found = runs_of(case), numbers(case), []
+    steps_s = np.array([float(np.median(np.diff(run.t_s))) for run in runs])
+    for k, step_s in enumerate(steps_s) if len(runs) >= config.fewest_runs else ():
+        others = np.delete(steps_s, k)
+        ratio = float(np.median(others) / step_s)
+        is_apart = max(ratio, 1.0 / ratio) > config.step_apart and others.max() < config.same_factor * others.min()
+        if is_apart and unit_of(ratio, FACTORS, config.same_factor):
+            found.append(apart("t_s", number[k], ratio, FACTORS, config.same_factor))
+    for channel in simulator.channels:
+        dead = tuple(n for n, run in zip(number, runs, strict=True) if np.ptp(run.columns[channel]) == 0.0)
+        if dead:
+            at = () if len(dead) == len(runs) else dead
+            evidence = reason("data.dead", channel=channel)
+            found.append(DataMistake("constant", channel, at, None, evidence, Reason("data.repair.dead")))
+    return tuple(found)
+
+
+def cut_off(simulator: Simulator, case: Case, config: MistakeConfig) -> tuple[DataMistake, ...]:
+    """Return channels that may be cut off at an end: questions, for a mechanism may do so."""
+    found = []
+    for run, number in zip(runs_of(case), numbers(case), strict=True):
+        for channel in simulator.channels:
+            values = run.columns[channel]
+            for end in (float(values.max()), float(values.min())):
+                # A channel that stands on the steps of an encoder repeats its values everywhere.
+                repeats = float(np.mean(np.diff(values[values != end]) == 0.0))
+                count = int(np.sum(values == end))
+                # Every run has one largest sample, however short it is.
+                if repeats <= config.resting and count > max(1.0, config.stuck * len(values)):
+                    evidence = reason("data.cut_off", channel=channel, level=end, count=count)
+                    repair = reason("data.repair.range", channel=channel)
+                    found.append(DataMistake("out_of_range", channel, (number,), None, evidence, repair))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class MistakeTest:
+    """A mistake that the simulator points at, and how well it stands against what else could be.
+
+    Args:
+        left: share of the worst channel that the base leaves once the mistake is repaired.
+        left_unrepaired, left_by_causes: what the base leaves as recorded, and at best with one of its candidates.
+        repaired: share of what the base leaves that may be left once a mistake is repaired.
+    """
+
+    mistake: DataMistake
+    left: float
+    left_unrepaired: float
+    left_by_causes: float
+    repaired: float
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether the repair takes most of what the base leaves."""
+        return self.left <= self.repaired * self.left_unrepaired
+
+    @property
+    def is_alone(self) -> bool:
+        """Whether no candidate does as well."""
+        return self.left < self.left_by_causes
+
+    @property
+    def is_claim(self) -> bool:
+        """Whether nothing is to be diagnosed before it is repaired; else it is a question at most."""
+        return self.is_enough and self.is_alone
+
+
+def against_others(model: "SimulatorModel", base: Fit) -> MistakeTest | None:
+    """Return what the simulator shows: one run recorded otherwise than others, exchanged columns; None if nothing."""
+    problem, config = base.problem, model.method.mistake
+    if _agreement(base) > config.good:
+        return None
+    unrepaired = 1.0 - _agreement(base)
+    whole = _exchanged(model, problem.case)
+    suspected = (*whole, unrepaired) if whole else _of_one_run(model, problem.case)
+    if suspected is None:
+        return None
+    mistake, left, unrepaired = suspected
+    starts = [
+        (
+            Hypothesis((cause,), of_all=model.base),
+            start_coordinates([cause], [[p.usual for p in cause.parameters]]),
+        )
+        for cause in model.candidates
+    ]
+    fits = [fit(problem, one, np.concatenate([base.coordinates, start]), steps=20) for one, start in starts]
+    by_causes = min(1.0 - _agreement(found) for found in fits)
+    test = MistakeTest(mistake, left, unrepaired, by_causes, config.repaired)
+    return test if test.is_enough or test.is_alone else None
+
+
+def _exchanged(model: "SimulatorModel", case: Case) -> tuple[DataMistake, float] | None:
+    """Return columns that agree with the base once they are exchanged in all runs, and what it leaves then."""
+    for pair in combinations((*model.simulator.inputs, *model.simulator.channels), 2):
+        runs = [replace(run, columns=_swapped(run.columns, *pair)) for run in runs_of(case)]
+        if (share := _agreement(model.rough_fit(Case(case.serial, tuple(runs))))) > model.method.mistake.good:
+            return _of_exchange(*pair, ()), 1.0 - share
+    return None
+
+
+def _swapped(columns: Columns, one: str, other: str) -> Columns:
+    return {**columns, one: columns[other], other: columns[one]}
+
+
+def _of_exchange(one: str, other: str, runs: tuple[int, ...]) -> DataMistake:
+    evidence, repair = (reason(code, one=one, other=other) for code in ("data.swapped", "data.repair.swap"))
+    return DataMistake("swapped_columns", f"{one}+{other}", runs, None, evidence, repair)
+
+
+def _of_one_run(model: "SimulatorModel", case: Case) -> tuple[DataMistake, float, float] | None:
+    """Return what is wrong with one run by what the others say of it, and what they leave of it repaired, and as it is.
+
+    The others tell by the base, and by all causes together: a gap that all runs share is no mistake of one.
+    """
+    runs, number, config = runs_of(case), numbers(case), model.method.mistake
+    tried: list[tuple[float, DataMistake | None, float, float]] = []
+    for k, run in enumerate(runs) if len(runs) >= config.fewest_runs else ():
+        others = model.rough_fit(Case(case.serial, tuple(runs[:k] + runs[k + 1 :])))
+        if _left_of_run(model, others, run, run.columns) <= config.stands_out * (1.0 - _agreement(others)):
+            continue
+        causes = model.candidates
+        start = start_coordinates(causes, [[p.usual for p in cause.parameters] for cause in causes])
+        every = Hypothesis(causes, of_all=model.base)
+        start = np.append(others.coordinates, start)
+        for found in (others, fit(others.problem, every, start, steps=config.steps)):
+            as_it_is, of_others = _left_of_run(model, found, run, run.columns), 1.0 - _agreement(found)
+            for mistake, columns in _repairs(model, found, run, number[k]) if of_others < config.agreeing else ():
+                left = of_others if columns is None else _left_of_run(model, found, run, columns)
+                # A gain fits anything a little better: all of the run must agree then.
+                is_free = mistake.what == "gain"
+                if left <= max(1.0 - config.good, 0.0 if is_free else config.stands_out * of_others):
+                    tried.append((left / max(as_it_is, 1e-300), mistake, left, as_it_is))
+    share, best, rest, whole = min(tried, key=lambda one: one[0], default=(np.inf, None, 0.0, 0.0))
+    return (best, rest, whole) if best is not None and share <= config.asked else None
+
+
+def _left_of_run(model: "SimulatorModel", others: Fit, run: SimulatorRun, columns: Columns) -> float:
+    """Return which share of the worst channel's spread over all runs the others leave of a run with these columns."""
+    said, left = model.simulator.named(others.hypothesis, others.coordinates), 0.0
+    try:
+        gives = model.simulator(columns, said, run.name)
+    except SimulatorFailed:
+        return np.inf
+    for channel, values in gives.items():
+        parts = [columns[channel], *(one.columns[channel] for one in runs_of(others.problem.case))]
+        spread = float(np.mean([np.var(part) for part in parts]))
+        left = max(left, float(np.mean((columns[channel] - values) ** 2)) / max(spread, 1e-300))
+    return left
+
+
+def _agreement(found: Fit) -> float:
+    problem, predicted = found.problem, found.predicted
+    return min(_share(problem.measured[b.place], predicted[b.place]) for b in problem.blocks)
+
+
+def _share(measured: Array, predicted: Array) -> float:
+    spread = float(np.sum((measured - measured.mean()) ** 2))
+    left = float(np.sum((measured - predicted) ** 2))
+    return 1.0 - left / max(spread, 1e-300)
+
+
+def _repairs(
+    model: "SimulatorModel", others: Fit, run: SimulatorRun, number: int
+) -> Iterator[tuple[DataMistake, Columns | None]]:
+    """Yield what may be wrong with a run and its columns repaired; None where nothing can be."""
+    simulator, config, columns = model.simulator, model.method.mistake, run.columns
+    try:
+        gives = simulator(columns, simulator.named(others.hypothesis, others.coordinates), run.name)
+    except SimulatorFailed:
+        gives = {}
+    for channel, said in gives.items():
+        yield _of_factor(channel, number, -1.0, config.same_factor), {**columns, channel: -columns[channel]}
+        slope = float(np.polyfit(said, columns[channel], 1)[0]) if np.ptp(said) > 0.0 else 0.0
+        if slope != 0.0 and abs(np.log(abs(slope))) > np.log(config.apart):
+            repaired = {**columns, channel: columns[channel] / slope}
+            yield _of_factor(channel, number, 1.0 / slope, config.same_factor), repaired
+    for name in simulator.inputs:
+        for factor in (-1.0, *FACTORS.values()):
+            repaired = {**columns, name: factor * columns[name]}
+            yield _of_factor(name, number, factor, config.same_factor), repaired
+        if np.ptp(columns[name]) == 0.0 and any(np.ptp(one.columns[name]) for one in runs_of(others.problem.case)):
+            dead = reason("data.dead", channel=name)
+            yield DataMistake("constant", name, (number,), None, dead, Reason("data.repair.dead")), None
+    every = (*simulator.inputs, *simulator.channels)
+    for name in every:
+        for unit, (factor, offset) in SHIFTED.items():
+            mistake = of_shifted(name, (number,), unit, factor, offset, reason("data.run.shifted", channel=name))
+            yield mistake, {**columns, name: factor * columns[name] + offset}
+    for pair in combinations(every, 2):
+        yield _of_exchange(*pair, (number,)), _swapped(columns, *pair)
+
+
+def _of_factor(name: str, number: int, factor: float, same: float) -> DataMistake:
+    if abs(np.log(abs(factor))) < np.log(same) and factor < 0.0:
+        return of_sign(name, (number,), reason("data.run.apart", channel=name, ratio=1.0 / factor))
+    return apart(name, number, factor, FACTORS, same)
+
+
+def find_strays(model: "SimulatorModel", base: Fit) -> tuple[DataMistake, ...]:
+    """Return single samples far beyond all others that the simulator does not foretell: a broken transmission."""
+    problem, simulator, config = base.problem, model.simulator, model.method.mistake
+    found, case, number = [], problem.case, numbers(problem.case)
+    for name in (*simulator.channels, *simulator.inputs):
+        low, high = np.quantile(np.concatenate([run.columns[name] for run in runs_of(case)]), (0.01, 0.99))
+        reach = config.far * float(high - low)
+        for k, run in enumerate(runs_of(case)):
+            values = run.columns[name]
+            is_beyond = (values < low - reach) | (values > high + reach)
+            if reach <= 0.0 or not 0.0 < is_beyond.mean() <= config.few:
+                continue
+            if name in simulator.channels:
+                said = np.concatenate([base.predicted[b.place] for b in problem.blocks_of(name) if b.run == k])[
+                    is_beyond
+                ]
+                is_foretold = bool(np.any((said < low - reach) | (said > high + reach)))
+            else:
+                # A kick that is meant moves the mechanism: without it the simulator agrees less.
+                kept = np.flatnonzero(~is_beyond)
+                repaired = replace(
+                    run, columns={**run.columns, name: np.interp(np.arange(len(values)), kept, values[kept])}
+                )
+                every = tuple(repaired if one is run else one for one in runs_of(case))
+                left = 1.0 - _agreement(model.rough_fit(Case(case.serial, every)))
+                is_code = len(np.unique(values[is_beyond])) == 1 and np.count_nonzero(is_beyond) > 1
+                is_foretold = left > (1.0 if is_code else config.repaired) * (1.0 - _agreement(base))
+            if not is_foretold:
+                count, worst = int(is_beyond.sum()), float(values[is_beyond][0])
+                ends = {"worst": worst, "low": float(low), "high": float(high)}
+                evidence = reason("data.out_of_range.strays", count=count, channel=name, **ends, unit="")
+                found.append(of_samples(name, (number[k],), count, evidence))
+    return tuple(found)

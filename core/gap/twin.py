@@ -7,26 +7,31 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from softcal.core.gap.case import Case, DataMistake, Mask, MenuEntry, Run
-from softcal.core.gap.causes import GapPlace, RankedCause, Where, beside_rest, partial_of, places_of, regime_places
-from softcal.core.gap.coordinates import RigScale
-from softcal.core.gap.departures import STRANGERS, WARM_DIVIDER, outlier_run, outlier_run_beside, stranger_of
+from softcal.core.gap.evidence import GapPlace, RankedCause, Where, beside_rest, partial_of, places_of, regime_places
 from softcal.core.gap.experiments import NextExperiment, most_telling
-from softcal.core.gap.explained import explained_twin, offsets
 from softcal.core.gap.fit import Fit, Map, Probe, fit, structure
-from softcal.core.gap.forward import bases_of, dither_of, mean_code_V, offset_rows, predict_run
+from softcal.core.gap.linear import RigScale
 from softcal.core.gap.method import METHOD, GapMethod, SearchConfig
-from softcal.core.gap.mistakes import doubts, mistakes
+from softcal.core.gap.mistakes import doubts, find_repeats, mistakes, outlier_run, outlier_run_beside
 from softcal.core.gap.model import Directions, Model, Sizes
-from softcal.core.gap.places import cases_of_maps, likely_stages, loose_noise, regimes
+from softcal.core.gap.places import cases_of_maps, explained_twin, likely_stages, loose_noise, offsets, regimes
 from softcal.core.gap.problem import BASE, Block, Hypothesis, Problem
 from softcal.core.gap.residual import noise_levels, with_driving_noise
 from softcal.core.gap.twin_reach import (
+    STRANGERS,
+    WARM_DIVIDER,
+    bases_of,
+    dither_of,
     extent_of,
     first_noise,
     is_told,
     known_by_chain,
+    mean_code_V,
     menu,
+    offset_rows,
+    predict_run,
     rough_start,
+    stranger_of,
     terms_of_twin,
     visible_effects,
 )
@@ -210,7 +215,7 @@ class TwinModel(Model):
 
     def mistakes_by_base(self, base: Fit) -> tuple[tuple[DataMistake, ...], tuple[DataMistake, ...]]:
         odd = outlier_run(base)
-        return () if odd is None else (odd,), doubts(base.problem.case, self.method.mistake)
+        return () if odd is None else (odd,), (*doubts(base.problem.case, self.method.mistake), *find_repeats(base))
 
     def mistakes_by_search(self, search: "Search") -> tuple[DataMistake, ...]:
         odd = outlier_run_beside(search)

@@ -1,24 +1,41 @@
-"""What recordings of a soft sensor reach: where its twin begins, which effects show, what can be pressed next."""
+"""What the twin says of runs of a soft sensor: where it begins, which effects show, its prediction, what to press next.
 
-from collections.abc import Iterator, Mapping
+Departures that no effect of the catalogue covers: a signal may have a gain or an offset that follows time or
+temperature, the load cell a delay or a share of the position. Where one wins, the report says `unknown`.
+
+The mean of the codes of an ADC that is coarse against its noise is a soft staircase of the clean output. With noise σ
+before a rounding to steps q, E[round(V + n)] = V + Σ (−1)ᵏ·q/(πk)·sin(2πkV/q)·exp(−2(πkσ/q)²), and the variance around
+that mean, averaged over V, is σ² + q²/12 − Σ q²/(2π²k²)·exp(−(2πkσ/q)²) (Widrow and Kollár, Quantization Noise, 2008).
+From σ = 0.45 q on the stairs are below 1 % of a step.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache, partial
 from itertools import product
+from operator import attrgetter
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from scipy.optimize import nnls
+from scipy.optimize import brentq, nnls
 
 from softcal.core import profiles
 from softcal.core.gap.case import Case, MenuEntry, Run
-from softcal.core.gap.coordinates import RigScale, to_fit
 from softcal.core.gap.fit import Fit
+from softcal.core.gap.linear import RigScale, to_fit
 from softcal.core.gap.problem import BASE
 from softcal.core.profiles import Profile
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
-from softcal.core.twin.effects import Alias, Effect
+from softcal.core.twin.effects import Alias, ChainStage, Effect, Flow, Hook, Memory, Parameter, Step
 from softcal.core.twin.empirical_terms import PLACES, VARIABLES, EmpiricalTerm
 from softcal.core.twin.mechanics import elastic_force
+from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.probes import Extent
-from softcal.core.twin.signals import low_pass
+from softcal.core.twin.signals import compiled, low_pass
+from softcal.core.twin.simulate import Chain, Values
+
+if TYPE_CHECKING:
+    from softcal.core.gap.problem import Problem
 
 SET_UP_min: Mapping[str, float] = {
     "press": 0.5,
@@ -198,3 +215,210 @@ def known_by_chain(found: Fit, channel: str) -> list[Array]:
         for name, column in columns.items():
             out.setdefault(name, np.zeros(len(problem.measured)))[block.place] = column
     return list(out.values())
+
+
+TIME, WARMTH, PLACE = attrgetter("t_s"), attrgetter("warmed_K"), attrgetter("stage_mm")
+"""What of the flow a departure may follow."""
+
+
+def changing(signal: str, follows: Callable[[Flow], Array | float], is_offset: bool = False) -> Step:
+    """Return a step that raises a signal by its size, or such a share, times what it follows."""
+
+    def step(flow: Flow, values: Sequence[float], _: Memory) -> None:
+        now, change = getattr(flow, signal), values[0] * follows(flow)
+        setattr(flow, signal, now + change if is_offset else now * (1.0 + change))
+
+    return step
+
+
+_offset = partial(changing, is_offset=True)
+
+
+def _divider(flow: Flow, values: Sequence[float], _: Memory) -> None:
+    # Only R/Rs enters the divider: a resistor that grows is a channel, dummy or not, that shrinks.
+    flow.resistance_ohm = flow.resistance_ohm / (1.0 + values[0] * flow.warmed_K)
+
+
+def _cell_lag(flow: Flow, values: Sequence[float], _: Memory) -> None:
+    flow.reading_N = low_pass(flow.reading_N, flow.step_s, max(values[0], 1e-4), np.full(2, flow.reading_N[0]))
+
+
+def _stranger(
+    code: str, stage: ChainStage, hook: Hook, step: Step, unit: str, usual: float, is_signed: bool = True
+) -> Effect:
+    size = Parameter("size", unit, -30.0 * usual if is_signed else 0.0, 30.0 * usual, usual, neutral=0.0)
+    return Effect(code, stage, hook, "", "no effect of the catalogue", (size,), step)
+
+
+STRANGERS = (
+    _stranger("gap.like.stiffness_in_time", "mechanics", Hook.FORCE, changing("force_N", TIME), "1/s", 1e-3),
+    _stranger("gap.like.stiffness_when_warm", "mechanics", Hook.FORCE, changing("force_N", WARMTH), "1/K", 5e-3),
+    _stranger("gap.like.sensitivity_in_time", "transduction", Hook.CHANNEL, changing("drive", TIME), "1/s", 1e-3),
+    _stranger("gap.like.sensitivity_when_warm", "transduction", Hook.CHANNEL, changing("drive", WARMTH), "1/K", 5e-3),
+    _stranger("gap.like.offset_in_time", "electronics", Hook.OUTPUT, _offset("output_V", TIME), "V/s", 2e-4),
+    _stranger("gap.like.offset_when_warm", "electronics", Hook.OUTPUT, _offset("output_V", WARMTH), "V/K", 1e-3),
+    _stranger("gap.like.cell_span_in_time", "load_cell", Hook.READING, changing("reading_N", TIME), "1/s", 1e-3),
+    _stranger("gap.like.cell_span_when_warm", "load_cell", Hook.READING, changing("reading_N", WARMTH), "1/K", 5e-3),
+    _stranger("gap.like.cell_zero_when_warm", "load_cell", Hook.READING, _offset("reading_N", WARMTH), "N/K", 0.01),
+    _stranger("gap.like.cell_by_position", "load_cell", Hook.READING, _offset("reading_N", PLACE), "N/mm", 0.05),
+    _stranger("gap.like.cell_late", "load_cell", Hook.READING, _cell_lag, "s", 0.1, is_signed=False),
+)
+"""Generic departures; the identifier is the reason that says what one is like."""
+
+WARM_DIVIDER = _stranger("gap.like.divider_when_warm", "electronics", Hook.REFERENCE, _divider, "1/K", 1e-3)
+"""Looks like a channel that follows the temperature, sign reversed, while the channel is read."""
+
+
+def stranger_of(found: Fit) -> Effect:
+    """Return the stranger of a hypothesis that has one."""
+    return next(one for one in (*STRANGERS, WARM_DIVIDER) if one in found.effects)
+
+
+RETRACTED_mm = -1e3
+"""Stage position that stands for a rest: far above the pad."""
+
+INVERSE_STEPS = 4
+"""Fixed-point steps from a reading back to a force: a few per cent are undone to 1e-6."""
+
+TOUCHING_share = 0.05
+"""A rigid block is taken as touched above this share of the largest force."""
+
+Prediction: TypeAlias = dict[str, Array]
+"""Clean channels that a run can show, (n,) each, NaN where nobody can know; of a rigid block `stage_mm`, where the
+stage must be when this force is read."""
+
+
+def predict_run(
+    run: Run, index: int, base: BaseParameters, chain: Chain, values: Values, episodes: Mapping[str, Array]
+) -> Prediction:
+    """Return what the base twin with the effects of a chain says of one run.
+
+    Args:
+        index: position of the run in its case, for effects with values of their own per run.
+    """
+    stage_mm = run.elapsed_s if run.stage_mm is None else run.stage_mm
+    flow = Flow(run.elapsed_s, run.step_s, stage_mm, run.temperature_rise_K, run.readout.vref_V, episodes, index)
+    if run.kind == "rigid_block":
+        return _rigid_block(run, flow, chain, values)
+    if run.kind == "dead_weights":
+        flow.force_N = np.asarray(run.known_force_N)
+        chain.weigh(flow, values, chain.fresh_memories())
+        return {"force_N": flow.reading_N}
+    if run.kind == "dummy_resistor":
+        flow.resistance_ohm = np.full(len(run), float(run.dummy_ohm or 0.0))
+        chain.read_out(flow, run.readout, values, chain.fresh_memories())
+        return {"output_V": _read_output(flow)}
+    if run.kind == "rest":
+        flow.stage_mm = np.full(len(run), RETRACTED_mm)
+    elif run.stage_mm is None:
+        force_N = reading_N = run.driving_force.force_N
+        for _ in range(INVERSE_STEPS):
+            flow.force_N = force_N
+            chain.weigh(flow, values, chain.fresh_memories())
+            # What the cell would read beyond its reading is taken off the force until both agree.
+            force_N = force_N + reading_N - flow.reading_N
+        flow.force_N = flow.deformation_mm = force_N
+        chain.sense(flow, base, run.readout, values, chain.fresh_memories())
+        return {"output_V": _read_output(flow)}
+    chain.run(flow, base, run.readout, values, chain.fresh_memories())
+    return {"force_N": flow.reading_N, "output_V": _read_output(flow)}
+
+
+def _read_output(flow: Flow) -> Array:
+    # Not np.clip, which takes three times as long.
+    output_V = np.minimum(np.maximum(flow.output_V, 0.0), flow.vref_V)
+    return output_V if flow.is_unforeseeable is None else np.where(flow.is_unforeseeable, np.nan, output_V)
+
+
+def _rigid_block(run: Run, flow: Flow, chain: Chain, values: Values) -> Prediction:
+    """A rigid block gives way as the frame does: u − play = const + c_f·F while touched."""
+    force_N = np.asarray(run.force_N)
+    flow.pad_mm = flow.stage_mm
+    memories = chain.fresh_memories()
+    chain.apply(Hook.MOTION, flow, values, memories)
+    chain.apply(Hook.CONTACT, flow, values, memories)
+    is_touched = force_N > TOUCHING_share * force_N.max()
+    bent_mm = flow.compliance_mm_N * force_N + (flow.stage_mm - flow.pad_mm)
+    if not is_touched.any():
+        return {"stage_mm": flow.stage_mm}
+    # Nobody measured where the block stands: its level is what the touched samples say on average.
+    level_mm = float(np.mean((flow.stage_mm - bent_mm)[is_touched]))
+    return {"stage_mm": np.where(is_touched, level_mm + bent_mm, flow.stage_mm)}
+
+
+SMOOTH = 0.45
+"""Noise, in steps, from which the staircase is a straight line."""
+
+SHARPEST = 0.05
+"""Least noise, in steps, that is told apart: sharper stairs than that have no slope to fit by."""
+
+HARMONICS = 12
+
+
+@lru_cache(maxsize=256)
+def dither_V(sigma_V: float, step_V: float) -> float | None:
+    """Return the noise before the ADC from that of its codes, None where the stairs are smooth."""
+    target = (sigma_V / step_V) ** 2
+    if target >= _variance(SMOOTH):
+        return None
+    if target <= _variance(SHARPEST):
+        return SHARPEST * step_V
+    return step_V * float(brentq(lambda noise: _variance(noise) - target, SHARPEST, SMOOTH))
+
+
+def dither_of(problem: "Problem") -> float | None:
+    """Return the noise before an ADC that is coarse against it; None where its stairs do not show."""
+    if "output_V" not in problem.sigma:
+        return None
+    return dither_V(problem.floor("output_V"), problem.case.readout.step_V)
+
+
+def _variance(noise: float) -> float:
+    """Return the variance of the codes in steps², for noise in steps."""
+    k = np.arange(1, 40)
+    return float(noise**2 + 1 / 12 - np.sum(np.exp(-((2 * np.pi * k * noise) ** 2)) / (2 * np.pi**2 * k**2)))
+
+
+@compiled
+def mean_code_V(clean_V: Array, noise_V: float, step_V: float) -> Array:
+    """Return the mean of the codes, (n,) V, for a clean output and noise before the ADC."""
+    out = clean_V.copy()
+    for k in range(1, HARMONICS + 1):
+        height = step_V / (np.pi * k) * np.exp(-2.0 * (np.pi * k * noise_V / step_V) ** 2)
+        # Higher harmonics die out faster than exponentially: the rest is still smaller.
+        if height < 1e-4 * step_V:
+            break
+        height = -height if k % 2 else height
+        for i in range(len(out)):
+            out[i] += height * np.sin(2.0 * np.pi * k * clean_V[i] / step_V)
+    return out
+
+
+def bases_of(base: BaseParameters, sizes: Mapping[int, Array]) -> dict[int, BaseParameters]:
+    """Return the base of every run that has one of its own."""
+    return {
+        run: base.with_values(u0_mm=base.u0_mm + seat, r0_ohm=base.r0_ohm * (1.0 + resistance))
+        for run, (_, resistance, seat) in sizes.items()
+    }
+
+
+@compiled
+def offset_rows(
+    kinds: tuple[bool, bool], stage_mm: Array, clean: Array, vref_V: float, base: tuple[float, float, float, float]
+) -> Array:
+    """(3, n) change of a channel per N of tare, share of R0 and mm of seat, by the base."""
+    is_force, is_strain = kinds
+    u0_mm, k1_N_mm, k3_N_mm3, kappa_per_N = base
+    out = np.zeros((3, len(clean)))
+    for k in range(len(clean)):
+        depth_mm = max(stage_mm[k] - u0_mm, 0.0)
+        force_per_mm = -(k1_N_mm + 3.0 * k3_N_mm3 * depth_mm**2) if depth_mm > 0.0 else 0.0
+        if is_force:
+            out[0, k], out[2, k] = 1.0, force_per_mm
+        elif not np.isnan(clean[k]):
+            out[1, k] = clean[k] * (1.0 - clean[k] / vref_V)
+            drive = depth_mm if is_strain else k1_N_mm * depth_mm + k3_N_mm3 * depth_mm**3
+            per_mm = (-1.0 if depth_mm > 0.0 else 0.0) if is_strain else force_per_mm
+            # A fit on its way may drive the base's resistance to infinity.
+            out[2, k] = out[1, k] * kappa_per_N / max(1.0 - kappa_per_N * drive, 0.05) * per_mm
+    return out

@@ -330,6 +330,12 @@ data.dead: nothing changes in {channel}
 data.repair.dead: check the cable and the logger, then record the run again
 data.swapped: the simulator agrees with the recordings once {one} and {other} are exchanged, and not
   before
+data.run.shifted: {channel} of this run agrees with the other runs in another unit alone
+data.repair.shifted: take {factor:.4g} x {channel} {offset:+.4g}: it looks like {unit}
+data.repeats: one value of {channel}, {level:.6g}, stands from {start:.4g} to {end:.4g} s, where it
+  should move (samples: {count})
+data.repair.repeats: look for a buffer that repeats, and leave these samples out; the diagnosis holds either
+  way
 data.repair.other_unit: leave the run out, or record it again with this unit
 
 # Why there is no map at all.

@@ -2,11 +2,12 @@
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from softcal.app.gap.adapters import integrate_rhs, run_command
+from softcal.app.gap.adapters import integrate_rhs, run_command, run_fmu
 from softcal.core.errors import InputError
 from softcal.core.gap.diagnosis import diagnose_simulator
 from softcal.core.gap.simulator import Simulator, candidate, recorded
@@ -95,3 +96,40 @@ def test_a_command_gets_inputs_and_parameters_and_gives_channels(tmp_path: Path)
     assert told.tolist() == [(0.1 + 0.2) * v + (-1.0 / 3.0) * v * v for v in x.tolist()]
     with pytest.raises(InputError, match="exit code 1: slope is out of the model's range"):
         line(inputs, {"slope": 95.0, "bend.size": 0.0})
+
+
+def stub_of_fmpy(variables):
+    """A module that takes what fmpy takes: a unit that turns its input into gain times it, one row a step."""
+
+    def simulate_fmu(folder, *, start_values, input, output, stop_time, step_size, **_):  # noqa: A002
+        time = np.arange(0.0, stop_time + 0.5 * step_size, step_size)
+        rows = np.zeros(len(time), dtype=[("time", float), *((name, float) for name in output)])
+        rows["time"] = time
+        drive = np.interp(time, input["time"], input["drive.f"])
+        for name in output:
+            rows[name] = start_values["spring.k"] * drive + start_values.get("stop", 0.0)
+        return rows
+
+    described = SimpleNamespace(modelVariables=[SimpleNamespace(name=name) for name in variables])
+    return SimpleNamespace(
+        read_model_description=lambda path: described, extract=lambda path: "folder", simulate_fmu=simulate_fmu
+    )
+
+
+def test_a_functional_mock_up_unit_is_a_simulator_on_uneven_samples(monkeypatch):
+    monkeypatch.setitem(sys.modules, "fmpy", stub_of_fmpy(["drive.f", "mass.s", "spring.k", "stop"]))
+    run = run_fmu("unit.fmu", {"place": "mass.s"}, {"push": "drive.f"}, {"softness": "spring.k"}, max_step_s=0.01)
+    t_s = 7.0 + np.array([0.0, 0.1, 0.25, 0.3, 0.55])
+    push = np.array([0.0, 1.0, 2.5, 3.0, 5.5])
+    given = {"t_s": t_s, "push": push}
+    np.testing.assert_allclose(run(given, {"softness": 2.0, "stop": np.inf})["place"], 2.0 * push, atol=1e-9)
+    np.testing.assert_allclose(run(given, {"softness": 2.0, "stop": 1.0})["place"], 2.0 * push + 1.0, atol=1e-9)
+
+
+def test_a_unit_without_a_variable_and_a_missing_package_are_told_in_one_line(monkeypatch):
+    monkeypatch.setitem(sys.modules, "fmpy", stub_of_fmpy(["drive.f"]))
+    with pytest.raises(InputError, match="has no variable mass.s; it has drive.f"):
+        run_fmu("unit.fmu", {"place": "mass.s"}, {"push": "drive.f"})
+    monkeypatch.setitem(sys.modules, "fmpy", None)
+    with pytest.raises(InputError, match="pip install fmpy"):
+        run_fmu("unit.fmu", {"place": "mass.s"})

@@ -33,9 +33,8 @@ from softcal.core import profiles
 from softcal.core.challenge.protocols import PROTOCOLS
 from softcal.core.gap import case as recordings
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.departures import STRANGERS, WARM_DIVIDER
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
-from softcal.core.gap.twin_reach import SET_UP_min
+from softcal.core.gap.twin_reach import STRANGERS, WARM_DIVIDER, SET_UP_min
 from softcal.core.orders import RunState
 from softcal.core.twin.catalogue import FORMS, OWN_EFFECTS
 from softcal.core.twin.effects import Alias

@@ -1,7 +1,6 @@
 """Measured rigs that are no soft sensor: the diagnosis comes as close as plain least squares, on runs held out too."""
 
 import importlib
-import os
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ from softcal.core.gap.diagnosis import diagnose_simulator
 from softcal.core.gap.simulator import Simulator, SimulatorRun, recorded
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "simulators"
-RIGS = Path(os.environ.get("SOFTCAL_DATA", Path(__file__).parents[3] / "shared" / "data")) / "rigs"
 pytestmark = pytest.mark.long
 
 
@@ -21,12 +19,10 @@ def of_rig(name: str, monkeypatch: pytest.MonkeyPatch) -> Any:
     return importlib.import_module(name).SIMULATOR
 
 
-def runs_of(rig: str, simulator: Simulator, numbers: str) -> list[SimulatorRun]:
-    if not RIGS.is_dir():
-        pytest.skip(f"no measured rigs in {RIGS}; name their folder by SOFTCAL_DATA")
+def runs_of(folder: Path, simulator: Simulator, numbers: str) -> list[SimulatorRun]:
     out = []
     for number in numbers:
-        table = np.genfromtxt(RIGS / rig / "runs" / number / "recording.csv", delimiter=",", names=True)
+        table = np.genfromtxt(folder / "runs" / number / "recording.csv", delimiter=",", names=True)
         out.append(recorded(simulator, number, {name: table[name] for name in table.dtype.names or ()}))
     return out
 
@@ -37,10 +33,13 @@ def rms(simulator: Simulator, runs: list[SimulatorRun], parameters: Any) -> floa
     return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
 
 
-def test_a_motor_whose_friction_differs_by_direction(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_motor_whose_friction_differs_by_direction(monkeypatch: pytest.MonkeyPatch, measured_data: Path) -> None:
     """Plain least squares: 38.1 rad/s, 47.4 held out; with friction of two sizes 16.9 and 23.3."""
     motor = of_rig("motor_drive", monkeypatch)
-    fitted, held = runs_of("motor", motor, "1245"), runs_of("motor", motor, "36")
+    fitted, held = (
+        runs_of(measured_data / "rigs" / "motor", motor, "1245"),
+        runs_of(measured_data / "rigs" / "motor", motor, "36"),
+    )
     report = diagnose_simulator(motor, fitted).report()
     assert rms(motor, fitted, report["base"]) < 38.2 and rms(motor, held, report["base"]) < 47.6
     assert rms(motor, fitted, report["parameters"]) < 16.95 and rms(motor, held, report["parameters"]) < 23.4
@@ -49,10 +48,13 @@ def test_a_motor_whose_friction_differs_by_direction(monkeypatch: pytest.MonkeyP
     assert report["verdict"] == "unknown" and "two_sided_friction" in partial["effects"]
 
 
-def test_a_heat_exchanger(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_heat_exchanger(monkeypatch: pytest.MonkeyPatch, measured_data: Path) -> None:
     """Plain least squares: 0.640 °C, 0.805 held out; with the two causes that take most of it 0.577 and 0.697."""
     exchanger = of_rig("heat_exchanger", monkeypatch)
-    fitted, held = runs_of("exchanger", exchanger, "12"), runs_of("exchanger", exchanger, "3")
+    fitted, held = (
+        runs_of(measured_data / "rigs" / "exchanger", exchanger, "12"),
+        runs_of(measured_data / "rigs" / "exchanger", exchanger, "3"),
+    )
     report = diagnose_simulator(exchanger, fitted).report()
     assert rms(exchanger, fitted, report["base"]) < 0.641 and rms(exchanger, held, report["base"]) < 0.807
     assert rms(exchanger, fitted, report["parameters"]) < 0.578 and rms(exchanger, held, report["parameters"]) < 0.699

@@ -8,6 +8,7 @@ import numpy as np
 from softcal.core.gap.case import Case
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.problem import Hypothesis, Problem
+from softcal.core.gap.search import Search
 from softcal.core.gap.simulator import Simulator, SimulatorRun, candidate, recorded
 from softcal.core.gap.simulator_model import SimulatorModel
 from softcal.core.recording import Array
@@ -94,3 +95,11 @@ def left_of(columns: Array, values: Array) -> Array:
 
 def one_sided(effect: Effect) -> Effect:
     return replace(effect, parameters=(replace(effect.parameters[0], low=0.0),))
+
+
+def search_with(fits: Mapping[tuple[str, ...], Fit]) -> Search:
+    """Return a search that holds these fits, the base among them."""
+    search = Search(fits[()], CAUSES)
+    for found in fits.values():
+        search.keep(found)
+    return search

@@ -9,11 +9,11 @@ import pytest
 from softcal.core import profiles
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.episodes import with_intervals, with_line, with_losses
-from softcal.core.gap.explained import explained_twin, in_catalogue_form, repaired_twin, with_constants
 from softcal.core.gap.fit import fit, structure
+from softcal.core.gap.linear import start_coordinates
+from softcal.core.gap.places import explained_twin, in_catalogue_form, repaired_twin, with_constants
 from softcal.core.gap.problem import Hypothesis
 from softcal.core.gap.twin import TWIN
 from softcal.core.twin.catalogue import EFFECTS, FORMS

@@ -12,7 +12,7 @@ from softcal.core.challenge.rig import Cause, Path, Rack, Rig, record
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.empirical import learned
-from softcal.core.gap.explained import explained_twin
+from softcal.core.gap.places import explained_twin
 from softcal.core.gap.twin import TWIN
 from softcal.core.gap.twin_reach import terms_of_twin
 from softcal.core.twin.effects import Flow

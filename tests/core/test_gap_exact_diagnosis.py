@@ -8,47 +8,31 @@ import numpy as np
 import pytest
 
 from softcal.core.gap.case import MenuEntry
-from softcal.core.gap.causes import nearest, partial_of, places_of, ranked_causes, regime_places
 from softcal.core.gap.empirical import learned, splits
+from softcal.core.gap.evidence import nearest, partial_of, places_of, ranked_causes, regime_places
 from softcal.core.gap.experiments import identifiability, most_telling, reasons
 from softcal.core.gap.fit import Regime, fit
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.problem import Hypothesis
-from softcal.core.gap.residual import gap_of_base
+from softcal.core.gap.residual import gap_of_base, on_unseen, quantify, unsupported
 from softcal.core.gap.search import Search
-from softcal.core.gap.shrink import on_unseen, quantify, unsupported
 from softcal.core.gap.simulator import Experiment, planned
 from softcal.core.gap.simulator_model import SimulatorModel
 from softcal.core.gap.simulator_reach import terms_of
 from softcal.core.words.reason import Reason, reason
-from tests.core.linear_mechanism import (
-    BEND,
-    CAUSES,
-    KINK,
-    LINE,
-    RIPPLE,
-    SIGMA,
-    design,
-    fits_of,
-    fitted,
-    left_of,
-    measured,
-    problem_of,
-    runs_of,
-    solved,
-)
+from tests.core import linear_mechanism as lm
 
 COUNTS = (60, 71, 48)
-RUNS = runs_of({"bend.size": 0.3, "ripple.size": 0.05}, COUNTS)
-PROBLEM = problem_of(RUNS)
-Y, N = measured(RUNS), sum(COUNTS)
+RUNS = lm.runs_of({"bend.size": 0.3, "ripple.size": 0.05}, COUNTS)
+PROBLEM = lm.problem_of(RUNS)
+Y, N = lm.measured(RUNS), sum(COUNTS)
 RUN = np.repeat(np.arange(3), COUNTS)
-FLOOR = SIGMA
+FLOOR = lm.SIGMA
 
 
 def held_out(columns, members):
     """What least squares without these samples leaves on them."""
-    return Y[members] - columns[members] @ solved(columns[~members], Y[~members])
+    return Y[members] - columns[members] @ lm.solved(columns[~members], Y[~members])
 
 
 def shrunk(before, after):
@@ -57,11 +41,11 @@ def shrunk(before, after):
 
 @pytest.mark.parametrize("names", [("bend",), ("bend", "ripple")])
 def test_the_held_out_gap_is_that_of_least_squares_without_each_run(names):
-    causes = tuple(c for c in CAUSES if c.id in names)
-    base, best = fitted(PROBLEM), fitted(PROBLEM, *causes)
+    causes = tuple(c for c in lm.CAUSES if c.id in names)
+    base, best = lm.fitted(PROBLEM), lm.fitted(PROBLEM, *causes)
     found = quantify(base, best)
     errors = {}
-    for what, columns in (("before", design(RUNS)), ("after", design(RUNS, *names))):
+    for what, columns in (("before", lm.design(RUNS)), ("after", lm.design(RUNS, *names))):
         errors[what] = np.concatenate([held_out(columns, RUN == k) for k in range(3)])
     rms = {what: np.sqrt(np.mean(e**2)) for what, e in errors.items()}
     gap = found.gap["y"]
@@ -69,7 +53,7 @@ def test_the_held_out_gap_is_that_of_least_squares_without_each_run(names):
     assert gap.noise_floor == FLOOR
     assert found.shrink.held_out == pytest.approx(np.clip(shrunk(rms["before"], rms["after"]), 0, 1), abs=0.01)
     assert found.chosen == (best.ids,) * 3
-    before, after = errors["before"] / SIGMA, errors["after"] / SIGMA
+    before, after = errors["before"] / lm.SIGMA, errors["after"] / lm.SIGMA
     assert found.held_out_gain == pytest.approx(before @ before - after @ after, rel=1e-2)
     assert found.gain_error == pytest.approx(2.0 * np.sqrt(np.sum((before - after) ** 2)), rel=1e-2)
     assert found.stands
@@ -78,19 +62,19 @@ def test_the_held_out_gap_is_that_of_least_squares_without_each_run(names):
 
 def test_the_forecast_is_by_the_errors_of_the_parameters():
     """Before, the two fits part by so much; after, the parameters' uncertainty alone is left of a right hypothesis."""
-    base, best = fitted(PROBLEM), fitted(PROBLEM, BEND, RIPPLE)
+    base, best = lm.fitted(PROBLEM), lm.fitted(PROBLEM, lm.BEND, lm.RIPPLE)
     found = quantify(base, best).shrink
-    whole, small = design(RUNS, "bend", "ripple"), design(RUNS)
+    whole, small = lm.design(RUNS, "bend", "ripple"), lm.design(RUNS)
     parted, spread = [], []
     for k in range(3):
         off = RUN == k
-        parted.append(whole[off] @ solved(whole[~off], Y[~off]) - small[off] @ solved(small[~off], Y[~off]))
-        covariance = SIGMA**2 * np.linalg.inv(whole[~off].T @ whole[~off])
+        parted.append(whole[off] @ lm.solved(whole[~off], Y[~off]) - small[off] @ lm.solved(small[~off], Y[~off]))
+        covariance = lm.SIGMA**2 * np.linalg.inv(whole[~off].T @ whole[~off])
         spread.append(np.sqrt(np.einsum("ij,jk,ik->i", whole[off], covariance, whole[off])))
     part, wide = (np.sqrt(np.mean(np.concatenate(rows) ** 2)) for rows in (parted, spread))
     before, after = np.hypot(FLOOR, part), np.hypot(FLOOR, wide)
     assert found.predicted == pytest.approx(shrunk(before, after), abs=5e-3)
-    error = left_of(whole, Y) / SIGMA
+    error = lm.left_of(whole, Y) / lm.SIGMA
     left = FLOOR * np.sqrt(max(0.0, np.mean(error**2) - 1.0 - np.sqrt(2.0 / N)))
     worst = shrunk(np.sqrt(FLOOR**2 + part**2 + left**2), np.sqrt(FLOOR**2 + (1.6 * left) ** 2 + (2.0 * wide) ** 2))
     margin = max(METHOD.shrink.least_margin, shrunk(before, after) - worst)
@@ -101,39 +85,39 @@ def test_the_forecast_is_by_the_errors_of_the_parameters():
 
 
 def test_without_a_cause_nothing_shrinks():
-    base = fitted(PROBLEM)
+    base = lm.fitted(PROBLEM)
     found = quantify(base, base)
     assert (found.shrink.predicted, found.shrink.held_out, found.chosen) == (0.0, 0.0, ())
     assert found.gap["y"].rmse_before == found.gap["y"].rmse_after
     assert not found.stands
-    left = left_of(design(RUNS), Y)
+    left = lm.left_of(lm.design(RUNS), Y)
     assert gap_of_base(base)["y"].rmse_before == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-6)
     assert gap_of_base(base)["y"].rmse_after == gap_of_base(base)["y"].rmse_before
 
 
 def test_a_part_is_measured_by_what_would_be_chosen_without_it():
     """A kink that fits the whole best, but only by one run, gives way to the bend where that run is held back."""
-    fits = fits_of(PROBLEM, (BEND,), (KINK,), (RIPPLE,))
+    fits = lm.fits_of(PROBLEM, (lm.BEND,), (lm.KINK,), (lm.RIPPLE,))
     found = quantify(fits[()], fits["kink",], fits.values())
     assert found.chosen == (("bend",),) * 3
     given = quantify(fits[()], fits["kink",], fits.values(), is_given=True)
     assert given.chosen == (("kink",),) * 3
-    after = np.concatenate([held_out(design(RUNS, "kink"), RUN == k) for k in range(3)])
+    after = np.concatenate([held_out(lm.design(RUNS, "kink"), RUN == k) for k in range(3)])
     assert given.gap["y"].rmse_after == pytest.approx(np.sqrt(np.mean(after**2)), rel=2e-3)
 
 
 def test_a_cause_that_lowers_nothing_held_back_is_unsupported():
-    runs = runs_of({"bend.size": 0.3}, COUNTS, seed=4)
-    fits = fits_of(problem_of(runs), (BEND,), (RIPPLE,), (BEND, RIPPLE))
+    runs = lm.runs_of({"bend.size": 0.3}, COUNTS, seed=4)
+    fits = lm.fits_of(lm.problem_of(runs), (lm.BEND,), (lm.RIPPLE,), (lm.BEND, lm.RIPPLE))
     idle = unsupported(fits["bend", "ripple"], {"bend": fits["ripple",], "ripple": fits["bend",]})
-    y, gains = measured(runs), {}
+    y, gains = lm.measured(runs), {}
     for name, rest in (("bend", "ripple"), ("ripple", "bend")):
         gain = parted = 0.0
         for k in range(3):
             off = RUN == k
             less, more = (
-                (y[off] - d[off] @ solved(d[~off], y[~off])) / SIGMA
-                for d in (design(runs, rest), design(runs, "bend", "ripple"))
+                (y[off] - d[off] @ lm.solved(d[~off], y[~off])) / lm.SIGMA
+                for d in (lm.design(runs, rest), lm.design(runs, "bend", "ripple"))
             )
             gain, parted = gain + less @ less - more @ more, parted + np.sum((less - more) ** 2)
         gains[name] = gain / (2.0 * np.sqrt(parted))
@@ -151,8 +135,8 @@ def test_a_cause_that_lowers_nothing_held_back_is_unsupported():
 
 def experiment(name, x, minutes=1.0):
     t_s = 0.05 * np.arange(len(x))
-    simulator = replace(LINE, experiments={name: Experiment({"t_s": t_s, "x": x}, minutes)})
-    (entry,) = SimulatorModel(simulator).menu(fitted(PROBLEM))
+    simulator = replace(lm.LINE, experiments={name: Experiment({"t_s": t_s, "x": x}, minutes)})
+    (entry,) = SimulatorModel(simulator).menu(lm.fitted(PROBLEM))
     return entry
 
 
@@ -165,14 +149,14 @@ def distance(x, mine, other):
     """How far a second prediction stays from a first that is refitted to the old runs and to it."""
     columns = [np.column_stack([np.ones(len(x)), x, *((x**2, np.sin(3 * x))[("bend", "ripple").index(i)] for i in ids)])
                for ids in (mine, other)]  # fmt: skip
-    theirs = columns[1] @ solved(design(RUNS, *other), Y) - columns[0] @ solved(design(RUNS, *mine), Y)
-    stacked = np.vstack([design(RUNS, *mine), columns[0]])
+    theirs = columns[1] @ lm.solved(lm.design(RUNS, *other), Y) - columns[0] @ lm.solved(lm.design(RUNS, *mine), Y)
+    stacked = np.vstack([lm.design(RUNS, *mine), columns[0]])
     wanted = np.concatenate([np.zeros(N), theirs])
-    return np.linalg.norm(left_of(stacked, wanted)) / SIGMA
+    return np.linalg.norm(lm.left_of(stacked, wanted)) / lm.SIGMA
 
 
 def test_the_run_is_proposed_that_keeps_refitted_rivals_apart():
-    rivals = [fitted(PROBLEM, BEND), fitted(PROBLEM, RIPPLE)]
+    rivals = [lm.fitted(PROBLEM, lm.BEND), lm.fitted(PROBLEM, lm.RIPPLE)]
     for entry in (FAR, SHORT):
         x = entry.run.columns["x"]
         both = [distance(x, ("bend",), ("ripple",)), distance(x, ("ripple",), ("bend",))]
@@ -187,7 +171,7 @@ def test_the_run_is_proposed_that_keeps_refitted_rivals_apart():
 
 
 def test_a_larger_set_is_asked_whether_the_smaller_one_reaches_it():
-    rivals = [fitted(PROBLEM, BEND), fitted(PROBLEM, BEND, RIPPLE)]
+    rivals = [lm.fitted(PROBLEM, lm.BEND), lm.fitted(PROBLEM, lm.BEND, lm.RIPPLE)]
     found = most_telling([FAR], rivals)
     x = FAR.run.columns["x"]
     expected = distance(x, ("bend",), ("bend", "ripple"))
@@ -198,8 +182,8 @@ def test_a_larger_set_is_asked_whether_the_smaller_one_reaches_it():
 
 
 def test_no_run_tells_what_no_run_parts():
-    louder = problem_of(RUNS, 4.0)
-    rivals = [fitted(louder, BEND), fitted(louder, RIPPLE)]
+    louder = lm.problem_of(RUNS, 4.0)
+    rivals = [lm.fitted(louder, lm.BEND), lm.fitted(louder, lm.RIPPLE)]
     found = most_telling([NEAR], rivals)
     assert (found.profile, found.separation_sigma) == ("none", 0.0)
 
@@ -212,10 +196,10 @@ def halves(inputs, p):
 
 
 def test_a_run_that_tells_more_rivals_comes_first():
-    base = fitted(problem_of(RUNS, simulator=replace(LINE, run=halves)))
+    base = lm.fitted(lm.problem_of(RUNS, simulator=replace(lm.LINE, run=halves)))
     rivals = []
     # The kink does nothing here: it is the base by another name.
-    for cause in (KINK, BEND, RIPPLE):
+    for cause in (lm.KINK, lm.BEND, lm.RIPPLE):
         problem, hypothesis = base.problem, base.hypothesis.adding(cause)
         at = np.append(base.coordinates, 1.0)
         rivals.append(fit(problem, hypothesis, at, steps=0))
@@ -233,24 +217,24 @@ def test_a_run_that_tells_more_rivals_comes_first():
 
 
 def test_what_shows_of_a_parameter_is_what_the_others_leave():
-    base = fitted(PROBLEM)
-    told = identifiability(base, CAUSES)
-    columns = design(RUNS)
+    base = lm.fitted(PROBLEM)
+    told = identifiability(base, lm.CAUSES)
+    columns = lm.design(RUNS)
     for k, name in enumerate(("level", "slope")):
         usual = (1.0, 2.0)[k]
         others = np.delete(columns, k, axis=1)
-        left = left_of(others, columns[:, k])
-        assert told[name].sigma == pytest.approx(usual * np.linalg.norm(left) / SIGMA, rel=1e-4)
+        left = lm.left_of(others, columns[:, k])
+        assert told[name].sigma == pytest.approx(usual * np.linalg.norm(left) / lm.SIGMA, rel=1e-4)
         assert told[name].hidden == pytest.approx(1.0 - left @ left / (columns[:, k] @ columns[:, k]), rel=1e-3)
         assert told[name].is_base and told[name].is_told and told[name].beside == ()
-    for cause in CAUSES:
-        shape = design(RUNS, cause.id)[:, 2]
-        left = left_of(columns, shape)
+    for cause in lm.CAUSES:
+        shape = lm.design(RUNS, cause.id)[:, 2]
+        left = lm.left_of(columns, shape)
         one = told[cause.id]
-        assert one.sigma == pytest.approx(0.2 * np.linalg.norm(left) / SIGMA, rel=1e-4)
+        assert one.sigma == pytest.approx(0.2 * np.linalg.norm(left) / lm.SIGMA, rel=1e-4)
         assert one.hidden == pytest.approx(1.0 - left @ left / (shape @ shape), rel=1e-3)
         assert not one.is_base and one.own == 0.0 and not one.is_own
-    shapes = {c.id: left_of(columns, design(RUNS, c.id)[:, 2]) for c in CAUSES}
+    shapes = {c.id: lm.left_of(columns, lm.design(RUNS, c.id)[:, 2]) for c in lm.CAUSES}
     alike = [
         pair for pair in combinations(shapes, 2)
         if abs(shapes[pair[0]] @ shapes[pair[1]]) > METHOD.telling.alike
@@ -261,9 +245,9 @@ def test_what_shows_of_a_parameter_is_what_the_others_leave():
 
 def test_causes_of_one_shape_are_alike_and_are_said_to_be():
     def same(inputs, p):
-        return LINE.run(inputs, {**p, "bend.size": p["bend.size"] - 0.7 * p["kink.size"], "kink.size": 0.0})
+        return lm.LINE.run(inputs, {**p, "bend.size": p["bend.size"] - 0.7 * p["kink.size"], "kink.size": 0.0})
 
-    told = identifiability(fitted(problem_of(RUNS, simulator=replace(LINE, run=same))), CAUSES)
+    told = identifiability(lm.fitted(lm.problem_of(RUNS, simulator=replace(lm.LINE, run=same))), lm.CAUSES)
     assert told.alike == (("bend", "kink"),)
     assert len(reasons(told)) == 1
     assert told.record()["alike"] == [["bend", "kink"]]
@@ -271,11 +255,11 @@ def test_causes_of_one_shape_are_alike_and_are_said_to_be():
 
 def test_what_is_too_small_is_told_by_a_run_that_shows_it():
     narrow = [replace(r, columns={**r.columns, "x": 0.02 * r.columns["x"]}) for r in RUNS]
-    base = fitted(problem_of(narrow, 0.4))
-    told = identifiability(base, (BEND,), [FAR, NEAR, SHORT])
+    base = lm.fitted(lm.problem_of(narrow, 0.4))
+    told = identifiability(base, (lm.BEND,), [FAR, NEAR, SHORT])
     columns = np.column_stack([np.ones(N), np.concatenate([r.columns["x"] for r in narrow])])
     level, slope = columns.T
-    left = left_of(level[:, None], slope)
+    left = lm.left_of(level[:, None], slope)
     assert told["slope"].sigma == pytest.approx(2.0 * np.linalg.norm(left) / 0.4, rel=1e-3)
     assert not told["slope"].is_told and not told["bend"].is_told
     # The quickest first; the near one shows neither.
@@ -289,34 +273,39 @@ def test_what_is_too_small_is_told_by_a_run_that_shows_it():
 
 def test_a_parameter_that_another_imitates_names_it():
     far_off = [replace(r, columns={**r.columns, "x": 1.0 + 1e-3 * r.columns["x"]}) for r in RUNS]
-    told = identifiability(fitted(problem_of(far_off)), ())
+    told = identifiability(lm.fitted(lm.problem_of(far_off)), ())
     assert told["slope"].beside == ("level",) and told["level"].beside == ("slope",)
     assert told["slope"].hidden > 0.999
 
 
 def test_what_changes_nothing_does_not_show():
-    base = fitted(problem_of(RUNS, simulator=replace(LINE, run=lambda i, p: LINE.run(i, {**p, "slope": 2.0}))))
-    told = identifiability(base, (BEND,))
+    base = lm.fitted(
+        lm.problem_of(RUNS, simulator=replace(lm.LINE, run=lambda i, p: lm.LINE.run(i, {**p, "slope": 2.0})))
+    )
+    told = identifiability(base, (lm.BEND,))
     assert (told["slope"].sigma, told["slope"].hidden) == (0.0, 0.0)
     assert not told["slope"].is_told
 
 
 def test_a_cause_that_each_run_may_have_of_its_own_is_an_offset():
     zeroed = replace(
-        LINE,
+        lm.LINE,
         per_run={"y": {"zero": 50.0}},
-        run=lambda i, p: LINE.run(
+        run=lambda i, p: lm.LINE.run(
             i, {**p, "bend.size": 0.0, "level": p["level"] + p["bend.size"] * (1 + 1e-3 * i["x"] ** 2)}
         ),
     )
-    told = identifiability(fitted(problem_of(RUNS, simulator=zeroed)), (BEND, RIPPLE))
+    told = identifiability(lm.fitted(lm.problem_of(RUNS, simulator=zeroed)), (lm.BEND, lm.RIPPLE))
     # Each run's own zero takes the shape of the level, and of a bend that is next to level.
     assert told["bend"].offset in ("", "zero of y")
-    columns = design(RUNS, "ripple")
+    columns = lm.design(RUNS, "ripple")
     own = np.column_stack([(RUN == k).astype(float) for k in range(3)])
-    seen, after = left_of(columns[:, :2], columns[:, 2]), left_of(np.column_stack([columns[:, 1], own]), columns[:, 2])
+    seen, after = (
+        lm.left_of(columns[:, :2], columns[:, 2]),
+        lm.left_of(np.column_stack([columns[:, 1], own]), columns[:, 2]),
+    )
     assert told["ripple"].own == pytest.approx(1.0 - after @ after / (seen @ seen), abs=1e-3)
-    assert told["ripple"].sigma == pytest.approx(0.2 * np.linalg.norm(after) / SIGMA, rel=1e-3)
+    assert told["ripple"].sigma == pytest.approx(0.2 * np.linalg.norm(after) / lm.SIGMA, rel=1e-3)
 
 
 # Empirical terms.
@@ -332,19 +321,19 @@ def test_what_is_held_back_are_runs_and_then_quarters():
 
 
 def test_a_learned_term_is_what_least_squares_gives_it():
-    runs = runs_of({"bend.size": 0.6}, COUNTS)
-    base = fitted(problem_of(runs))
-    squares = [t for t in terms_of(LINE, base) if t.signal == "x" and t.kind in ("²", "³")]
+    runs = lm.runs_of({"bend.size": 0.6}, COUNTS)
+    base = lm.fitted(lm.problem_of(runs))
+    squares = [t for t in terms_of(lm.LINE, base) if t.signal == "x" and t.kind in ("²", "³")]
     found = learned(base, (base,), squares)
     (one,) = found.terms
     extra = np.concatenate([one.term.values(r.t_s, r.columns) for r in runs])
-    columns = np.column_stack([design(runs), extra])
-    exact = solved(columns, measured(runs))
+    columns = np.column_stack([lm.design(runs), extra])
+    exact = lm.solved(columns, lm.measured(runs))
     assert one.term.coefficient == pytest.approx(exact[2], rel=1e-4)
-    left = left_of(columns, measured(runs)) / SIGMA
+    left = lm.left_of(columns, lm.measured(runs)) / lm.SIGMA
     worse = max(1.0, np.sqrt(left @ left / N))
     assert one.standard_error == pytest.approx(
-        worse * SIGMA * np.sqrt(np.linalg.inv(columns.T @ columns)[2, 2]), rel=1e-3
+        worse * lm.SIGMA * np.sqrt(np.linalg.inv(columns.T @ columns)[2, 2]), rel=1e-3
     )
     assert one.chosen == 1.0
     assert found.without == 0.0 and found.beside == ()
@@ -356,47 +345,44 @@ def test_a_learned_term_is_what_least_squares_gives_it():
 
 
 def test_nothing_is_learned_where_nothing_is_left():
-    runs = runs_of({}, COUNTS)
-    base = fitted(problem_of(runs))
-    assert learned(base, (base,), list(terms_of(LINE, base))) is None
+    runs = lm.runs_of({}, COUNTS)
+    base = lm.fitted(lm.problem_of(runs))
+    assert learned(base, (base,), list(terms_of(lm.LINE, base))) is None
 
 
 # The search.
 
 
 def search_of(runs, problem=None):
-    base = fitted(problem or problem_of(runs))
-    return Search(base, CAUSES)
+    base = lm.fitted(problem or lm.problem_of(runs))
+    return Search(base, lm.CAUSES)
 
 
 @pytest.mark.parametrize("names", [(), ("bend",), ("bend", "ripple")])
 def test_a_search_finds_the_set_that_is_there(names):
-    runs = runs_of({f"{name}.size": 0.4 for name in names}, COUNTS, seed=2)
+    runs = lm.runs_of({f"{name}.size": 0.4 for name in names}, COUNTS, seed=2)
     search = search_of(runs)
     search.run()
     assert search.best.ids == names
     for ids, found in search.fits.items():
-        if found.problem.sigma["y"] == SIGMA:
-            columns = design(runs, *ids)
-            assert found.chi2 >= np.sum(left_of(columns, measured(runs)) ** 2) / SIGMA**2 - 1e-6
+        if found.problem.sigma["y"] == lm.SIGMA:
+            columns = lm.design(runs, *ids)
+            assert found.chi2 >= np.sum(lm.left_of(columns, lm.measured(runs)) ** 2) / lm.SIGMA**2 - 1e-6
     assert search.closest.chi2 == min(f.chi2 for f in search.fits.values())
 
 
 def hand_search(runs=RUNS):
-    search = search_of(runs)
-    for found in fits_of(search.base.problem, (BEND,), (RIPPLE,), (BEND, RIPPLE)).values():
-        search.keep(found)
-    return search
+    return lm.search_with(lm.fits_of(lm.problem_of(runs), (lm.BEND,), (lm.RIPPLE,), (lm.BEND, lm.RIPPLE)))
 
 
 def test_a_share_is_of_what_the_base_leaves_above_the_noise():
     search = hand_search()
     for ids, found in search.fits.items():
-        excess = [np.sum(left_of(design(RUNS, *i), Y) ** 2) / SIGMA**2 - N for i in ((), ids)]
+        excess = [np.sum(lm.left_of(lm.design(RUNS, *i), Y) ** 2) / lm.SIGMA**2 - N for i in ((), ids)]
         assert search.share(found) == pytest.approx(1.0 - excess[1] / excess[0], abs=1e-4)
         assert search.explained_share(found) == np.clip(search.share(found), 0.0, 1.0)
-    louder = problem_of(RUNS, 10.0)
-    noise = Search(fitted(louder), CAUSES)
+    louder = lm.problem_of(RUNS, 10.0)
+    noise = Search(lm.fitted(louder), lm.CAUSES)
     assert noise.share(noise.base) == 1.0
 
 
@@ -458,7 +444,7 @@ def test_what_several_causes_take_is_split_by_the_mean_of_first_and_last():
     search = hand_search()
     best, chi2 = search.fits["bend", "ripple"], {ids: f.chi2 for ids, f in search.fits.items()}
     chances = {"bend": 0.7, "ripple": 0.9, "kink": 0.0}
-    rows = ranked_causes(search, best, CAUSES, (best,), chances, 0.8)
+    rows = ranked_causes(search, best, lm.CAUSES, (best,), chances, 0.8)
     assert [r.effect for r in rows] == ["ripple", "bend", "kink"]
     worth = {
         "bend": 0.5 * (chi2[()] - chi2["bend",] + chi2["ripple",] - chi2["bend", "ripple"]),
@@ -473,9 +459,9 @@ def test_what_several_causes_take_is_split_by_the_mean_of_first_and_last():
     for row, other in zip(rows[:2], ("bend", "ripple"), strict=True):
         assert row.alone == pytest.approx(np.clip((chi2[()] - chi2[row.effect,]) / excess, 0.0, 1.0))
         assert row.added == pytest.approx((chi2[other,] - chi2["bend", "ripple"]) / excess)
-    (alone, *_) = ranked_causes(search, search.fits["bend",], CAUSES, (best,), {**chances, "bend": 1.0}, 0.8)
+    (alone, *_) = ranked_causes(search, search.fits["bend",], lm.CAUSES, (best,), {**chances, "bend": 1.0}, 0.8)
     assert (alone.effect, alone.shrink) == ("bend", pytest.approx(0.8))
-    nothing = ranked_causes(search, search.base, CAUSES, (), chances, 0.8)
+    nothing = ranked_causes(search, search.base, lm.CAUSES, (), chances, 0.8)
     assert all(r.shrink is None for r in nothing)
     places = places_of(rows[:2], "y", Reason("gap.regime.everywhere"), lambda i: reason("gap.effect", effect=i))
     assert [p.share for p in places] == pytest.approx([r.shrink / 0.8 for r in rows[:2]])
@@ -490,9 +476,11 @@ def test_the_first_four_regimes_are_listed():
 
 
 def test_a_planned_run_is_predicted_like_any_other():
-    entry = planned(replace(LINE, experiments={"e": Experiment({"t_s": 0.05 * np.arange(40), "x": np.ones(40)})}), "e")
+    entry = planned(
+        replace(lm.LINE, experiments={"e": Experiment({"t_s": 0.05 * np.arange(40), "x": np.ones(40)})}), "e"
+    )
     problem = PROBLEM.of_run(entry)
-    np.testing.assert_allclose(problem.predict(Hypothesis(of_all=LINE.base), np.array([1.0, 2.0])), 3.0)
+    np.testing.assert_allclose(problem.predict(Hypothesis(of_all=lm.LINE.base), np.array([1.0, 2.0])), 3.0)
     assert problem.sigma == PROBLEM.sigma and problem.scale == PROBLEM.scale
 
 

@@ -8,8 +8,6 @@ import pytest
 
 from softcal.core.gap import mistakes as looks
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.coordinates import to_fit
-from softcal.core.gap.departures import nearest, outlier_run
 from softcal.core.gap.episodes import (
     lag_path,
     placed_again,
@@ -20,8 +18,9 @@ from softcal.core.gap.episodes import (
     with_losses,
 )
 from softcal.core.gap.fit import fit
+from softcal.core.gap.linear import to_fit
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.mistakes import UNITS, UNITS_OF_RUN, doubts
+from softcal.core.gap.mistakes import UNITS, UNITS_OF_RUN, doubts, nearest, outlier_run
 from softcal.core.gap.problem import BASE, Hypothesis, Problem
 from softcal.core.gap.twin import TWIN
 from softcal.core.twin.catalogue import EFFECTS

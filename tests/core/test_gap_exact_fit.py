@@ -7,10 +7,10 @@ import pytest
 from scipy.optimize import least_squares, lsq_linear
 
 from softcal.core.gap.case import Case
-from softcal.core.gap.causes import estimates_of
 from softcal.core.gap.evidence import (
     Yardstick,
     confused_pairs,
+    estimates_of,
     exact_log_evidence,
     hidden_fraction,
     log_evidences,
@@ -22,7 +22,7 @@ from softcal.core.gap.evidence import (
 from softcal.core.gap.fit import Fit, Probe, Tangent, fit
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.problem import Hypothesis, Problem
-from softcal.core.gap.screen import hiding, joined, screen
+from softcal.core.gap.search import hiding, joined, screen
 from softcal.core.gap.simulator import Simulator, candidate, recorded
 from softcal.core.gap.simulator_model import SimulatorModel
 from softcal.core.twin.effects import Parameter

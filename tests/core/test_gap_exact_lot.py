@@ -6,43 +6,28 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from softcal.core import lot_diagnosis
 from softcal.core.errors import InputError
-from softcal.core.gap import search, shared_cause
+from softcal.core.gap import search
 from softcal.core.gap.case import of_gain
 from softcal.core.gap.diagnosis import Diagnosis, check_simulator, diagnose_simulator, judged
 from softcal.core.gap.evidence import Yardstick, exact_log_evidence, log_evidences, misfit, penalty, probabilities
 from softcal.core.gap.fit import Regime, structure
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.residual import Shrink
-from softcal.core.gap.search import Search, under_its_floor
-from softcal.core.gap.shared_cause import Searched, diagnose_lot, joint_logs, lot_logs
-from softcal.core.gap.shrink import Quantified
+from softcal.core.gap.residual import Quantified, Shrink
+from softcal.core.gap.search import under_its_floor
 from softcal.core.gap.simulator import Experiment
+from softcal.core.lot_diagnosis import Searched, diagnose_lot, joint_logs, lot_logs
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.words.reason import Reason
-from tests.core.linear_mechanism import (
-    BEND,
-    CAUSES,
-    KINK,
-    LINE,
-    RIPPLE,
-    SIGMA,
-    design,
-    fits_of,
-    fitted,
-    left_of,
-    measured,
-    problem_of,
-    runs_of,
-    solved,
-)
+from tests.core import linear_mechanism as lm
 
 EVIDENCE, RIVAL, VERDICT = METHOD.evidence, METHOD.rival, METHOD.verdict
-SETS = ((BEND,), (RIPPLE,), (BEND, RIPPLE))
+SETS = ((lm.BEND,), (lm.RIPPLE,), (lm.BEND, lm.RIPPLE))
 
 
 def unit(seed, bend=0.3, counts=(60, 71), sets=SETS):
-    return fits_of(problem_of(runs_of({"bend.size": bend}, counts, seed=seed)), *sets)
+    return lm.fits_of(lm.problem_of(lm.runs_of({"bend.size": bend}, counts, seed=seed)), *sets)
 
 
 UNITS = [unit(k, 0.25 + 0.05 * k, (50 + 5 * k, 61)) for k in range(3)]
@@ -68,14 +53,14 @@ def test_what_a_unit_leaves_for_its_lot():
 
 def test_what_a_unit_did_not_try_is_fitted_from_another():
     for sign in (1.0, -1.0):
-        short = Searched.of(unit(5, sign * 0.4, sets=((RIPPLE,),)))
+        short = Searched.of(unit(5, sign * 0.4, sets=((lm.RIPPLE,),)))
         donor = SEARCHED[1].found["bend",]
         short.add(("bend",), donor)
-        runs = runs_of({"bend.size": sign * 0.4}, seed=5)
-        columns = design(runs, "bend")
-        np.testing.assert_allclose(short.found["bend",][1], solved(columns, measured(runs)), atol=1e-3)
+        runs = lm.runs_of({"bend.size": sign * 0.4}, seed=5)
+        columns = lm.design(runs, "bend")
+        np.testing.assert_allclose(short.found["bend",][1], lm.solved(columns, lm.measured(runs)), atol=1e-3)
         assert short.left["bend",][0] == pytest.approx(
-            np.sum(left_of(columns, measured(runs)) ** 2) / SIGMA**2, abs=0.05
+            np.sum(lm.left_of(columns, lm.measured(runs)) ** 2) / lm.SIGMA**2, abs=0.05
         )
         assert short.logs["bend",] == pytest.approx(short.yardstick.log_evidence(short.fitted(("bend",))), abs=0.1)
 
@@ -106,7 +91,7 @@ def test_a_lot_pays_the_odds_of_a_cause_once():
 
 
 def test_a_set_that_one_unit_lacks_is_fitted_to_it():
-    units = [Searched.of(unit(7, 0.3)), Searched.of(unit(8, 0.3, sets=((RIPPLE,),)))]
+    units = [Searched.of(unit(7, 0.3)), Searched.of(unit(8, 0.3, sets=((lm.RIPPLE,),)))]
     votes, _ = lot_logs(units)
     assert ("bend",) in units[1].logs and ("bend",) in votes
 
@@ -117,7 +102,7 @@ def stub_diagnosis(fits, verdict="explained"):
 
 
 def test_a_lot_is_diagnosed_from_its_units(monkeypatch):
-    odd = fits_of(problem_of(runs_of({"ripple.size": 0.8}, (60, 71), seed=9)), *SETS)
+    odd = lm.fits_of(lm.problem_of(lm.runs_of({"ripple.size": 0.8}, (60, 71), seed=9)), *SETS)
     spoilt = unit(11)
     every = {"u1": UNITS[0], "u2": UNITS[1], "u3": UNITS[2], "odd": odd, "spoilt": spoilt}
 
@@ -126,7 +111,7 @@ def test_a_lot_is_diagnosed_from_its_units(monkeypatch):
             on_fits(every[name])
         return stub_diagnosis(every[name], "data" if name == "spoilt" else "explained")
 
-    monkeypatch.setattr(shared_cause, "diagnose", diagnose)
+    monkeypatch.setattr(lot_diagnosis, "diagnose", diagnose)
     said = []
     found = diagnose_lot({name: name for name in every}, said.append)
     assert (found.verdict, found.causes) == ("explained", ("bend",))
@@ -152,7 +137,7 @@ def test_a_lot_is_diagnosed_from_its_units(monkeypatch):
 
 
 def test_a_lot_of_mistakes_alone_is_not_judged(monkeypatch):
-    monkeypatch.setattr(shared_cause, "diagnose", lambda name, on_fits: stub_diagnosis(UNITS[0], "data"))
+    monkeypatch.setattr(lot_diagnosis, "diagnose", lambda name, on_fits: stub_diagnosis(UNITS[0], "data"))
     found = diagnose_lot({"a": "a", "b": "b"})
     assert (found.verdict, found.causes, found.left_out) == ("data", (), ["a", "b"])
 
@@ -162,7 +147,7 @@ def test_probabilities_of_an_unknown_lot_are_trusted_less(monkeypatch):
         on_fits(UNITS[int(name)])
         return stub_diagnosis(UNITS[int(name)], "unknown")
 
-    monkeypatch.setattr(shared_cause, "diagnose", diagnose)
+    monkeypatch.setattr(lot_diagnosis, "diagnose", diagnose)
     found = diagnose_lot({"0": "0", "1": "1", "2": "2"})
     assert found.verdict == "unknown"
     assert found.probability["bend"] == pytest.approx(
@@ -173,11 +158,14 @@ def test_probabilities_of_an_unknown_lot_are_trusted_less(monkeypatch):
 # From a search to a verdict.
 
 
-def search_of(truth, seed=2, counts=(60, 71, 48), sets=((BEND,), (RIPPLE,), (KINK,), (BEND, RIPPLE)), best=("bend",)):
-    fits = fits_of(problem_of(runs_of(truth, counts, seed=seed)), *sets)
-    search = Search(fits[()], CAUSES)
-    for found in fits.values():
-        search.keep(found)
+def search_of(
+    truth,
+    seed=2,
+    counts=(60, 71, 48),
+    sets=((lm.BEND,), (lm.RIPPLE,), (lm.KINK,), (lm.BEND, lm.RIPPLE)),
+    best=("bend",),
+):
+    search = lm.search_with(lm.fits_of(lm.problem_of(lm.runs_of(truth, counts, seed=seed)), *sets))
     search.best = search.fits[best]
     return search
 
@@ -187,7 +175,7 @@ def test_an_explained_gap_has_the_probabilities_of_bayes():
     found = judged(search)
     assert found.verdict == "explained" and [f.ids for f in found.group] == [("bend",)]
     assert found.quantified.shrink.held_out > 0.95 and found.list_complete > 0.75
-    bayes = probabilities(log_evidences(search.fits), [c.id for c in CAUSES])
+    bayes = probabilities(log_evidences(search.fits), [c.id for c in lm.CAUSES])
     # Sets of less than a thousandth say nothing.
     assert found.chances == pytest.approx(bayes, abs=5e-3)
 
@@ -275,19 +263,19 @@ EXPERIMENTS = {"wide": Experiment({"t_s": 0.05 * np.arange(60), "x": np.linspace
 
 @pytest.fixture(scope="module")
 def line_diagnosis():
-    runs = runs_of({"bend.size": 0.5}, (60, 71, 48), seed=3)
-    return runs, diagnose_simulator(replace(LINE, experiments=EXPERIMENTS), runs, "S7")
+    runs = lm.runs_of({"bend.size": 0.5}, (60, 71, 48), seed=3)
+    return runs, diagnose_simulator(replace(lm.LINE, experiments=EXPERIMENTS), runs, "S7")
 
 
 def test_the_diagnosis_of_a_line_is_that_of_its_algebra(line_diagnosis):
     runs, found = line_diagnosis
     assert (found.verdict, found.best.ids) == ("explained", ("bend",))
-    exact = solved(design(runs, "bend"), measured(runs))
+    exact = lm.solved(lm.design(runs, "bend"), lm.measured(runs))
     report = found.report()
     assert report["parameters"]["bend.size"] == pytest.approx(exact[2], abs=1e-3)
     assert report["parameters"]["level"] == pytest.approx(exact[0], abs=1e-3)
     assert report["base"]["bend.size"] == 0.0 and report["base"]["slope"] == pytest.approx(
-        solved(design(runs), measured(runs))[1], abs=1e-3
+        lm.solved(lm.design(runs), lm.measured(runs))[1], abs=1e-3
     )
     assert report["simulator"] == "line" and report["failed"] is None and report["offsets"] == []
     assert report["serial"] == "S7" and report["ambiguous_with"] == []
@@ -295,12 +283,12 @@ def test_the_diagnosis_of_a_line_is_that_of_its_algebra(line_diagnosis):
     assert (cause.effect, cause.stage) == ("bend", "part of bend") and cause.probability > 0.95
     assert cause.shrink == pytest.approx(found.shrink.held_out)
     assert cause.parameters["size"].low < exact[2] < cause.parameters["size"].high
-    left = left_of(design(runs), measured(runs))
+    left = lm.left_of(lm.design(runs), lm.measured(runs))
     gap = found.gap["y"]
-    assert gap.noise_floor == pytest.approx(SIGMA, rel=0.15) and gap.rmse_after < 1.2 * SIGMA
+    assert gap.noise_floor == pytest.approx(lm.SIGMA, rel=0.15) and gap.rmse_after < 1.2 * lm.SIGMA
     assert gap.rmse_before == pytest.approx(np.sqrt(np.mean(left**2)), rel=0.1)
-    shape = design(runs, "bend")[:, 2]
-    hidden = 1 - np.sum(left_of(design(runs), shape) ** 2) / np.sum(shape**2)
+    shape = lm.design(runs, "bend")[:, 2]
+    hidden = 1 - np.sum(lm.left_of(lm.design(runs), shape) ** 2) / np.sum(shape**2)
     assert found.hidden_fraction["bend"] == pytest.approx(hidden, abs=1e-3)
     assert found.places[0].stage == "part of bend" and found.places[0].share == pytest.approx(1.0)
     assert found.explained_share > 0.95 and found.partial is None and found.residual is None
@@ -309,29 +297,29 @@ def test_the_diagnosis_of_a_line_is_that_of_its_algebra(line_diagnosis):
 
 
 def test_no_gap_and_an_unknown_one():
-    clean = diagnose_simulator(LINE, runs_of({}, (60, 71, 48), seed=4))
+    clean = diagnose_simulator(lm.LINE, lm.runs_of({}, (60, 71, 48), seed=4))
     assert clean.verdict == "no_gap" and clean.places == () and clean.best.ids == ()
     assert clean.next_experiment.why.code == "gap.next.no_gap"
     strange = [
         replace(r, columns={**r.columns, "y": r.columns["y"] + 0.3 * np.sign(np.sin(5 * r.columns["x"]))})
-        for r in runs_of({}, (80, 91, 78), seed=4)
+        for r in lm.runs_of({}, (80, 91, 78), seed=4)
     ]
-    unknown = diagnose_simulator(LINE, strange)
+    unknown = diagnose_simulator(lm.LINE, strange)
     assert unknown.verdict == "unknown" and unknown.places[0].stage == "unknown"
     assert unknown.next_experiment.why.code == "gap.next.add_candidate"
     assert all(c.probability < 0.31 for c in unknown.causes)
     with pytest.raises(InputError, match="no run"):
-        diagnose_simulator(LINE, [])
+        diagnose_simulator(lm.LINE, [])
 
 
 def test_a_check_tells_without_a_search():
-    mistakes, told = check_simulator(LINE, runs_of({"bend.size": 0.2}))
+    mistakes, told = check_simulator(lm.LINE, lm.runs_of({"bend.size": 0.2}))
     assert mistakes == () and told["bend"].is_told
-    dead = [replace(r, columns={**r.columns, "y": np.ones(len(r))}) if r.name == "2" else r for r in runs_of({})]
-    mistakes, told = check_simulator(LINE, dead)
+    dead = [replace(r, columns={**r.columns, "y": np.ones(len(r))}) if r.name == "2" else r for r in lm.runs_of({})]
+    mistakes, told = check_simulator(lm.LINE, dead)
     assert mistakes[0].what == "constant" and told is None
     with pytest.raises(InputError, match="no run"):
-        check_simulator(LINE, [])
+        check_simulator(lm.LINE, [])
 
 
 # Places and next runs of the soft sensor's twin.
@@ -347,4 +335,4 @@ def cause(effect_id, share):
 def test_the_yardstick_is_of_the_closest():
     fits = UNITS[0]
     assert Yardstick.of(fits.values()).chi2 == min(f.chi2 for f in fits.values())
-    assert structure(fitted(problem_of(runs_of({})))).z < METHOD.structure.dirty_z
+    assert structure(lm.fitted(lm.problem_of(lm.runs_of({})))).z < METHOD.structure.dirty_z

@@ -9,16 +9,16 @@ from scipy.optimize import minimize
 
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, DataMistake, apart, numbers, of_gain, of_sign, of_unit, unit_of
-from softcal.core.gap.coordinates import RigScale, fit_scale, from_fit, start_coordinates, to_fit
 from softcal.core.gap.fit import fit
+from softcal.core.gap.linear import RigScale, fit_scale, from_fit, start_coordinates, to_fit
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.problem import Hypothesis, Problem
-from softcal.core.gap.screen import best_start, likeliest, scattered
-from softcal.core.gap.simulator import Experiment, Simulator, candidate, planned, recorded
-from softcal.core.gap.simulator_check import FACTORS, MistakeTest, against_others, check_calls, cut_off, shown
+from softcal.core.gap.search import best_start, likeliest, scattered
+from softcal.core.gap.simulator import Experiment, Simulator, candidate, check_calls, planned, recorded
 from softcal.core.gap.simulator_model import Calls, SimulatorModel
 from softcal.core.gap.simulator_reach import (
     CUBE,
+    FACTORS,
     LEVEL,
     RATE,
     REMEMBERED,
@@ -27,8 +27,12 @@ from softcal.core.gap.simulator_reach import (
     SQUARE,
     TIME,
     WAY,
+    MistakeTest,
     SimulatorTerm,
+    against_others,
+    cut_off,
     shifted,
+    shown,
     term_of,
     terms_of,
     with_terms,
@@ -699,7 +703,7 @@ def test_coordinates_of_scales_are_their_formulas():
     assert fit_scale(Parameter("f", "", -300.0, 100.0, 0.0)) == 1.0
     assert fit_scale(Parameter("f", "", -3.0, 1.0, -0.7)) == pytest.approx(0.7)
     effects = (candidate("one", "", replace(MIXED[0], neutral=0.0), MIXED[1]), candidate("two", "", MIXED[3]))
-    with pytest.raises(ValueError, match="neutral"):
+    with pytest.raises(InputError, match="neutral"):
         candidate("none", "", MIXED[1])
     np.testing.assert_allclose(start_coordinates(effects, [[0.5, np.e], [2.0]]), [0.5, 1.0, 0.25])
 

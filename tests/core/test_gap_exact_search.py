@@ -10,8 +10,8 @@ from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import checked, diagnose
 from softcal.core.gap.evidence import log_evidences
-from softcal.core.gap.explained import repaired_twin
 from softcal.core.gap.method import METHOD
+from softcal.core.gap.places import repaired_twin
 from softcal.core.gap.search import Search
 from softcal.core.gap.twin import TWIN
 from softcal.core.twin.catalogue import EFFECTS

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 
 from softcal.core.gap.case import Case
-from softcal.core.gap.departures import outlier_run_beside
 from softcal.core.gap.experiments import Identifiability, ParameterTold, identifiability, why
 from softcal.core.gap.fit import Lead, Probe, fit, structure
 from softcal.core.gap.linear import Colour
 from softcal.core.gap.method import METHOD
+from softcal.core.gap.mistakes import outlier_run_beside
 from softcal.core.gap.places import loose_noise
 from softcal.core.gap.problem import Hypothesis, Nearby, Problem
 from softcal.core.gap.residual import noise_chance
-from softcal.core.gap.screen import joined, screen
+from softcal.core.gap.search import joined, screen
 from softcal.core.gap.simulator import candidate
-from softcal.core.gap.simulator_check import against_others
 from softcal.core.gap.simulator_model import SimulatorModel
+from softcal.core.gap.simulator_reach import against_others
 from softcal.core.gap.twin import TWIN, TwinModel
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Parameter
@@ -55,7 +55,7 @@ def test_a_joined_fit_begins_anew_where_it_brings_too_little(monkeypatch):
         found = fit(problem, hypothesis, start, steps)
         return replace(found, chi2=base.chi2 - gains[len(starts) - 1])
 
-    monkeypatch.setattr("softcal.core.gap.screen.fit", noted)
+    monkeypatch.setattr("softcal.core.gap.search.fit", noted)
     lead = Lead(BEND, (0.4,), 100.0, 0.0, np.array([0.1, -0.2]))
     for drops, calls, best in (
         ([10.1], 1, 10.1),

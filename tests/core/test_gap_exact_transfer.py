@@ -6,16 +6,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from softcal.core import transfer
 from softcal.core.errors import InputError, UnitRefused
-from softcal.core.gap import transfer
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.coordinates import to_fit
 from softcal.core.gap.fit import fit
+from softcal.core.gap.linear import to_fit
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.problem import BASE, Hypothesis, Problem
-from softcal.core.gap.transfer import CalibrationWorth, LotErrors, LotUnit, PressedLot, Transfer, calibration_worth
 from softcal.core.gap.twin import TWIN
 from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.transfer import CalibrationWorth, LotErrors, LotUnit, PressedLot, Transfer, calibration_worth
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate

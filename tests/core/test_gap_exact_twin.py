@@ -9,19 +9,31 @@ from scipy.optimize import least_squares
 
 from softcal.core.errors import InputError
 from softcal.core.gap.case import SHOWN_BY, Case, Run
-from softcal.core.gap.coordinates import COMMON, RigScale, to_fit
-from softcal.core.gap.departures import STRANGERS, WARM_DIVIDER, changing
-from softcal.core.gap.explained import explained_twin, in_catalogue_form, with_constants
 from softcal.core.gap.fit import Map, Probe, Structure, fit, form_of, shares_of_gap, structure
-from softcal.core.gap.forward import bases_of, dither_of, dither_V
+from softcal.core.gap.linear import COMMON, RigScale, to_fit
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.places import Tone, likely_stages, loose_noise, regimes, strongest_tone, suspects
+from softcal.core.gap.places import (
+    Tone,
+    explained_twin,
+    in_catalogue_form,
+    likely_stages,
+    loose_noise,
+    regimes,
+    strongest_tone,
+    suspects,
+    with_constants,
+)
 from softcal.core.gap.problem import BASE, Hypothesis, Problem, own_rows, rows_of_runs
 from softcal.core.gap.residual import with_driving_noise
-from softcal.core.gap.screen import joined, screen
-from softcal.core.gap.search import imitated_causes, imitation, stranger
+from softcal.core.gap.search import imitated_causes, imitation, joined, screen, stranger
 from softcal.core.gap.twin import TWIN
 from softcal.core.gap.twin_reach import (
+    STRANGERS,
+    WARM_DIVIDER,
+    bases_of,
+    changing,
+    dither_of,
+    dither_V,
     extent_of,
     is_told,
     known_by_chain,

@@ -10,10 +10,9 @@ from scipy.signal import lfilter
 
 from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.coordinates import to_fit
 from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.fit import fit
-from softcal.core.gap.linear import Colour, Stretch, filter_of, filtered, log_likelihood
+from softcal.core.gap.linear import Colour, Stretch, filter_of, filtered, log_likelihood, to_fit
 from softcal.core.gap.method import ColourConfig
 from softcal.core.gap.problem import BASE as PARAMETERS
 from softcal.core.gap.problem import Hypothesis, Problem

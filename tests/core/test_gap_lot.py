@@ -11,8 +11,8 @@ from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.evidence import Yardstick
 from softcal.core.gap.method import METHOD, GapMethod
-from softcal.core.gap.shared_cause import Searched, diagnose_lot, joint_logs, lot_logs
-from softcal.core.gap.transfer import CalibrationWorth
+from softcal.core.lot_diagnosis import Searched, diagnose_lot, joint_logs, lot_logs
+from softcal.core.transfer import CalibrationWorth
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
 

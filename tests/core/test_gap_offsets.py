@@ -8,12 +8,11 @@ from scipy.signal import lfilter
 
 from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.coordinates import to_fit
 from softcal.core.gap.diagnosis import diagnose
-from softcal.core.gap.explained import offsets
 from softcal.core.gap.fit import fit
+from softcal.core.gap.linear import to_fit
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.places import strongest_tone
+from softcal.core.gap.places import offsets, strongest_tone
 from softcal.core.gap.problem import BASE as PARAMETERS
 from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.twin import TWIN

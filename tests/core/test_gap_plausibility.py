@@ -1,6 +1,5 @@
 """Mistakes in recordings are named before anything is fitted, and sound recordings are left alone."""
 
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +18,6 @@ from softcal.core.twin.simulate import EffectSetting, Twin, simulate
 
 READOUT = ReadoutMetadata(vref_V=3.3, adc_bits=12, r_series_ohm=10.0, sample_rate_Hz=50.0)
 BASE = BaseParameters(u0_mm=0.35, k1_N_mm=1.1, k3_N_mm3=0.1, kappa_per_N=0.06, sigma_force_N=0.015)
-DATA = Path(os.environ.get("SOFTCAL_DATA", Path(__file__).parents[2] / "../shared/data"))
 
 
 def make_case(*effects: EffectSetting, seed: int = 1, others: dict[int, BaseParameters] | None = None) -> Case:
@@ -184,8 +182,6 @@ def test_a_stiff_pad_that_the_lot_states_is_believed(sound: Case) -> None:
 
 
 @pytest.mark.parametrize("name", ["S1", "S2"])
-def test_real_recordings_hold_no_mistake(name: str) -> None:
-    path = DATA / "egain_pair" / f"{name}.csv"
-    if not path.is_file():
-        pytest.skip("measured data are not on this machine; name their folder by SOFTCAL_DATA")
+def test_real_recordings_hold_no_mistake(name: str, measured_data: Path) -> None:
+    path = measured_data / "egain_pair" / f"{name}.csv"
     assert TWIN.mistakes(open_table(path, ReadoutMetadata(5.0, 10, 1.0, 50.0))) == ()

@@ -1,21 +1,15 @@
 """Presence and completeness are two numbers: on a line with a rest of known size, and on a measured axis."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from softcal.core.gap.causes import bounds_reached
 from softcal.core.gap.diagnosis import diagnose_simulator
-from softcal.core.gap.evidence import Consistency, consistency_of, list_completeness, rest_energy
+from softcal.core.gap.evidence import Consistency, bounds_reached, consistency_of, list_completeness, rest_energy
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.residual import Shrink
 from softcal.core.gap.simulator import Simulator, candidate, recorded
 from softcal.core.twin.effects import Parameter
 from tests.core.linear_mechanism import BEND, LINE, RIPPLE, SIGMA, design, fitted, left_of, measured, problem_of
-
-RIG = Path(os.environ.get("SOFTCAL_DATA", Path(__file__).parents[3] / "shared" / "data")) / "rigs" / "axis"
 
 
 def with_rest(size, bend=0.5, seed=5):
@@ -150,12 +144,13 @@ AXIS = Simulator(
 )
 
 
-@pytest.mark.skipif(not RIG.is_dir(), reason=f"no measured axis in {RIG}; name the folder of data by SOFTCAL_DATA")
-def test_the_friction_of_a_measured_axis_is_named_in_its_published_size():
+def test_the_friction_of_a_measured_axis_is_named_in_its_published_size(measured_data):
     """Published by Janot, Gautier and Brunot (2019): dry friction 20.4 N, offset −3.2 N, mass 95 kg."""
     runs = []
     for number in "123":
-        table = np.genfromtxt(RIG / "runs" / number / "recording.csv", delimiter=",", names=True)
+        table = np.genfromtxt(
+            measured_data / "rigs" / "axis" / "runs" / number / "recording.csv", delimiter=",", names=True
+        )
         runs.append(recorded(AXIS, number, {name: table[name] for name in table.dtype.names or ()}))
     report = diagnose_simulator(AXIS, runs).report()
     first = report["causes"][0]

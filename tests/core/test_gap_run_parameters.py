@@ -7,8 +7,7 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.gap.diagnosis import diagnose_simulator
-from softcal.core.gap.simulator import Simulator, candidate, recorded
-from softcal.core.gap.simulator_check import check_calls
+from softcal.core.gap.simulator import Simulator, candidate, check_calls, recorded
 from softcal.core.twin.effects import Parameter
 
 

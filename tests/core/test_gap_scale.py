@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.coordinates import COMMON, RigScale
 from softcal.core.gap.diagnosis import diagnose
+from softcal.core.gap.linear import COMMON, RigScale
 from softcal.core.gap.problem import BASE as PARAMETERS
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Parameter

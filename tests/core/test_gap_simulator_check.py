@@ -10,8 +10,7 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.gap.diagnosis import diagnose_simulator
-from softcal.core.gap.simulator import Columns, Simulator, SimulatorRun, candidate, recorded
-from softcal.core.gap.simulator_check import check_calls
+from softcal.core.gap.simulator import Columns, Simulator, SimulatorRun, candidate, check_calls, recorded
 from softcal.core.twin.effects import Parameter
 
 T_S = np.arange(0.0, 4.0, 0.02)
@@ -170,3 +169,68 @@ def test_bounds_that_hold_nothing_are_refused(parameter: Parameter) -> None:
 def test_a_candidate_whose_usual_size_lies_outside_its_bounds_is_refused() -> None:
     with pytest.raises(InputError, match=r"bottoming\.a"):
         replace(FOOT, candidates=(candidate("bottoming", "foot", Parameter("a", "", -1.0, 1.0, 2.0, neutral=0.0)),))
+
+
+SIZE = Parameter("size", "mm", -1.0, 1.0, 0.1, neutral=0.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"base": (Parameter("softness", "mm/N", "0", 1.0, 0.5),)}, "lower bound '0'"),
+        ({"run": None}, "run is None"),
+        ({"inputs": "load_N"}, "in a tuple"),
+        ({"inputs": ("t_s",)}, "two of the input columns"),
+        ({"base": (*FOOT.base, Parameter("creep.rate", "", 0.0, 1.0, 0.5))}, "two of the parameters"),
+        ({"candidates": (candidate("toe", "foot", SIZE, SIZE),)}, "two of the parameters"),
+        ({"candidates": (candidate("toe", "foot", replace(SIZE, usual=0.0)),)}, "switches it off"),
+        ({"candidates": (candidate("toe", "foot", SIZE, probes=((0.1, 0.2),)),)}, "2 values"),
+    ],
+)
+def test_a_declaration_that_cannot_be_meant_is_refused_in_one_line(change: dict[str, Any], named: str) -> None:
+    with pytest.raises(InputError, match=named) as refused:
+        replace(FOOT, **change)
+    assert "\n" not in str(refused.value) and "foot" in str(refused.value)
+
+
+@pytest.mark.parametrize("parameters", [(), (replace(SIZE, neutral=None),)])
+def test_a_candidate_that_cannot_be_switched_off_is_refused(parameters: tuple[Parameter, ...]) -> None:
+    with pytest.raises(InputError, match="toe.*neutral value"):
+        candidate("toe", "foot", *parameters)
+
+
+@pytest.mark.parametrize(("values", "named"), [(["a"] * 50, "no column of numbers"), (np.ones((50, 2)), "shape")])
+def test_a_column_that_is_none_is_refused(values: Any, named: str) -> None:
+    with pytest.raises(InputError, match=f"load_N.*{named}"):
+        recorded(FOOT, "1", {"t_s": np.arange(50.0), "load_N": values, "sunk_mm": np.ones(50)})
+
+
+def test_two_runs_of_one_name_are_refused() -> None:
+    with pytest.raises(InputError, match="two runs have one name: one, one"):
+        diagnose_simulator(FOOT, [runs_of()[0]] * 2)
+
+
+def leaves(inputs: Columns, p: Mapping[str, float]) -> dict[str, Any]:
+    raise SystemExit(3)
+
+
+@pytest.mark.parametrize(
+    ("run", "named"),
+    [
+        (leaves, "SystemExit"),
+        (lambda inputs, p: {"sunk_mm": press(inputs, p)["sunk_mm"] + 0j}, "complex"),
+    ],
+)
+def test_a_simulator_that_leaves_or_is_complex_fails_in_one_line(run: Any, named: str) -> None:
+    with pytest.raises(InputError, match=named):
+        diagnose_simulator(replace(FOOT, run=run), runs_of())
+
+
+def test_a_simulator_that_gives_its_first_answer_for_ever_is_refused() -> None:
+    answers: dict[int, dict[str, np.ndarray]] = {}
+
+    def stale(inputs: Columns, p: Mapping[str, float]) -> dict[str, np.ndarray]:
+        return answers.setdefault(len(inputs["t_s"]), press(inputs, p))
+
+    with pytest.raises(InputError, match="no parameter changes a channel"):
+        diagnose_simulator(replace(FOOT, run=stale), runs_of())

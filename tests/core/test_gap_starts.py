@@ -9,7 +9,7 @@ from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.fit import fit
-from softcal.core.gap.screen import joined, screen
+from softcal.core.gap.search import joined, screen
 from softcal.core.gap.twin import TWIN
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate

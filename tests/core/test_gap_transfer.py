@@ -5,8 +5,8 @@ import pytest
 
 from softcal.core import profiles
 from softcal.core.errors import InputError
-from softcal.core.gap.transfer import LotUnit, PressedLot, transfer
 from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.transfer import LotUnit, PressedLot, transfer
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
 

@@ -30,25 +30,28 @@ NO_DECISION = {
     "core/maps/synchrony.py": {"NONE", "LONGEST_LAG_s"},  # zeros, and where a search ends
     "core/use/adapter.py": {"STATE_FORMAT"},  # of the stored state
     "core/use/batches.py": {"MOST_UPDATES"},  # length of a queue for the caller
-    "core/gap/case.py": {"SHORTEST", "HALF_WIDTH"},  # what is refused, and a smoother
-    "core/gap/coordinates.py": {"COMMON", "POWERS"},  # size of that rig, and of its units
-    "core/gap/departures.py": {"WARM_DIVIDER", "STRANGERS"},  # equations
+    "core/gap/case.py": {"SHORTEST", "HALF_WIDTH", "SHIFTED"},  # what is refused, a smoother, and units
     "core/gap/episodes.py": {"SKEW_STEPS", "ACROSS", "MAINS_Hz", "PLACEMENTS"},  # of a solver, and of power lines
     "core/gap/fit.py": {"TOLERANCE", "TRIES", "DIFFERENCE"},  # of a solver
-    "core/gap/forward.py": {"TOUCHING_share", "INVERSE_STEPS", "SHARPEST", "RETRACTED_mm", "HARMONICS", "SMOOTH"},
-    "core/gap/linear.py": {"COMMON_STEP_s"},  # of the rig of the catalogue's bounds
+    "core/gap/linear.py": {
+        "COMMON",
+        "POWERS",
+        "COMMON_STEP_s",
+    },  # size of the common rig, and of units
     "core/gap/mistakes.py": {"UNITS_OF_RUN", "TIME_UNITS", "UNITS"},  # units
     "core/gap/places.py": {"TIED"},  # rounding
     "core/gap/problem.py": {"PASSES", "STRAIGHT_SIGMA", "BASE"},  # of a solver, and the base's bounds
     "core/gap/residual.py": {"TRIMMED"},  # of an estimator
-    "core/gap/screen.py": {"KEPT_PART", "GENTLER", "DRAWS", "FIRST_STEPS"},  # where a fit begins
-    "core/gap/shared_cause.py": {"FEWEST_UNITS"},  # what is refused
-    "core/gap/simulator_check.py": {"FACTORS", "REPEATABLE", "LONG_STEP", "MOVED", "ROUNDED"},  # units, what is refused
+    "core/gap/search.py": {"KEPT_PART", "GENTLER", "DRAWS", "FIRST_STEPS"},  # where a fit begins
+    "core/gap/simulator.py": {"REPEATABLE", "LONG_STEP", "MOVED", "ROUNDED", "PROBED"},  # what is refused
     "core/gap/simulator_model.py": {"KNOWN"},  # a cache
-    "core/gap/simulator_reach.py": {"BLUNT", "MEMORIES", "STANDS_OUT"},  # parts of stored terms, what is listed
-    "core/gap/transfer.py": {"NETWORK"},  # the same network for rig and twins
+    "core/gap/simulator_reach.py": {"FACTORS", "BLUNT", "MEMORIES", "STANDS_OUT"},  # units, parts of stored terms
     "core/gap/twin.py": {"QUIETEST"},  # a guard
-    "core/gap/twin_reach.py": {"LEVELS", "REST_s", "SET_UP_min"},  # runs that may be proposed
+    # equations, numbers of a solver, and runs that may be proposed
+    "core/gap/twin_reach.py": {"WARM_DIVIDER", "STRANGERS", "LEVELS", "REST_s", "SET_UP_min", "TOUCHING_share"}
+    | {"INVERSE_STEPS", "SHARPEST", "RETRACTED_mm", "HARMONICS", "SMOOTH"},
+    "core/lot_diagnosis.py": {"FEWEST_UNITS"},  # what is refused
+    "core/transfer.py": {"NETWORK"},  # the same network for rig and twins
     "core/use/cycles.py": {"MOST_KEPT"},  # samples of a buffer; a longer cycle is thinned
 }
 """Numbers outside the method that cannot change a map, an interval, a forecast or a verdict."""

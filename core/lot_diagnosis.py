@@ -7,9 +7,18 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case
-from softcal.core.gap.causes import DiagnosisVerdict, ParameterEstimate, estimates_of
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
-from softcal.core.gap.evidence import Fits, Yardstick, log_evidences, misfit, penalty, probabilities
+from softcal.core.gap.evidence import (
+    DiagnosisVerdict,
+    Fits,
+    ParameterEstimate,
+    Yardstick,
+    estimates_of,
+    log_evidences,
+    misfit,
+    penalty,
+    probabilities,
+)
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.method import RivalConfig
 from softcal.core.gap.problem import Hypothesis, Problem

@@ -7,8 +7,8 @@ import numpy as np
 
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.explained import explained_twin
 from softcal.core.gap.fit import Fit, fit
+from softcal.core.gap.places import explained_twin
 from softcal.core.gap.twin import TWIN
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
