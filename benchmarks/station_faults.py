@@ -17,8 +17,7 @@ import numpy as np
 from common.command import Kept, parser_of, part_of
 from common.drawn_faults import KINDS, draw_fault, press_drawn
 from common.fault_trial import DISK_MOMENTS, FaultOutcome, run_with_dead_host, run_with_fault, run_with_full_disk
-from common.tables import print_table
-from scipy.stats import binomtest
+from common.tables import print_table, wilson_interval
 
 from softcal.station.testing.faults import FAULTS
 
@@ -66,9 +65,8 @@ def _draw(rounds: int, good: int, kept: Kept, end_s: float) -> None:
             rows[name].append((drawn.size, said, drawn.rig.stage_kind))
     false_alarms = rows.pop("good rigs", [])
     alarms = [said for _, said, _ in false_alarms if said]
-    print(
-        f"{len(false_alarms)} good rigs, {len(alarms)} refused or remarked {_wilson(len(alarms), len(false_alarms))}."
-    )
+    share = wilson_interval(len(alarms), len(false_alarms))
+    print(f"{len(false_alarms)} good rigs, {len(alarms)} refused or remarked (95 % interval {share}).")
     print("\n".join(f"- {said}" for said in alarms) + "\n")
     table = []
     for kind in KINDS:
@@ -81,15 +79,8 @@ def _draw(rounds: int, good: int, kept: Kept, end_s: float) -> None:
                 seen = sum(bool(said) for said in some)
                 size = f"{low:.2g} to {high:.2g} {kind.unit}".strip() if low < high else ""
                 told = ", ".join(f"{said} ({count})" for said, count in codes.most_common(3))
-                table.append((kind.name, size, len(some), seen, _wilson(seen, len(some)), told))
+                table.append((kind.name, size, len(some), seen, wilson_interval(seen, len(some)), told))
     print_table("fault | size | rigs | seen | 95 % interval (Wilson) | said as", table)
-
-
-def _wilson(count: int, of: int) -> str:
-    if not of:
-        return ""
-    interval = binomtest(count, of).proportion_ci(method="wilson")
-    return f"{100 * interval.low:.0f} to {100 * interval.high:.0f} %"
 
 
 def _run(run: Run) -> dict[str, object]:

@@ -1,12 +1,14 @@
 """Press good rigs of many kinds and say how many were refused; then break them a little, and say what is noticed.
 
-python benchmarks/station_proof.py [--seeds A B] [--kept FILE] [--part K N] [--quick]
+python benchmarks/station_proof.py [--seeds A B] [--kept FILE] [--part K N] [--minutes M] [--quick]
 
 The numbers of station/record/method.py and station/motion/safety.py were chosen on seeds 0 to 99, 156, 400 to 519 and
 600 to 1099; other seeds test them.
 """
 
+import math
 import tempfile
+import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -17,7 +19,7 @@ from typing import Any
 import numpy as np
 from common.command import Kept, parser_of, part_of
 from common.proof_trial import GoodRig, draw_good_rig, press_good_rig
-from common.tables import print_table
+from common.tables import print_table, wilson_interval
 
 from softcal.core.errors import SoftcalError
 from softcal.station.devices.simulated_station import SimulatedStation
@@ -55,12 +57,15 @@ def main() -> None:
     """Run what is not kept yet, then print the tables."""
     parser = parser_of(__doc__, "six rigs", kept=True)
     parser.add_argument("--seeds", type=int, nargs=2, default=(100, 300), metavar=("A", "B"))
+    parser.add_argument("--minutes", type=float, default=math.inf, help="begin nothing new after so long")
     options = parser.parse_args()
+    end_s = time.monotonic() + 60.0 * options.minutes
     first, end = (options.seeds[0], options.seeds[0] + 6) if options.quick else options.seeds
     kept, rows = Kept(options.kept), list[Row]()
     for what, trial in (("good", _press), ("changed", _change), ("broken", _break)):
         for seed in part_of(options, range(first, end)):
-            if what == "good" or (seed - first) % EVERY[what] == 0:
+            is_due = what == "good" or (seed - first) % EVERY[what] == 0
+            if is_due and (time.monotonic() < end_s or kept.has(f"{what} {seed}")):
                 rows += kept.of(f"{what} {seed}", partial(_tried, trial, seed))
     _print(rows)
 
@@ -193,7 +198,8 @@ def _print(rows: list[Row]) -> None:
     refused = [row for row in good if row["said"]]
     off_ms = np.array([1000 * (row["behind_s"] - row["late_s"]) for row in good if row["behind_s"] is not None])
     known = len(off_ms) / max(1, len(good) - len(refused))
-    print(f"{len(good)} good rigs pressed; {len(refused)} refused ({100 * len(refused) / max(1, len(good)):.1f} %).")
+    share = wilson_interval(len(refused), len(good))
+    print(f"{len(good)} good rigs pressed; {len(refused)} refused (95 % interval {share}).")
     print(
         f"How late the cell was is known in {100 * known:.0f} %; found minus true: median {np.median(off_ms):+.1f} ms, "
         f"from {off_ms.min():+.1f} to {off_ms.max():+.1f} ms.\n"

@@ -179,7 +179,10 @@ INSTANTS_AGREE = timedelta(days=1)
 
 @dataclass(frozen=True)
 class RecordingEntry:
-    """What is known of a recording (source, unit or audit) without reading it; `sha256` is of all its content."""
+    """What is known of a recording (source, unit or audit) without reading it; `sha256` is of all its content.
+
+    `proof_method` is the identity of the method by which a station proved it; None for a file that was brought.
+    """
 
     sha256: str
     lot_id: str
@@ -192,6 +195,7 @@ class RecordingEntry:
     output_sha256: str
     added_at: datetime
     measured_at: datetime | None = None
+    proof_method: str | None = None
 
     @property
     def observed_at(self) -> datetime:

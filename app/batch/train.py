@@ -37,12 +37,13 @@ def train_or_find(
     config: NetworkConfig,
     actor: str | None = None,
     on_epoch: Callable[[EpochReport], None] | None = None,
+    proof_method: str | None = None,
 ) -> TrainedOrFound:
     """Return the network of this source and configuration, trained where there is none. Where
     another process trains the same just now, its network is waited for.
     """
     registry.lots.add(lot, actor=actor)
-    recording_sha256 = registry.recordings.add(lot.id, source, "source", actor=actor)
+    recording_sha256 = registry.recordings.add(lot.id, source, "source", actor=actor, proof_method=proof_method)
     input_sha256 = content_sha256({}, {"source": recording_sha256, "config": asdict(config)})
     stored = registry.networks.find(input_sha256)
     if stored is not None:

@@ -93,11 +93,15 @@ def _history(options: argparse.Namespace) -> None:
         lot_id = registry.calibrations.unit_key(options.serial, options.lot).lot_id
         (unit,) = registry.lots.units(lot_id, options.serial)
         revisions = registry.calibrations.history(options.serial, lot_id)
-    facts = {"serial": options.serial, "lot": lot_id, "revisions": [history_json(stored) for stored in revisions]}
+        proofs = registry.recordings.proof_methods(lot_id, options.serial)
+    shown_as = [history_json(stored, proofs) for stored in revisions]
+    facts = {"serial": options.serial, "lot": lot_id, "revisions": shown_as}
     answer(options, "registry.history/1", facts)
     print(f"unit {options.serial} of lot {lot_id}")
     if revisions:
         print_table(HISTORY_HEADER, [history_row(stored) for stored in revisions])
+        for method in sorted({method for method in proofs.values() if method}):
+            print(f"pressed on a station, which proved its recordings by method {method[:12]}")
     else:
         print(shown("; ".join(("no calibration yet", *map(str, unit.reasons)))))
     if unit.is_conflict:

@@ -23,7 +23,7 @@ from softcal.core.unit.state import UnitState
 from softcal.core.unit.trim import as_given_now
 from softcal.core.unit.verdict import Release, Verdict
 from softcal.core.words.reason import Reason, joined
-from softcal.db.entries import StoredCalibration, UnitStanding
+from softcal.db.entries import RecordingEntry, StoredCalibration, UnitStanding
 from softcal.db.provenance import Provenance
 from softcal.db.registry import Registry
 
@@ -100,6 +100,7 @@ class CalibratedUnit:
     Args:
         stored: the calibration to export: the one in use, or one asked for.
         in_registry_since: UTC day its recording came into the registry.
+        proof_method: identity of the method by which a station proved it; None for a file that was brought.
         standing: how the unit stands now, whichever calibration that is.
         laboratory: what its certificates say that no recording knows.
     """
@@ -109,6 +110,7 @@ class CalibratedUnit:
     shared: SharedNetwork
     recording: OutputRecording
     in_registry_since: date
+    proof_method: str | None
     options: ExportOptions
     standing: UnitStanding
     laboratory: Laboratory
@@ -134,7 +136,10 @@ class CalibratedUnit:
     def provenance(self) -> Provenance:
         """What made the revision that is given out, and from what; the same for each of its files."""
         made = self.stored.provenance
-        return replace(made, inputs={**made.inputs, "source recording": self.shared.source_sha256})
+        inputs = {**made.inputs, "source recording": self.shared.source_sha256}
+        if self.proof_method is not None:
+            inputs["method that proved the unit's recording"] = self.proof_method
+        return replace(made, inputs=inputs)
 
     @cached_property
     def calibration(self) -> Calibration:
@@ -218,15 +223,17 @@ class UnitLoader:
             # As the unit would give it since its trim.
             recording = as_given_now(recording, stored.state.fitted.unit_map, stored.state.unit_map)
         lot = self.registry.lots.get(stored.lot_id)
-        since = self._since(stored.lot_id, fit.recording_sha256) or stored.made_at.date()
+        entry = self._entry(stored.lot_id, fit.recording_sha256)
+        since, proof = (entry.added_at.date(), entry.proof_method) if entry else (stored.made_at.date(), None)
         network_id, anchors = fit.network_id, fit.method.map.anchors
         if (network_id, anchors) not in self._networks:
             sha256, source = source_sha256(self.registry, network_id), source_recording(self.registry, network_id)
-            source_since = self._since(self.registry.networks.entry(network_id).lot_id, sha256)
+            first = self._entry(self.registry.networks.entry(network_id).lot_id, sha256)
+            source_since = None if first is None else first.added_at.date()
             network = self.registry.networks.get(network_id)
             self._networks[network_id, anchors] = SharedNetwork(network, source, sha256, source_since, anchors)
         shared, standing = self._networks[network_id, anchors], standing_of(self.registry, stored)
-        return CalibratedUnit(stored, lot, shared, recording, since, self.options, standing, self._laboratory)
+        return CalibratedUnit(stored, lot, shared, recording, since, proof, self.options, standing, self._laboratory)
 
     @cached_property
     def _laboratory(self) -> Laboratory:
@@ -234,7 +241,6 @@ class UnitLoader:
         path = self.options.laboratory
         return registry_laboratory(self.registry) if path is None else read_laboratory(path)
 
-    def _since(self, lot_id: str, sha256: str) -> date | None:
-        """Return the UTC day a recording came into the registry."""
-        entries = self.registry.recordings.of_lot(lot_id)
-        return next((entry.added_at.date() for entry in entries if entry.sha256 == sha256), None)
+    def _entry(self, lot_id: str, sha256: str) -> RecordingEntry | None:
+        """Return what is known of a recording of a lot."""
+        return next((entry for entry in self.registry.recordings.of_lot(lot_id) if entry.sha256 == sha256), None)

@@ -29,6 +29,7 @@ from softcal.core.unit.verdict import default_limit
 from softcal.core.words.reason import Reason, reason
 from softcal.db.entries import GoldenRun
 from softcal.db.registry import Registry
+from softcal.db.schema.deadline import has_passed, is_silent
 from softcal.station.devices.config import StationConfig
 
 FIRST_RUNS = 8
@@ -65,12 +66,14 @@ class StationGate:
         """Return whether an order of this kind may run now."""
         now, rules, config = datetime.now(UTC), self._rules, self._config
         golden = self._registry.stations.golden_runs(self._station, since=now - rules.shift)
+        golden = [run for run in golden if not is_silent(run.made_at, now, rules.shift)]
         entries = () if config.force is None else self._registry.stations.certificates(config.force.serial)
         certificate = None
         if entries:
             newest = entries[-1]
             last_day = newest.due_on - timedelta(days=1)
             certificate = CellAtGate(newest.number, last_day, newest.capacity_N, newest.uncertainty_N)
+        is_over = self._override is None or has_passed(self._override.until, now, rules.shift)
         facts = StationFacts(
             now=now,
             certificate=certificate,
@@ -85,7 +88,7 @@ class StationGate:
             needs_certificate=rules.needs_certificate,
             needs_golden=rules.needs_golden,
             needs_qualification=rules.needs_qualification,
-            override=self._override,
+            override=None if is_over else self._override,
         )
         return may_run(facts, kind)
 

@@ -120,11 +120,11 @@ class RunKeeper:
         if loads:
             if len(units) > 1:
                 raise InputError(reason("load.several", count=len(units)))
-            sha256 = self._registry.recordings.add(order.lot_id, units[0], "unit", actor=order.actor or None)
+            sha256 = self._store(order, units[0], recording)
             unit = self._registry.lots.get(order.lot_id).reference_unit
             return replace(done, message=(self._loads.begin(order, units[0], loads, unit),), recording_sha256=sha256)
         tell(Progress(order.order_id, RunState.RUNNING, CALIBRATING, 0.99, 1.0))
-        outcomes = [self._keep_unit(order, unit) for unit in units]
+        outcomes = [self._keep_unit(order, unit, self._store(order, unit, recording)) for unit in units]
         sha256 = outcomes[0][0]
         verdicts = [verdict for _, verdict in outcomes if verdict is not None]
         if not verdicts:
@@ -142,7 +142,7 @@ class RunKeeper:
         unit, loads = said
         keep_loads(self._registry, order.lot_id, {unit.sha256: (unit.serial, loads)}, "line", actor=order.actor or None)
         tell(Progress(order.order_id, RunState.RUNNING, CALIBRATING, 0.99, 1.0))
-        sha256, outcome = self._keep_unit(order, unit)
+        sha256, outcome = self._keep_unit(order, unit, unit.sha256)
         word, reasons = outcome or ("", (reason("run.no_network", lot=order.lot_id),))
         return replace(done, message=reasons, recording_sha256=sha256, verdict=word)
 
@@ -152,7 +152,9 @@ class RunKeeper:
         entry = None if own_lot is None else released_network(self._registry, own_lot)
         source = None if own_lot is None or entry is None else self._source(own_lot, entry.id)
         lot_id = own_lot or self._registry.calibrations.unit_key(order.serial, order.lot_id or None).lot_id
-        sha256 = self._registry.recordings.add(lot_id, labelled, "audit", actor=order.actor or None)
+        sha256 = self._registry.recordings.add(
+            lot_id, labelled, "audit", actor=order.actor or None, proof_method=recording.proof_method
+        )
         run = check_golden(
             self._registry, self._station, labelled, order.actor, recording_sha256=sha256, source=source, lot_id=lot_id
         )
@@ -184,15 +186,23 @@ class RunKeeper:
             raise InputError(error.reason) from error
         today, used = datetime.now(UTC).astimezone().date(), with_response(self._reference, recording)
         used = None if used is None else replace(used, used_on=today)
-        trained = train_or_find(lot, source, self._registry, self._network, order.actor or None, on_epoch)
+        actor = order.actor or None
+        trained = train_or_find(
+            lot, source, self._registry, self._network, actor, on_epoch, proof_method=recording.proof_method
+        )
         state_reference(self._registry, lot.id, used, source, order.actor or None)
         rmse = trained.metrics["validation_rmse"]
         message = (reason("run.trained", rmse=rmse, unit=lot.reference_unit), *recording.remarks)
         return replace(done, message=message, recording_sha256=source.sha256)
 
-    def _keep_unit(self, order: Order, unit: OutputRecording) -> tuple[str, Outcome | None]:
+    def _store(self, order: Order, unit: OutputRecording, recording: StationRecording) -> str:
+        """Store what a unit showed, with the method that proved it; return its hash."""
+        return self._registry.recordings.add(
+            order.lot_id, unit, "unit", actor=order.actor or None, proof_method=recording.proof_method
+        )
+
+    def _keep_unit(self, order: Order, unit: OutputRecording, sha256: str) -> tuple[str, Outcome | None]:
         registry, actor = self._registry, order.actor or None
-        sha256 = registry.recordings.add(order.lot_id, unit, "unit", actor=actor)
         entry = released_network(registry, order.lot_id)
         if entry is None:
             return sha256, None

@@ -335,6 +335,7 @@ def run_json(run: WrittenRun) -> dict[str, object]:
         "zero_N": recording.zero_N,
         "zero_return_N": recording.zero_return_N,
         "alignment": alignment,
+        "proof_method": recording.proof_method,
         "remarks": list(run.remarks),
     }
 

@@ -11,6 +11,7 @@ from softcal.core.errors import AmbiguousUnit, InputError
 from softcal.core.unit.bridge import Bridge, make_bridge
 from softcal.core.unit.source_model import SourceModel
 from softcal.db.registry import Registry
+from softcal.db.schema.deadline import MAX_CLOCK_ERROR
 
 
 def golden_of(registry: Registry, lot_id: str, serials: Collection[str]) -> Mapping[str, tuple[str, str]]:
@@ -39,8 +40,10 @@ def newest_golden(registry: Registry, station: str, lot_id: str, since: datetime
     """
     pressed = sources_of(registry, lot_id)
     runs = registry.stations.golden_runs(station, registry.lots.get(lot_id).source, since)
-    own = (run for run in reversed(runs) if run.lot_id == lot_id or pressed & sources_of(registry, run.lot_id))
-    return next((run.recording_sha256 for run in own if run.passed and run.recording_sha256), None)
+    latest = registry.settings.clock() + MAX_CLOCK_ERROR  # What is later was written by a clock that was ahead.
+    runs = [run for run in reversed(runs) if run.passed and run.recording_sha256 and run.made_at <= latest]
+    own = (run for run in runs if run.lot_id == lot_id or pressed & sources_of(registry, run.lot_id))
+    return next((run.recording_sha256 for run in own), None)
 
 
 def sources_of(registry: Registry, lot_id: str) -> set[str]:

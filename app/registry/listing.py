@@ -1,5 +1,7 @@
 """Units and revisions of the registry as rows of a table and as JSON values."""
 
+from collections.abc import Mapping
+
 from softcal.app.texts.catalogue import here
 from softcal.db.entries import StoredCalibration, UnitEntry
 
@@ -41,8 +43,8 @@ def history_row(stored: StoredCalibration) -> list[object]:
     return [stored.revision, stored.origin, in_use, *made, *errors, "; ".join(filter(None, remarks))]
 
 
-def history_json(stored: StoredCalibration) -> dict[str, object]:
-    """Return a revision as JSON values, without its arrays."""
+def history_json(stored: StoredCalibration, proofs: Mapping[str, str | None]) -> dict[str, object]:
+    """Return a revision as JSON values, without its arrays; `proofs` are the methods that proved its recordings."""
     from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
 
     state = stored.state
@@ -57,6 +59,7 @@ def history_json(stored: StoredCalibration) -> dict[str, object]:
         "reasons": [str(why) for why in state.decision.reasons],
         "network_id": state.fit.network_id,
         "recording_sha256": state.fit.recording_sha256,
+        "proof_method": proofs.get(state.fit.recording_sha256),
         "family": state.fit.family,
         "map_sha256": state.map_sha256,
         "method_id": state.fit.method.id,

@@ -196,7 +196,8 @@ def revisions(
     """Tell every calibration of a unit, and which one is in use."""
     _unit(registry, lot, serial)
     shown, following = _page(registry.calibrations.history(serial, lot), after, limit)
-    return {"lot": lot, "serial": serial, "revisions": [history_json(one) for one in shown], "next": following}
+    proofs = registry.recordings.proof_methods(lot, serial)
+    return {"lot": lot, "serial": serial, "revisions": [history_json(one, proofs) for one in shown], "next": following}
 
 
 @routes.post(

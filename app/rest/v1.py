@@ -131,6 +131,7 @@ class RevisionAnswer(_Answer):
     fit_s: float | None
     input_sha256: str
     recording_sha256: str
+    proof_method: str | None
     method_id: str
     fit: dict[str, Any]
     state: dict[str, Any]

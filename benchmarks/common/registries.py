@@ -39,8 +39,8 @@ SIMULATED = 40
 
 
 @contextmanager
-def fresh_url(kind: str) -> Iterator[str]:
-    """Give the URL of an empty database, and remove it afterwards."""
+def fresh_url(kind: str, template: str = "") -> Iterator[str]:
+    """Give the URL of an empty database, or of a copy of `template` on the server; remove it afterwards."""
     if kind == "SQLite":
         with tempfile.TemporaryDirectory(prefix="softcal-bench-") as folder:
             yield f"sqlite:///{Path(folder) / 'registry.db'}"
@@ -48,7 +48,7 @@ def fresh_url(kind: str) -> Iterator[str]:
     name = f"softcal_bench_{uuid.uuid4().hex[:10]}"
     admin = create_engine(ADMIN_URL, isolation_level="AUTOCOMMIT")
     with admin.connect() as connection:
-        connection.execute(text(f"CREATE DATABASE {name}"))
+        connection.execute(text(f"CREATE DATABASE {name}" + (f" TEMPLATE {template}" if template else "")))
         try:
             yield admin.url.set(database=name).render_as_string(hide_password=False)
         finally:

@@ -177,7 +177,7 @@ recordings = table(
     *keys(sha256=SHA256, lot_id=NAME, kind=String(8)),
     *needed(serial=NAME, samples=Integer, sample_rate_Hz=Double, output_unit=Text),
     *needed(output_sha256=SHA256),
-    *optional(reference_unit=Text, measured_at=UtcTime),
+    *optional(reference_unit=Text, measured_at=UtcTime, proof_method=SHA256),
     Column("blob_sha256", SHA256, ForeignKey("blobs.sha256"), nullable=False),
     *needed(added_at=UtcTime),
     sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),

@@ -118,7 +118,7 @@ class LotTables(RegistryBase):
         actor: str | None = None,
         expected_version: int | None = None,
     ) -> LimitEntry:
-        """Write the next version of a lot's limit.
+        """Write the next version of a lot's limit; what was set and is set again for the same reason is one.
 
         Args:
             rmse: largest acceptable error in the lot's unit; None: the source's own error.
@@ -131,6 +131,8 @@ class LotTables(RegistryBase):
             raise InputError(f"limit {rmse}; a positive number was expected")
         with self.database.writing():
             newest = self.limit(lot_id)
+            if newest and (newest.rmse, newest.reason, newest.actor) == (rmse, reason, self._actor(actor)):
+                return newest
             changed = f"the limit of lot {lot_id!r} was changed to {newest and newest.rmse}"
             entry = LimitEntry(
                 **self._next_version(lot_id, newest, expected_version, changed, actor, reason), rmse=rmse
@@ -158,7 +160,7 @@ class LotTables(RegistryBase):
         actor: str | None = None,
         expected_version: int | None = None,
     ) -> LineRulesEntry:
-        """Write the next version of a lot's rules, decided on `expected_version` as in `set_limit`.
+        """Write the next version of a lot's rules, as `set_limit`.
 
         `InputError`: no reason, no such lot, or not the expected version.
         """
@@ -166,6 +168,8 @@ class LotTables(RegistryBase):
             raise InputError("a change of the line's rules needs a reason; nothing was changed")
         with self.database.writing():
             newest = next(iter(reversed(self.line_rules_versions(lot_id))), None)
+            if newest and (newest.rules, newest.reason, newest.actor) == (rules, reason, self._actor(actor)):
+                return newest
             changed = f"the rules of lot {lot_id!r} were changed"
             following = self._next_version(lot_id, newest, expected_version, changed, actor, reason)
             entry = LineRulesEntry(**following, rules=rules)

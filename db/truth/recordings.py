@@ -51,10 +51,12 @@ class RecordingTables(RegistryBase):
         *,
         actor: str | None = None,
         measured_at: datetime | None = None,
+        proof_method: str | None = None,
     ) -> str:
         """Store a recording of kind source, unit or audit once, with its unit; return its content hash.
 
         `measured_at` is when it was measured, UTC, by its own stamps or as stated; None where nobody says.
+        `proof_method` is the identity of the method by which a station proved it, None for a file that was brought.
         Only a `unit` recording has no reference. `InputError`: the lot is not registered, or it has the recording with
         another instant.
         """
@@ -74,7 +76,8 @@ class RecordingTables(RegistryBase):
                 facts = {"sha256": sha256, "lot_id": lot_id, "kind": kind, "samples": len(recording)}
                 facts["output_sha256"] = recording.output_sha256
                 values = facts | recording.settings() | {"blob_sha256": blob, "added_at": self.settings.clock()}
-                self._store(recordings, {"reference_unit": None, "measured_at": measured_at} | values, "add", actor)
+                optional = {"reference_unit": None, "measured_at": measured_at, "proof_method": proof_method}
+                self._store(recordings, optional | values, "add", actor)
             return sha256
 
     def get(self, sha256: str) -> Recording:
@@ -95,6 +98,10 @@ class RecordingTables(RegistryBase):
             if "reference" not in arrays:
                 return unlabelled
             return LabelledRecording(unlabelled, arrays["reference"], row["reference_unit"])
+
+    def proof_methods(self, lot_id: str, serial: str) -> dict[str, str | None]:
+        """Return by which method a station proved each recording of a unit; None for a file that was brought."""
+        return {entry.sha256: entry.proof_method for entry in self.of_lot(lot_id, serial)}
 
     def shared_outputs(self, lot_id: str | None = None) -> list[str]:
         """Return the outputs of a lot, or of all, that stand under another serial, too, or as source and audit."""

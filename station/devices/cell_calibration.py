@@ -43,17 +43,11 @@ def read_steady(reader: ForceReader, clock: Clock) -> tuple[float, float]:
     return float(np.mean(values)), float(np.std(values))
 
 
-def fit_cell(
-    mass_kg: Sequence[float],
-    reading: Sequence[float],
-    noise: Sequence[float],
-    gravity_m_s2: float = STANDARD_GRAVITY,
-) -> CellCalibration:
+def fit_cell(mass_kg: Sequence[float], reading: Sequence[float], noise: Sequence[float]) -> CellCalibration:
     """Fit the straight line through weights and readings.
 
     Args:
         mass_kg, reading, noise: (n,) as in `CellCalibration`; at least two different weights.
-        gravity_m_s2: at the place of the station; it differs by 0.5 % over the earth.
 
     Raises:
         InputError: fewer than two different weights.
@@ -62,7 +56,7 @@ def fit_cell(
     masses, readings = np.asarray(mass_kg, dtype=np.float64), np.asarray(reading, dtype=np.float64)
     if len(np.unique(masses)) < 2:
         raise InputError(Reason("rig.one_weight"))
-    force_N = masses * gravity_m_s2
+    force_N = masses * STANDARD_GRAVITY  # By place it differs by 0.5 % over the earth.
     per_N, zero = np.polyfit(force_N, readings, 1)
     if abs(per_N) * float(np.ptp(force_N)) < 10 * float(np.max(noise)):
         raise BadReply(Reason("rig.not_following"))

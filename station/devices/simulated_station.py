@@ -105,9 +105,9 @@ class SimulatedStation:
         streams = [TwinStream(each, self._rng.spawn(1)[0]) for each in (unit, *self._beside)]
         self.rig.mount(streams, clearance_mm, self.world.now_s())
 
-    def mount_rigid(self, stiffness_N_mm: float = 60.0) -> None:
+    def mount_rigid(self) -> None:
         """Put something hard under the stage."""
-        self.mount(Twin(BaseParameters(k1_N_mm=stiffness_N_mm, kappa_per_N=0.001), (), self.metadata))
+        self.mount(Twin(BaseParameters(k1_N_mm=60.0, kappa_per_N=0.001), (), self.metadata))
 
     def close(self) -> None:
         for wire in (self.stage_wire, self.force_wire, self.readout_wire):

@@ -48,10 +48,6 @@ class ArduinoReadout(TextStream):
         return tuple(count * self._step_V for count in counts)
 
 
-def _open(link: Link, config: ArduinoConfig) -> ArduinoReadout:
-    return ArduinoReadout(link, config.vref_V, config.adc_bits, config.rate_Hz, config.channels)
-
-
 def _simulate(around: Surroundings) -> Simulated[ArduinoConfig]:
     electronics = around.electronics
 
@@ -70,7 +66,6 @@ def _simulate(around: Surroundings) -> Simulated[ArduinoConfig]:
     return Simulated(config, SimulatedTextStream(around.wire, counts, electronics.sample_rate_Hz, drift))
 
 
+_OPEN = opens(READOUT, lambda link, own: ArduinoReadout(link, own.vref_V, own.adc_bits, own.rate_Hz, own.channels))
 _WHAT = "text lines `ms,adc[,adc ...]`"
-DRIVERS = (
-    Driver("arduino", _WHAT, ArduinoConfig, opens(READOUT, _open), _simulate, WIRES, messages=PAGES["text_stream"]),
-)
+DRIVERS = (Driver("arduino", _WHAT, ArduinoConfig, _OPEN, _simulate, WIRES, messages=PAGES["text_stream"]),)

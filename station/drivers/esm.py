@@ -138,7 +138,7 @@ class EsmStage:
                 raise DeviceError(Reason("esm.no_upper_limit"))
             status = self._status()
         self._tell(esm.STOP, esm.ZERO_TRAVEL)
-        self.position_mm = self._travel_position(self.port.answer(esm.TRAVEL))
+        self.position_mm = -esm.parse_travel_mm(self.port.answer(esm.TRAVEL))
         if abs(self.position_mm) > AT_MM:
             raise BadReply(reason("esm.travel", travel_mm=-self.position_mm))
         self.is_position_known = True
@@ -189,7 +189,7 @@ class EsmStage:
         end_s = self.port.link.clock.now_s() + STOPS_WITHIN_S
         while self._status().motion != "S" and self.port.link.clock.now_s() < end_s:
             self.port.link.clock.sleep_s(POLL_S)
-        self.position_mm = self._travel_position(self.port.answer(esm.TRAVEL))
+        self.position_mm = -esm.parse_travel_mm(self.port.answer(esm.TRAVEL))
 
     def _tell(self, *commands: bytes) -> None:
         for command in commands:
@@ -198,11 +198,8 @@ class EsmStage:
     def _status(self) -> esm.StandStatus:
         return esm.parse_status(self.port.answer(esm.STATUS))
 
-    def _travel_position(self, line: bytes) -> float:
-        return -esm.parse_travel_mm(line)
-
     def _take_travel(self, line: Line, asked_s: float) -> None:
-        self.position_mm = self._travel_position(line.text)
+        self.position_mm = -esm.parse_travel_mm(line.text)
         self._positions.append(StagePosition((asked_s + line.host_s) / 2, self.position_mm))
 
     def _take_status(self, line: Line, asked_s: float) -> None:
@@ -275,10 +272,6 @@ def _simulate(around: Surroundings) -> Simulated[EsmConfig]:
     return Simulated(EsmConfig(around.wire.port), SimulatedEsm(around.wire, around.axis, gauge))
 
 
-def _simulate_gauge(around: Surroundings) -> Simulated[EsmGaugeConfig]:
-    return Simulated(EsmGaugeConfig(around.stage_port), None)
-
-
 DRIVERS = (
     Driver(
         "esm",
@@ -293,7 +286,7 @@ DRIVERS = (
         "the gauge on a Mark-10 stand",
         EsmGaugeConfig,
         _open_gauge,
-        _simulate_gauge,
+        lambda around: Simulated(EsmGaugeConfig(around.stage_port), None),
         messages={**PAGES["esm"], **PAGES["mark10"]},
     ),
 )

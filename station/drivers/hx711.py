@@ -58,10 +58,6 @@ class Hx711Cell(TextStream):
         return ((counts[0] - self.zero_counts) / self.counts_per_N,)
 
 
-def _open(link: Link, config: Hx711Config) -> Hx711Cell:
-    return Hx711Cell(link, config.counts_per_N, config.zero_counts, config.capacity_N, config.rate_Hz)
-
-
 def _simulate(around: Surroundings) -> Simulated[Hx711Config]:
     config = Hx711Config(around.wire.port, counts_per_N=CELL_COUNTS_PER_N, zero_counts=CELL_ZERO_COUNTS)
 
@@ -74,6 +70,7 @@ def _simulate(around: Surroundings) -> Simulated[Hx711Config]:
     return Simulated(config, SimulatedTextStream(around.wire, counts, config.rate_Hz, drift, banner=banner))
 
 
+_OPEN = opens(CELL, lambda link, own: Hx711Cell(link, own.counts_per_N, own.zero_counts, own.capacity_N, own.rate_Hz))
 _WHAT = "text lines `ms,counts` of an HX711"
 _MESSAGES = {**PAGES["text_stream"], **PAGES["hx711"]}
-DRIVERS = (Driver("hx711", _WHAT, Hx711Config, opens(CELL, _open), _simulate, WIRES, messages=_MESSAGES),)
+DRIVERS = (Driver("hx711", _WHAT, Hx711Config, _OPEN, _simulate, WIRES, messages=_MESSAGES),)

@@ -35,18 +35,14 @@ RATE_SAMPLES, MISSED_SAMPLES = 50, 4
 
 
 class ForceWatch:
-    """Force limit of one load cell.
-
-    Args:
-        zero_N: reading of the unloaded cell, subtracted from every sample.
+    """Force limit of one load cell, which reads `zero_N` without a load.
 
     `ahead_s` is to be kept up to date: for how long the force may still grow at its present rate, until the stage has
     been stopped or has ended its move.
     """
 
-    def __init__(self, bounds: SafetyConfig, zero_N: float = 0.0) -> None:
-        self._bounds, self.zero_N = bounds, zero_N
-        self.ahead_s = 0.0
+    def __init__(self, bounds: SafetyConfig) -> None:
+        self._bounds, self.zero_N, self.ahead_s = bounds, 0.0, 0.0
         self._recent: deque[tuple[float, float]] = deque(maxlen=SLOPE_SAMPLES)
 
     def check(self, sample: Sample) -> None:

@@ -67,6 +67,7 @@ class StationRecording:
         contact_mm: where contact was found, from the homing switch.
         zero_N, zero_return_N: the unloaded load cell before the run, and its change over the run.
         remarks: what a person should know of it although it is good.
+        proof_method: identity of the method that proved it.
     """
 
     serial: str
@@ -83,6 +84,7 @@ class StationRecording:
     lost: int
     alignment: Alignment
     remarks: tuple[Reason, ...] = ()
+    proof_method: str | None = None
 
     def output_recording(self, channel: int = 0, serial: str | None = None) -> OutputRecording:
         return OutputRecording(
@@ -94,11 +96,11 @@ class StationRecording:
             self.stage_mm,
         )
 
-    def labelled_recording(self, channel: int = 0, serial: str | None = None) -> LabelledRecording:
-        """Return a channel with the force beside it; `ValueError` where none was kept."""
+    def labelled_recording(self) -> LabelledRecording:
+        """Return the first channel with the force beside it; `ValueError` where none was kept."""
         if self.force_N is None:
             raise ValueError(f"{self.serial}: recorded without a reference")
-        return LabelledRecording(self.output_recording(channel, serial), self.force_N, "N")
+        return LabelledRecording(self.output_recording(), self.force_N, "N")
 
 
 @dataclass(frozen=True)
@@ -177,7 +179,7 @@ def assemble(raw: Raw, facts: RunFacts, method: ProofMethod = METHOD) -> Station
         if facts.with_reference:
             check_response(response, response_N, method.response)
         if facts.is_latency_stated:
-            check_lag(response, facts.force_late_s, _period_s(cell), method.lag)
+            check_lag(response, facts.force_late_s, float(np.median(np.diff(cell.device_s))), method.lag)
         remarks = _check_cell(cell, sensor, track, facts, late_s, method)
         force_N = _force_at(host_s, cell, facts, late_s)
         offset_s = residual_offset_s(force_N, output[:, 0], facts.sample_rate_Hz)
@@ -201,6 +203,7 @@ def assemble(raw: Raw, facts: RunFacts, method: ProofMethod = METHOD) -> Station
             sensor.clock.rate - 1, cell_drift, *late, *offsets, track.residual_mm, behind_s, constant_s, response_N
         ),
         remarks,
+        method.id,
     )
 
 
@@ -264,10 +267,6 @@ def _count_lost(sensor_s: Array, facts: RunFacts) -> int:
     if lost > LARGEST_LOSS * expected:
         raise BadReply(reason("rig.lost", device=named(facts.sensor), lost=lost, count=expected))
     return lost
-
-
-def _period_s(cell: _Channel) -> float:
-    return float(np.median(np.diff(cell.device_s)))
 
 
 def _response(cell: _Channel, track: StageTrack, facts: RunFacts, method: ProofMethod) -> CellResponse:

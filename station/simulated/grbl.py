@@ -22,7 +22,7 @@ SEGMENTS_S = 0.06
 SETTINGS = {10: 1.0, 13: 0.0, 20: 1.0, 21: 1.0, 22: 1.0, 24: 25.0, 25: 500.0, 27: 1.0, 112: 1500.0}
 """A fresh controller (defaults.h, generic) with its limits switched on, the pressing axis."""
 
-_WORD = re.compile(rb"([A-Z])(-?[\d.]+)")
+_WORD = re.compile(rb"([A-Z])(-?(?:\d+\.?\d*|\.\d+))")
 _REAL_TIME = b"?!~\x18\x84\x85"
 
 

@@ -30,6 +30,13 @@ SLOW, FAST, HOLD_S, REST_S = 2, 5, 1.0, 0.8
 EDGE_S, END_S = 0.3, 2.0
 """The end of a hold is read over so long; the rest at the end of the profile is noise."""
 
+MAX_DELAY_S, MAX_BACKLASH_MM, MAX_LOST_MM, MAX_COMPLIANCE_MM_N = 0.5, 0.05, 0.03, 0.05
+"""The largest figures with which a station passes: delay of the cell where the station file states none; way at a turn
+of the stage; way lost from the first press to the last; of the frame, where the stiffness of the spring is stated."""
+
+MAX_REPEATABILITY = MAX_NOISE = 0.01
+"""Of equal presses, and of the resting cell: standard deviation, share of the largest force."""
+
 MIDDLE, STEEP = 0.5, (0.5, 0.9)
 """Paths are compared at this share of the largest force, slopes between these."""
 
@@ -71,25 +78,6 @@ class Qualification:
         return self.refusal is None and all(figure.is_good for figure in self.figures)
 
 
-@dataclass(frozen=True)
-class QualificationLimits:
-    """The largest figures with which a station passes.
-
-    Args:
-        delay_s: by which the cell may be late where the station file states nothing.
-        backlash_mm, lost_mm: at a turn of the stage; between the first and the last press.
-        compliance_mm_N: of the frame, where the stiffness of the spring is stated.
-        repeatability, noise: of equal presses, and of the resting cell: standard deviation, share of the largest force.
-    """
-
-    delay_s: float = 0.5
-    backlash_mm: float = 0.05
-    lost_mm: float = 0.03
-    compliance_mm_N: float = 0.05
-    repeatability: float = 0.01
-    noise: float = 0.01
-
-
 def qualification_profile(depth_mm: float, fastest_mm_s: float) -> Profile:
     """Return equal presses: slow ones, fast ones with holds, slow ones again, a rest."""
     speeds_mm_s = [SLOW_MM_S] * SLOW + [min(FAST_MM_S, fastest_mm_s)] * FAST + [SLOW_MM_S] * SLOW
@@ -106,7 +94,6 @@ def qualify(
     bench: Bench,
     depth_mm: float,
     stiffness_N_mm: float | None = None,
-    limits: QualificationLimits = QualificationLimits(),  # noqa: B008 - frozen
     on_progress: OnProgress | None = None,
     method: ProofMethod = METHOD,
 ) -> Qualification:
@@ -139,7 +126,7 @@ def qualify(
         run = read_spool(path)
     facts = RunFacts(**run.facts)
     raw = Raw(run.output, run.force, run.polls)
-    figures = _figures(raw, facts, bench.config.force.latency_s, stiffness_N_mm, limits, method)
+    figures = _figures(raw, facts, bench.config.force.latency_s, stiffness_N_mm, method)
     return Qualification(figures, refusal, bench.clock.now_s() - began_s)
 
 
@@ -148,7 +135,6 @@ def _figures(
     facts: RunFacts,
     latency_s: float,
     stiffness_N_mm: float | None,
-    limits: QualificationLimits,
     method: ProofMethod,
 ) -> tuple[Figure, ...]:
     track, host_s = track_of(raw, facts), device_times_s(raw.force)
@@ -164,7 +150,7 @@ def _figures(
     largest_N = presses.largest_N
     stated_s = latency_s if latency_s != UNKNOWN_S else 0.0
     off_s = method.lag.late_s + method.lag.period_share * presses.period_s
-    off_s = limits.delay_s if latency_s == UNKNOWN_S else off_s
+    off_s = MAX_DELAY_S if latency_s == UNKNOWN_S else off_s
     first, last = presses.slow[SLOW - 1], presses.slow[-1]
     slope = float(np.median([press.slope_N_mm(*STEEP) for press in presses.slow]))
     known = stiffness_N_mm is not None
@@ -178,23 +164,23 @@ def _figures(
         Figure(
             "error of labels by the low pass (RMS)", response.error_N(lag_s), "N", method.response.share * largest_N
         ),
-        Figure("backlash at a turn", presses.backlash_mm, "mm", limits.backlash_mm),
+        Figure("backlash at a turn", presses.backlash_mm, "mm", MAX_BACKLASH_MM),
         Figure(
-            "lost motion from first to last press", abs(last.at_mm(MIDDLE) - first.at_mm(MIDDLE)), "mm", limits.lost_mm
+            "lost motion from first to last press", abs(last.at_mm(MIDDLE) - first.at_mm(MIDDLE)), "mm", MAX_LOST_MM
         ),
         Figure(
             "compliance of the frame" if known else "compliance of frame and unit, in series",
             max(0.0, compliance),
             "mm/N",
-            limits.compliance_mm_N if known else math.inf,
+            MAX_COMPLIANCE_MM_N if known else math.inf,
         ),
         Figure(
             f"repeatability of {FAST} equal presses (s)",
             float(np.std(presses.held_N, ddof=1)),
             "N",
-            limits.repeatability * largest_N,
+            MAX_REPEATABILITY * largest_N,
         ),
-        Figure("noise of the load cell (s)", _noise(presses.resting_N), "N", limits.noise * largest_N),
+        Figure("noise of the load cell (s)", _noise(presses.resting_N), "N", MAX_NOISE * largest_N),
         Figure("noise of the output (s)", _noise(output), facts.output_unit),
         Figure("zero return of the load cell", abs(facts.zero_return_N), "N"),
         Figure("largest force", largest_N, "N"),

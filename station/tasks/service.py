@@ -225,12 +225,12 @@ class StationService:
             self._homing_fault = self._zero_fault = None
             self._zero_return_N = 0.0
             self._end(order, RunState.DONE, "", (Reason("rig.all_good"),))
-            self._ready()
+            self.state = StationState.READY  # The gate is asked between orders.
             return None
         if order.kind is OrderKind.LOAD:
             config = ReadingConfig()
             reading = read_at_rest(bench, order.serial, config.settle_s, config.reading_s, relay.on_reading)
-            self._ready()
+            self.state = StationState.READY  # The gate is asked between orders.
             return reading
         with_reference = order.kind in (OrderKind.SOURCE, OrderKind.GOLDEN)
         header = {"serial": order.serial, "order": order.order_id, "station": order.station, "lot": order.lot_id}
@@ -243,12 +243,8 @@ class StationService:
         if force is not None and not force.is_latency_stated and math.isfinite(behind_s):
             stated = replace(force, latency_s=min(max(0.0, behind_s), LATEST_S))
             self._bench = replace(bench, config=replace(bench.config, force=stated))
-        self._ready()
+        self.state = StationState.READY  # The gate is asked between orders.
         return recording
-
-    def _ready(self) -> None:
-        # The gate is asked between orders: a registry that is away must not cost a run that is done.
-        self.state = StationState.READY
 
     def _stop(self, order: Order, state: RunState, code: str, error: SoftcalError) -> None:
         self.state, self.reasons = StationState.STOPPED, (error.reason,)

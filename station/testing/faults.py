@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -133,18 +134,6 @@ def _freeze_position(station: SimulatedStation) -> None:
     station.far_end(FarEnd, "stage").frozen_mm = station.axis.position_mm
 
 
-def _lose_steps(lost_mm: float) -> Inject:
-    return lambda station: station.rig.lose_steps(lost_mm)
-
-
-def _filter_cell(constant_s: float) -> Inject:
-    return lambda station: filter_cell(station, constant_s)
-
-
-def _loosen(seconds: float, change: Callable[[float], float]) -> Inject:
-    return lambda station: loosen(station, seconds, change)
-
-
 def _floating(now_s: float, value: float) -> float:
     """An input that nothing drives: hum of the mains, far larger than any noise."""
     return 2.0 + 0.4 * math.sin(2 * math.pi * 49.0 * now_s) + 0.2 * math.sin(977.0 * now_s)
@@ -220,10 +209,9 @@ FAULTS: tuple[Fault, ...] = (
         _without_cell(_pressing("motor without supply", lambda s: s.rig.cut_motor())),
         _pressing("position report frozen while pressing", _freeze_position),
         _of_zaber("position report of a Zaber stage frozen", _freeze_position),
-        *(
-            _pressing(f"motor loses {mm:g} mm between two presses", _lose_steps(mm), BETWEEN_S)
-            for mm in (0.1, 0.15, 0.2)
-        ),
+        _pressing("motor loses 0.1 mm between two presses", lambda s: s.rig.lose_steps(0.1), BETWEEN_S),
+        _pressing("motor loses 0.15 mm between two presses", lambda s: s.rig.lose_steps(0.15), BETWEEN_S),
+        _pressing("motor loses 0.2 mm between two presses", lambda s: s.rig.lose_steps(0.2), BETWEEN_S),
         _pressing("motor loses 0.5 mm between two presses", lambda s: s.rig.lose_steps(0.5), BETWEEN_S),
         _without_cell(_pressing("motor loses 1 mm", lambda s: s.rig.lose_steps(1.0), BETWEEN_S)),
     ),
@@ -242,7 +230,10 @@ FAULTS: tuple[Fault, ...] = (
             _from_the_start(f"load cell's line {s:g} s late", _add("force_wire", "delay_s", s))
             for s in (0.02, 0.05, 0.1, 0.2)
         ),
-        *(_from_the_start(f"load cell behind a low pass of {s:g} s", _filter_cell(s)) for s in (0.03, 0.06, 0.1, 0.3)),
+        *(
+            _from_the_start(f"load cell behind a low pass of {s:g} s", partial(filter_cell, constant_s=s))
+            for s in (0.03, 0.06, 0.1, 0.3)
+        ),
         _pressing("load cell's gain halves between two presses", _force(lambda x: 0.5 * x), BETWEEN_S),
         _pressing("load cell's gain doubles between two presses", _force(lambda x: 2.0 * x), BETWEEN_S),
         _pressing("load cell's gain halves while pressing", _force(lambda x: 0.5 * x)),
@@ -289,7 +280,11 @@ FAULTS: tuple[Fault, ...] = (
         _from_the_start("readout's converter has bit 5 at 0", _output(_bit(5 / 1023, 5, False))),
         _from_the_start("readout's converter has bit 6 at 1", _output(_bit(5 / 1023, 6, True))),
         *(
-            _pressing(f"output's cable loose for {seconds:g} s {when}: {what}", _loosen(seconds, change), after_s)
+            _pressing(
+                f"output's cable loose for {seconds:g} s {when}: {what}",
+                partial(loosen, seconds=seconds, change=change),
+                after_s,
+            )
             for what, change in (("0 V", lambda x: 0.0), ("halved", lambda x: 0.5 * x), ("rail", lambda x: 5.0))
             for seconds, when, after_s in ((0.025, "in a hold", HOLD_S), (0.06, "while pressing", DOWN_S))
         ),

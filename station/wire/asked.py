@@ -25,7 +25,6 @@ class AskedReader:
 
     Args:
         parse: one line, its end taken off -> one number per channel; raises `BadReply`.
-        channels: numbers per reading.
         limits: of a readout: lowest and highest reading; one that stays there is saturated.
     """
 
@@ -37,11 +36,10 @@ class AskedReader:
         link: Link,
         question: bytes,
         parse: Callable[[bytes], tuple[float, ...]],
-        channels: int = 1,
         limits: tuple[float, float] = (-math.inf, math.inf),
     ) -> None:
         self.name, self.unit, self.rate_Hz = name, unit, rate_Hz
-        self.channels, self.range = channels, limits
+        self.channels, self.range = 1, limits
         self._link, self._question, self._parse = link, question, parse
         self._asked_s: float | None = None
         self._next_s = 0.0

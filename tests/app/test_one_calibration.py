@@ -14,6 +14,8 @@ import softcal
 from softcal.app.batch.compare import compare_on_lot
 from softcal.app.batch.front_door import lot_files
 from softcal.app.cli.main import main
+from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
+from softcal.app.export.certificates.content import certificate_of
 from softcal.app.files.anchors import write_anchors
 from softcal.app.files.recording_file import write_columns
 from softcal.app.line.pressed_run import RunKeeper
@@ -34,6 +36,7 @@ from softcal.core.unit.verdict import stated_limit
 from softcal.db.care.sync import synchronise
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
+from softcal.station.record.method import METHOD
 from softcal.station.record.recording import Alignment, StationRecording
 from softcal.station.tasks.at_rest import RestReading
 
@@ -59,6 +62,27 @@ def pressed(folder: Path, serial: str) -> StationRecording:
     stage_mm = np.round(np.abs(np.sin(t_s / 3)), 5)
     aligned = Alignment(*[0.0] * len(fields(Alignment)))
     return StationRecording(serial, "unit", t_s, output[:, None], stage_mm, None, 50.0, "V", 0.0, 0.0, 0.0, 0, aligned)
+
+
+def test_a_recording_says_by_which_method_a_station_proved_it(lot_folder, registry_url, tmp_path, registry, keeper):
+    shutil.rmtree(lot_folder / "audit")
+    batched(lot_folder, registry_url, tmp_path / "brought.json")
+    proven = replace(pressed(lot_folder, "A1"), proof_method=METHOD.id)
+    proven = replace(proven, output=np.round(1.01 * proven.output, 7))
+    keeper.keep(Order("o1", "s1", OrderKind.UNIT, "A1", "small"), proven, say)
+    entries = registry.recordings.of_lot("small", kind="unit")
+    assert {(e.serial, e.proof_method) for e in entries if e.proof_method} == {("A1", METHOD.id)}
+    assert len(entries) > 1
+    assert (
+        main(["registry", "history", "--serial", "A1", "--registry", registry_url, "--json", str(tmp_path / "h.json")])
+        == 0
+    )
+    revisions = json.loads((tmp_path / "h.json").read_text())["revisions"]
+    assert [revision["proof_method"] for revision in revisions] == [None, METHOD.id]
+    pressed_unit, brought = UnitLoader(registry, ExportOptions()).load("A1"), UnitLoader(registry, ExportOptions())
+    named = "method that proved the unit's recording"
+    assert certificate_of(pressed_unit).provenance.inputs[named] == METHOD.id
+    assert named not in certificate_of(brought.load("A2")).provenance.inputs
 
 
 def batched(folder: Path, url: str, out: Path, *more: str) -> dict[str, dict[str, object]]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from softcal.app.line.gate_facts import GateRules, StationGate, check_golden, quarantine
+from softcal.app.registry.golden import newest_golden
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.orders import Order, OrderKind, Progress, RunState
@@ -59,6 +60,24 @@ def test_a_failed_golden_unit_closes_the_gate_and_quarantines(registry):
     assert quarantine(registry, "s1", datetime.now(UTC)) == ("A1",)
 
 
+@pytest.mark.parametrize("passed", [True, False])
+def test_a_golden_unit_of_a_clock_that_was_a_day_ahead_decides_nothing(registry, passed):
+    certify(registry)
+    golden(registry, passed, NOW + timedelta(days=1))
+    gate = StationGate(registry, "s1", CONFIG, GateRules())
+    assert [why.code for why in gate(OrderKind.UNIT, WARM).reasons] == ["gate.no_golden"]
+    golden(registry, not passed)
+    assert gate(OrderKind.UNIT, WARM).is_open is not passed
+
+
+def test_no_golden_unit_of_a_clock_that_was_a_day_ahead_corrects_a_sitting(registry):
+    registry.lots.add(Lot("L1", "G1", 50.0))
+    for at in (NOW, NOW + timedelta(days=1)):
+        run = GoldenRun("s1", "L1", "G1", at, 0.1, "N", True, recording_sha256=f"{at.day:064}")
+        registry.stations.add_golden_run(run)
+    assert newest_golden(registry, "s1", "L1", NOW - timedelta(hours=1)) == f"{NOW.day:064}"
+
+
 def test_an_override_opens_the_gate_in_spite_of_the_reasons_and_is_audited(registry):
     gate = StationGate(registry, "s1", CONFIG, GateRules())
     with pytest.raises(InputError):
@@ -68,6 +87,20 @@ def test_an_override_opens_the_gate_in_spite_of_the_reasons_and_is_audited(regis
     assert answer.is_open and answer.reasons
     row = registry.trail.rows()[-1]
     assert (row.action, row.actor, row.reason) == ("override", "kim", "certificate is in the post")
+
+
+def test_an_override_that_a_clock_a_day_ahead_gave_ends_with_that_clock(registry, monkeypatch):
+    class Ahead(datetime):
+        @classmethod
+        def now(cls, tz=None):
+            return datetime.now(tz) + timedelta(days=1)
+
+    gate = StationGate(registry, "s1", CONFIG, GateRules())
+    with monkeypatch.context() as patch:
+        patch.setattr("softcal.app.line.gate_facts.datetime", Ahead)
+        gate.override("kim", "certificate is in the post")
+        assert gate(OrderKind.UNIT, WARM).is_open
+    assert not gate(OrderKind.UNIT, WARM).is_open
 
 
 def test_a_golden_unit_without_calibration_cannot_judge(registry):

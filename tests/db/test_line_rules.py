@@ -56,3 +56,12 @@ def test_the_results_of_one_unit_are_read_alone(registry, lot):
     for serial, verdict in (("A1", "retest"), ("A2", "fail"), ("A1", "fail")):
         registry.calibrations.refuse("L1", serial, verdict, (plain(f"{serial} {verdict}"),))
     assert [run.verdict for run in registry.lots.runs("L1", "A1")] == ["retest", "fail"]
+
+
+def test_rules_and_a_limit_that_are_set_again_for_the_same_reason_are_one_version(registry, lot):
+    for _ in range(2):
+        registry.lots.set_line_rules("L1", LineRules(target=6), reason="first order", actor="kim")
+        registry.lots.set_limit("L1", 0.1, reason="drawing C", actor="kim", expected_version=0)
+    assert len(registry.lots.line_rules_versions("L1")) == 1 and registry.lots.limit("L1").version == 1
+    registry.lots.set_limit("L1", 0.1, reason="drawing D", actor="kim")
+    assert registry.lots.limit("L1").version == 2
