@@ -26,9 +26,8 @@ from softcal.app.files.onnx_file import onnx_bytes
 from softcal.core.errors import UnitRefused
 from softcal.core.export.blob import UNIT_BYTES, NetworkFile
 from softcal.core.export.compile_map import compile_map, fine_forms
-from softcal.core.export.device import DeviceOptions, UnitFacts, build_network_file, build_unit_file, limits_of_unit
+from softcal.core.export.device import DeviceOptions, DeviceRecord, build_network_file, build_unit_file, limits_of_unit
 from softcal.core.export.graph import compose
-from softcal.core.export.loader import open_sensor
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.config import AnchorConfig
 from softcal.core.maps.interface import FitProblem
@@ -38,6 +37,7 @@ from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.db.connection import open_registry
+from tests.device_sensor import estimate_output, open_sensor
 
 HIDDEN = ((120, 70, 35), (48, 24), (32, 16), (16, 8), (8, 8))
 TEST_SHARE = 0.25
@@ -90,11 +90,11 @@ def _split(recording: LabelledRecording) -> tuple[LabelledRecording, LabelledRec
     return recording.part(0, at), recording.part(at, len(recording))
 
 
-def facts_of(network: Network, source: LabelledRecording, unit: LabelledRecording, forecast: float) -> UnitFacts:
+def facts_of(network: Network, source: LabelledRecording, unit: LabelledRecording, forecast: float) -> DeviceRecord:
     """Fit a map to a unit and return what an export of it takes."""
     chosen = choose_map(FitProblem(source, network, unit.unlabelled)).unit_map
     exact = network.evaluate(chosen.apply(unit.windows))
-    return UnitFacts(unit.serial, 1, "pass", 0, chosen, unit.unlabelled, exact - 0.1, exact + 0.1, forecast)
+    return DeviceRecord(unit.serial, 1, "pass", 0, chosen, unit.unlabelled, exact - 0.1, exact + 0.1, forecast)
 
 
 def measure(network: Network, source: LabelledRecording, target: LabelledRecording, forecast: float) -> UnitRow:
@@ -104,7 +104,7 @@ def measure(network: Network, source: LabelledRecording, target: LabelledRecordi
     chosen = facts.unit_map
     network_file = build_network_file(network, source, AnchorConfig())
     unit = build_unit_file(facts, network, network_file).file
-    estimate, _, _, flags = open_sensor(network_file.to_bytes(), unit.to_bytes()).estimate_output(test.windows)
+    estimate, _, _, flags = estimate_output(open_sensor(network_file.to_bytes(), unit.to_bytes()), test.windows)
     truth = network.evaluate(chosen.apply(test.windows))
     compiled = compile_map(chosen, network, train.unlabelled, np.inf, fine_forms)
     limits = limits_of_unit(facts, network, DeviceOptions())
@@ -143,7 +143,7 @@ def row(lot: LotData, hidden: tuple[int, ...], epochs: int) -> list[str]:
     ]  # fmt: skip
 
 
-def by_size(lot: str, facts: UnitFacts, network: Network, network_file: NetworkFile, unit: str) -> list[str]:
+def by_size(lot: str, facts: DeviceRecord, network: Network, network_file: NetworkFile, unit: str) -> list[str]:
     """Largest and rms change of the estimate by files of each size, and the size an export takes by itself."""
     cells, taken = [], None
     for size in UNIT_BYTES:
@@ -179,7 +179,7 @@ def demo_sizes(path: Path) -> Iterator[list[str]]:
         for entry in registry.lots.units():
             if entry.revision is not None:
                 unit = loader.load(entry.serial)
-                yield by_size("demo", unit.facts, unit.network, unit.shared.file, "mN")
+                yield by_size("demo", unit.record, unit.network, unit.shared.file, "mN")
 
 
 def main() -> None:

@@ -21,13 +21,13 @@ from common.tables import print_table
 
 from softcal.core.export.c_text import network_header, unit_header
 from softcal.core.export.compile_map import InputScale
-from softcal.core.export.device import DeviceOptions, DeviceUnit, UnitFacts, build_network_file, build_unit_file
-from softcal.core.export.loader import open_sensor
+from softcal.core.export.device import DeviceOptions, DeviceRecord, DeviceUnit, build_network_file, build_unit_file
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.config import AnchorConfig
 from softcal.core.maps.interface import FitProblem
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
+from tests.device_sensor import open_sensor
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
@@ -114,8 +114,8 @@ def rows(quick: bool) -> Iterator[tuple[str, ...]]:
         chosen = choose_map(FitProblem(source, network, target.unlabelled)).unit_map
         estimate = network.evaluate(chosen.apply(target.windows))
         network_file = build_network_file(network, source, AnchorConfig())
-        facts = UnitFacts("S2", 1, "pass", 0, chosen, target.unlabelled, estimate - 0.4, estimate + 0.4, None)
-        unit = build_unit_file(facts, network, network_file, DeviceOptions(InputScale.of_converter(10, 5.0)))
+        facts = DeviceRecord("S2", 1, "pass", 0, chosen, target.unlabelled, estimate - 0.4, estimate + 0.4, None)
+        unit = build_unit_file(facts, network, network_file, DeviceOptions(InputScale.from_converter(10, 5.0)))
         codes = unit.file.scale.codes(target.unlabelled.output)[:SAMPLES]
         for name, (board, clock_MHz, cycles, options) in BOARDS.items():
             if board == "uno" and len(network_file.to_bytes()) > UNO_FLASH / 2:

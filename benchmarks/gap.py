@@ -24,10 +24,10 @@ from common.command import Kept, parser_of
 from common.gap_cases import as_case, print_twins
 from common.tables import print_table
 
+from softcal.core.challenge.answers import CaseScore, read_answer
+from softcal.core.challenge.case_generator import LINES, draw_case
 from softcal.core.challenge.cases import EXPERIMENTS, RunPlan, SealedCase, distance_sigma
-from softcal.core.challenge.draw import LINES, draw_case
-from softcal.core.challenge.judge import Judged, read_answer
-from softcal.core.challenge.realised import realised_shrink
+from softcal.core.challenge.explained_fraction import explained_fraction
 from softcal.core.challenge.score import POOR, ScoreSheet, score_reports
 from softcal.core.challenge.seal import Label
 from softcal.core.gap.diagnosis import diagnose
@@ -83,7 +83,7 @@ def realised(sealed: SealedCase, report: Mapping[str, Any] | None) -> float | No
     """Shrink on the run kept back, where a twin is named and the causes follow the equations of the catalogue."""
     if report is None or sealed.line not in CATALOGUE_LINES or report["verdict"] not in ("explained", "ambiguous"):
         return None
-    return finite_or_none(realised_shrink(sealed, report))
+    return finite_or_none(explained_fraction(sealed, report))
 
 
 def kept_case(sealed: SealedCase, kept: Kept, experiment: RunPlan | None = None) -> Diagnosed:
@@ -128,7 +128,7 @@ def _log(found: Diagnosed, log: Path | None, what: str = "") -> None:
         with log.open("a") as file:
             file.write(f"{found.label.case.name}{what}: no report; its traceback is on standard error\n")
         return
-    judged = Judged(found.label, read_answer(found.label.case.name, found.report))
+    judged = CaseScore(found.label, read_answer(found.label.case.name, found.report))
     if judged.outcome in ("right", "below noise") and not what:
         return
     likely = {c["effect"]: round(c["probability"], 2) for c in found.report["causes"] if c["probability"] > 0.02}
@@ -145,7 +145,7 @@ def _log(found: Diagnosed, log: Path | None, what: str = "") -> None:
 def print_lines(sheet: ScoreSheet) -> None:
     """Print every measure of every line with its 95 % interval and its target."""
     rows = []
-    for row in (row for row in (*sheet.rows, *sheet.shrink.rows) if row.count):
+    for row in (row for row in (*sheet.rows, *sheet.fractions.rows) if row.count):
         target = TARGETS.get((row.line, row.measure))
         found = f"{row.hits}/{row.count}", f"{100 * row.share:.1f} %", between(*row.interval)
         rows.append((row.line, row.measure, *found, "" if target is None else f"≥ {target} %"))
@@ -168,10 +168,10 @@ def print_detection(sheet: ScoreSheet) -> None:
 def print_sureness(done: Sequence[Diagnosed], sheet: ScoreSheet) -> None:
     """Print the calibration of the probabilities, the shrink, and the seconds of the runs above."""
     sure, seconds = sheet.probabilities, [d.seconds for d in done]
-    stated = [(p, e in j.truth) for j in sheet.judged if j.answer for e, p in j.answer.probabilities.items()]
+    stated = [(p, e in j.truth) for j in sheet.case_scores if j.answer for e, p in j.answer.probabilities.items()]
     open_ = np.array([pair for pair in stated if 0.05 < pair[0] < 0.95]).reshape(-1, 2)
     pair = "{:.2f}, {:.2f}".format(*open_.mean(axis=0)) if len(open_) else "–"
-    shrink, often = sheet.shrink, f"{np.median(seconds):.1f}, {np.quantile(seconds, 0.9):.1f}"
+    shrink, often = sheet.fractions, f"{np.median(seconds):.1f}, {np.quantile(seconds, 0.9):.1f}"
     rows = {
         "expected calibration error, all effects of all cases (target ≤ 0.03)": f"{sure.ece:.4f}",
         "expected calibration error, first cause": f"{sure.ece_first:.3f}",
@@ -213,7 +213,7 @@ def is_resolved(found: Diagnosed) -> bool:
     """Whether the right causes are named and nothing is ambiguous any more."""
     if found.report is None or found.report["verdict"] not in ("explained", "no_gap"):
         return False
-    return Judged(found.label, read_answer(found.label.case.name, found.report)).outcome == "right"
+    return CaseScore(found.label, read_answer(found.label.case.name, found.report)).outcome == "right"
 
 
 def print_speed(count: int, seed: int) -> None:

@@ -32,11 +32,11 @@ from common.tables import print_table
 
 from softcal.app.cli.main import main as softcal
 from softcal.app.gap.challenge import open_challenge
+from softcal.core.challenge.answers import CaseScore, read_answer
+from softcal.core.challenge.case_generator import SEED_BITS, draw_case
 from softcal.core.challenge.cases import LotRun, SealedCase, press_lot
-from softcal.core.challenge.draw import SEED_BITS, draw_case
-from softcal.core.challenge.judge import Judged, read_answer
 from softcal.core.challenge.score import (
-    FLOORS,
+    MIN_SHARES,
     ScoreSheet,
     calibration_error,
     log_score,
@@ -360,13 +360,13 @@ def blind(options: argparse.Namespace) -> None:
     falls below its floor, or where four rigs or more get a wrong name. Nothing is drawn a second time.
     """
     seed = secrets.randbits(SEED_BITS) if options.seed is None else options.seed
-    judged: list[Judged] = []
+    judged: list[CaseScore] = []
     with tempfile.TemporaryDirectory() as folder:
-        for line in FLOORS:
+        for line in MIN_SHARES:
             judged += diagnosed(line, seed, Path(folder) / line)
             print(f"{line}: {', '.join(j.outcome for j in judged if j.label.case.line == line)}", flush=True)
     empty = score_reports([], {})
-    short = shortfalls(ScoreSheet(tuple(judged), empty.rows, empty.detection, empty.probabilities, empty.shrink))
+    short = shortfalls(ScoreSheet(tuple(judged), empty.rows, empty.detection, empty.probabilities, empty.fractions))
     usual = [j for j in judged if not j.label.case.line.startswith("published")]
     wrong = [j for j in usual if j.outcome in WRONG]
     if len(wrong) > MOST_WRONG:
@@ -385,7 +385,7 @@ def case_count(line: str) -> int:
     return FORM_CASES if line == "form" else CASES
 
 
-def diagnosed(line: str, seed: int, place: Path) -> list[Judged]:
+def diagnosed(line: str, seed: int, place: Path) -> list[CaseScore]:
     """Make, diagnose and score the rigs of one line, each by its command."""
     sealed, reports, seal = place / "sealed", place / "reports", place / "labels.json"
     reports.mkdir(parents=True)
@@ -396,7 +396,7 @@ def diagnosed(line: str, seed: int, place: Path) -> list[Judged]:
     run("score", str(sealed), "--reports", str(reports), "--seal", str(seal), "--json", str(place / "score.json"))
     answers = {path.stem: json.loads(path.read_text()) for path in reports.glob("*.json")}
     labels = open_challenge(sealed, seal)
-    return [Judged(label, read_answer(label.case.name, answers[label.case.name])) for label in labels]
+    return [CaseScore(label, read_answer(label.case.name, answers[label.case.name])) for label in labels]
 
 
 def run(*words: str) -> None:

@@ -28,12 +28,12 @@ from numpy.typing import NDArray
 
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
+from softcal.core.operation.adapter import Adapter
+from softcal.core.operation.method import DriftTracking
+from softcal.core.operation.observation import FOLLOWED
+from softcal.core.operation.stream_estimator import FLAG_SEPARATOR, STATES
 from softcal.core.recording import Array
 from softcal.core.unit.estimate import estimate
-from softcal.core.use.adapter import Adapter
-from softcal.core.use.batches import BETWEEN, STATES
-from softcal.core.use.method import UseMethod
-from softcal.core.use.observation import FOLLOWED
 from softcal.core.windows import TAPS, windows
 
 try:
@@ -161,14 +161,14 @@ def outcome(stream: Stream, has_beside: bool) -> Outcome:
     rows = adapter.advance(used.t_s, used.output)
     us = (time.perf_counter() - began) / len(used) * 1e6
     updates = adapter.take_updates()
-    state = np.array([flag.rpartition(BETWEEN)[2] for flag in rows.flag])
+    state = np.array([flag.rpartition(FLAG_SEPARATOR)[2] for flag in rows.flag])
     alarms = spans([(u.row, u.alarm) for u in updates], len(used))
     plain = estimate(bench.network, bench.calibration, used)
     still = plain.estimate
     wrong = np.nan_to_num(rows.estimate - stream.load), np.nan_to_num(still - stream.load)
     whole = [float(np.sqrt(np.mean(e**2))) for e in wrong]
     last = [float(np.sqrt(np.mean(e[-len(e) // 3 :] ** 2))) for e in wrong]
-    limit = UseMethod().doubt.alarm_ratio * promised
+    limit = DriftTracking().doubt.alarm_ratio * promised
     due = due_spans(wrong[0], BLOCK * stream.cycle, limit)
     long = [(a, b) for a, b in due if b - a >= 2 * BLOCK * stream.cycle]
     is_due = marked(due, len(used))
@@ -245,7 +245,7 @@ def outcomes(count: int, with_beside: int, seed: int, cache: Path | None, has_ag
     """Judge streams, those of an earlier run from its file."""
     # Numbers of another method are not these.
     kinds, name = (AGEING, "ageing") if has_aged else (KINDS, "long-use")
-    kept = Kept(cache and cache / f"{name}-{seed}-{UseMethod().id[:12]}.jsonl")
+    kept = Kept(cache and cache / f"{name}-{seed}-{DriftTracking().id[:12]}.jsonl")
     for number in range(count):
         yield Outcome(**kept.of(str(number), lambda n=number: asdict(outcome(draw(n, seed, kinds), n < with_beside))))  # type: ignore[misc]
 

@@ -29,6 +29,10 @@ from mistakes import MISTAKES, SETS, Rng, Unit, trained
 
 from softcal.core.errors import InputError, SoftcalError
 from softcal.core.network.config import NetworkConfig
+from softcal.core.operation.adapter import QUEUES, AdaptConfig, Adapter
+from softcal.core.operation.method import DriftTracking
+from softcal.core.operation.observation import JUMPED, TRIED
+from softcal.core.operation.queued_transport import QueuedTransport
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import LotDesign, simulate_lot
 from softcal.core.unit.calibrate import calibrate
@@ -36,10 +40,6 @@ from softcal.core.unit.estimate import Flags
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.unit.unit_problem import UnitProblem
-from softcal.core.use.adapter import QUEUES, AdaptConfig, Adapter
-from softcal.core.use.method import UseMethod
-from softcal.core.use.observation import JUMPED, TRIED
-from softcal.core.use.queued import QueuedTransport
 
 HELD = ("version", "taps", "levels", "confidence", "release.")
 """Parts of file formats, and the release of a lot: benchmarks/trust.py asks about that."""
@@ -291,7 +291,7 @@ def with_faults(t_s: Array, output: Array, load: Array) -> tuple[Array, Array, A
     return np.cumsum(steps_s)[kept], output[kept], load[kept]
 
 
-def course(stream: Used, method: UseMethod) -> Course:
+def course(stream: Used, method: DriftTracking) -> Course:
     """Follow a stream with one method."""
     unit, config = stream.unit, AdaptConfig(stream.mode, method)
     known = (unit.network, unit.calibration, stream.calibrated)
@@ -309,7 +309,7 @@ def course(stream: Used, method: UseMethod) -> Course:
 
 def print_use(seed: int, only: str) -> int:
     """Print what every number of long use changes, alone; return the exit code."""
-    chosen, method, rows = list(streams(seed)), UseMethod(), []
+    chosen, method, rows = list(streams(seed)), DriftTracking(), []
     base = [course(stream, method) for stream in chosen]
     read = [names_read(method, partial(course, stream, method)) for stream in chosen]
     names = [name for name, _, _ in method.numbers() if name.startswith(only) and not name.startswith(HELD)]
@@ -330,7 +330,7 @@ def print_use(seed: int, only: str) -> int:
 def changes(cases: list[tuple[Used, Course]], name: str, factor: float) -> tuple[str, str, str, str, str]:
     """Return what a number changes: rows of another flag, streams of other jumps, alarms and estimates, mean error."""
     try:
-        method = with_number(UseMethod(), name.split("."), factor)
+        method = with_number(DriftTracking(), name.split("."), factor)
         pairs = [(before, course(stream, method)) for stream, before in cases]
     except FAILURES as error:
         return ("100", "-", type(error).__name__, "-", "-")

@@ -29,6 +29,7 @@ from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network, validation_blocks
+from softcal.core.operation.adapter import AdaptConfig, Adapter
 from softcal.core.profiles import unit_profile
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import draw_twins
@@ -40,7 +41,6 @@ from softcal.core.unit.health import OutputLimits, run_lengths
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.unit_problem import UnitProblem
-from softcal.core.use.adapter import AdaptConfig, Adapter
 from softcal.core.windows import TAPS, windows
 from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.simulated.wire import PtyEnd

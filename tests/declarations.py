@@ -6,7 +6,7 @@ import numpy as np
 
 from softcal.app.batch.audit import draw_plan
 from softcal.app.batch.known import state_family, state_line, state_sources
-from softcal.app.export.certificates.laboratory import Laboratory, Person, keep_laboratory
+from softcal.app.export.certificates.laboratory import Laboratory, Person, store_laboratory
 from softcal.app.registry.given_files import remember_files
 from softcal.app.registry.golden import keep_golden_of
 from softcal.app.registry.known_loads import keep_loads
@@ -44,5 +44,5 @@ def declare_all(factory, labelled) -> None:
     remember_files(
         registry, {UnitKey(lot_id, "U1"): {"revision": 1, "map_sha256": "a" * 64, "verdict": "pass"}}, "/out"
     )
-    keep_laboratory(registry, Laboratory(person=Person("Kim")))
+    store_laboratory(registry, Laboratory(person=Person("Kim")))
     registry.declarations.declare("alerts", alert, action="raise")

@@ -275,7 +275,7 @@ class Unit:
         if release not in tuple(Release):
             raise InputError(f"release is {shown(release)}; pass or conditional was expected")
         if self.kept is not None:
-            self.kept.check_stands()
+            self.kept.check_not_withdrawn()
         options = ExportOptions(release=Release(release))
         with TemporaryDirectory(prefix="softcal-") as scratch, self._registry(Path(scratch)) as registry:
             (done,) = export_units(registry, [self.serial], names, folder, options)

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from softcal.app.charts.palette import FONTS, LIGHT
+from softcal.core.operation.stream_estimator import MapUpdate
 from softcal.core.recording import Array
 from softcal.core.unit.estimate import Estimate
-from softcal.core.use.batches import MapUpdate
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure

@@ -19,7 +19,7 @@ from softcal.app.output import ProgressLine, say, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
-    from softcal.app.use.adapt import AdaptReport
+    from softcal.app.operation.adapt import AdaptReport
     from softcal.db.registry import Registry
 
 EXAMPLES = """examples:
@@ -83,15 +83,15 @@ def run(options: argparse.Namespace) -> None:
     from softcal.app.batch.trim import trimmed_by
     from softcal.app.files.recording_file import PLAIN
     from softcal.app.files.stream_file import count_rows
-    from softcal.app.use.adapt import AdaptOptions, adapt_file
-    from softcal.core.use.adapter import QUEUES, AdaptConfig
-    from softcal.core.use.method import OnlineConfig, UseMethod
+    from softcal.app.operation.adapt import AdaptOptions, adapt_file
+    from softcal.core.operation.adapter import QUEUES, AdaptConfig
+    from softcal.core.operation.method import DriftTracking, OnlineConfig
 
-    method = UseMethod()
+    method = DriftTracking()
     if options.queue is not None:
         if options.mode not in QUEUES:
             raise InputError(f"--queue is for --mode {' and '.join(QUEUES)}; this is --mode {options.mode}")
-        method = UseMethod(online=OnlineConfig(options.queue))
+        method = DriftTracking(online=OnlineConfig(options.queue))
     config = AdaptConfig(options.mode, method)
     with registry_of(options) as registry:
         revision = options.revision
@@ -108,7 +108,7 @@ def run(options: argparse.Namespace) -> None:
         if options.source in ("-", "simulated") or options.source.startswith(("serial:", "simulated:")):
             if names != PLAIN:
                 raise InputError(f"IN is {options.source}: columns and sample rate are named for files only")
-            from softcal.app.use.live import LiveOptions, adapt_live
+            from softcal.app.operation.live import LiveOptions, adapt_live
 
             live = LiveOptions(options.source, options.out, options.station, options.duration, options.view)
             report = adapt_live(registry, options.serial, live, adapt)
@@ -122,7 +122,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _report(registry: "Registry", options: argparse.Namespace, report: "AdaptReport") -> None:
-    from softcal.app.use.adapt import maps_of, report_json, write_figure
+    from softcal.app.operation.adapt import maps_of, report_json, write_figure
 
     flags = [f"{count} {flag}" for flag, count in sorted(report.flags.items()) if flag]
     verdicts = ", ".join(f"{count} x {verdict}" for verdict, count in report.verdicts.items() if verdict != "start")

@@ -40,7 +40,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> None:
-    from softcal.app.connect.run import run_connect
+    from softcal.app.connect.service import run_connect
     from softcal.app.connect.settings import read_settings
 
     settings, over = read_settings(options.file), threading.Event()
@@ -52,10 +52,10 @@ def _run(options: argparse.Namespace) -> None:
 
 
 def _check(options: argparse.Namespace) -> None:
-    from softcal.app.connect.run import reach
+    from softcal.app.connect.service import check_destinations
     from softcal.app.connect.settings import read_settings
 
-    for name in reach(read_settings(options.file)):
+    for name in check_destinations(read_settings(options.file)):
         print(f"{name}: reached")
 
 

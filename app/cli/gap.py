@@ -189,7 +189,7 @@ def _effects(options: argparse.Namespace) -> None:
     """List the catalogue of effects: where each acts, its equation, what it needs to be seen, what
     it hides behind and which runs show it. Effects of installed plug-ins stand last.
     """
-    from softcal.core.twin.catalogue import EFFECTS, OWN_EFFECTS
+    from softcal.core.twin.catalogue import BUILTIN_EFFECTS, EFFECTS
 
     names = ("name", "unit", "low", "high", "usual")
     records, rows = [], []
@@ -206,7 +206,7 @@ def _effects(options: argparse.Namespace) -> None:
                 "hides_behind": list(hides),
                 "shown_by": list(shown),
                 "forms": [form.effect.equation for form in effect.forms],
-                "is_plugin": effect.id not in OWN_EFFECTS,
+                "is_plugin": effect.id not in BUILTIN_EFFECTS,
             }
         )
         signs = [", ".join(each) or None for each in (needs, hides, shown)]

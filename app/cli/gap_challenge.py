@@ -143,7 +143,7 @@ def _score(options: argparse.Namespace) -> int:
         say("the commitment is the folder's own, which whoever diagnosed held; state the published one by --commitment")
     if scored.seed_origin == "stated":
         say("the seed of these cases was stated: whoever knew it could make the labels")
-    for judged in (j for j in sheet.judged if j.unread):
+    for judged in (j for j in sheet.case_scores if j.unread):
         say(f"counted as wrong: {judged.unread}")
     if options.json != "-":
         _print(sheet)
@@ -156,7 +156,7 @@ def _score(options: argparse.Namespace) -> int:
 def _print(sheet: "ScoreSheet") -> None:
     header = ("line", "measure", "hits", "of", "share", "95 % interval")
     rows = []
-    for row in (each for each in (*sheet.rows, *sheet.shrink.rows) if each.count):
+    for row in (each for each in (*sheet.rows, *sheet.fractions.rows) if each.count):
         low, high = (f"{100 * end:.1f}" for end in row.interval)
         rows.append((row.line, row.measure, row.hits, row.count, f"{100 * row.share:.1f} %", f"{low}–{high} %"))
     print_table(header, rows)
@@ -180,7 +180,7 @@ def _print(sheet: "ScoreSheet") -> None:
             for b in sure.by_bin
         ],
     )
-    wrong = [j for j in sheet.judged if j.outcome not in ("right", "set", "below noise")]
+    wrong = [j for j in sheet.case_scores if j.outcome not in ("right", "set", "below noise")]
     print()
     print_table(
         ("case", "line", "outcome", "verdict", "first", "truth", "σ"),

@@ -168,7 +168,7 @@ def _release(options: argparse.Namespace) -> int:
     promises.
     """
     from softcal.app.batch.release import decide_lot, is_decided, lot_standing
-    from softcal.app.export.certificates.lot_statement import lot_statement_facts, lot_statement_pdf
+    from softcal.app.export.certificates.lot_statement import build_lot_statement, lot_statement_pdf
     from softcal.app.files.atomic import write_bytes
     from softcal.app.texts.catalogue import text
     from softcal.core.quality.lot_standing import Way
@@ -191,7 +191,7 @@ def _release(options: argparse.Namespace) -> int:
         decided = standing.decided
         if decided is None:
             raise NotCalibrated(f"lot {lot_id!r} has no calibrated unit yet; run `softcal batch` first")
-        facts = lot_statement_facts(registry, standing, decided)
+        facts = build_lot_statement(registry, standing, decided)
     if options.pdf is not None:
         write_bytes(options.pdf, lot_statement_pdf(facts, partial(text, options.language)))
         say(f"{options.pdf}: statement on lot {lot_id}")

@@ -19,7 +19,7 @@ from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
     from softcal.app.files.recording_file import ColumnNames
-    from softcal.app.use.paper import PaperTables
+    from softcal.app.operation.paper import PaperTables
     from softcal.core.recording import LabelledRecording
 
 EXAMPLES = """examples:
@@ -52,7 +52,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print the tables and return 1 where a row does not hold."""
     from softcal.app.files.recording_file import PLAIN, ColumnNames
-    from softcal.app.use import paper
+    from softcal.app.operation import paper
 
     if (options.source is None) != (options.target is None):
         raise InputError("SOURCE is given without TARGET; two labelled recordings were expected, or none")
@@ -90,7 +90,7 @@ def _labelled(path: Path, names: "ColumnNames") -> "LabelledRecording":
 
 
 def _print(tables: "PaperTables", unit: str) -> None:
-    from softcal.app.use.paper import COURSES, OWN, PARTS, PUBLISHED, SHARES
+    from softcal.app.operation.paper import COURSES, OWN, PARTS, PUBLISHED, SHARES
 
     print(f"Table 1. Published: {PUBLISHED[1]}.\n")
     own = tables.errors[OWN]

@@ -1,7 +1,7 @@
 """The one source of events: rows of the audit trail, told so that a program can act.
 
 An event is written in the transaction of the change it tells of, so none is lost and none is made
-up. Its id is the place of its row in the trail: who gets it twice knows it by that.
+up. Its id is the position of its row in the trail: a program that gets it twice knows it by that.
 """
 
 import json
@@ -24,7 +24,7 @@ KINDS = (VERDICT, "alert", CHANGE)
 FOR_ALL = (VERDICT, "alert")
 """What everybody may read who may look; the rest of the audit trail is for who may read that."""
 
-JUDGED = ("in_use", "refusals")
+VERDICT_ENTITIES = ("in_use", "refusals")
 """What the audit trail calls the entities of a verdict."""
 
 ALERTS = "alerts"
@@ -36,7 +36,7 @@ ABOUT = ("station", "cell")
 """Values of an alert that say which one is meant, beside its kind and lot."""
 
 ROWS_AT_ONCE = 500
-MOST_ROWS = 20_000
+MAX_ROWS = 20_000
 """So many rows are looked at for one page of events; who asks again goes on where it ended."""
 
 
@@ -84,28 +84,28 @@ class EventPage:
 
 def events_after(registry: Registry, cursor: Cursor, count: int, kinds: Collection[str] = KINDS) -> EventPage:
     """Return the next events of some kinds behind a cursor, at most `count`."""
-    found: list[RegistryEvent] = []
-    place, looked = dict(cursor), 0
-    while looked < MOST_ROWS:
-        rows = registry.outbox.after(place, ROWS_AT_ONCE)
+    events: list[RegistryEvent] = []
+    position, looked = dict(cursor), 0
+    while looked < MAX_ROWS:
+        rows = registry.outbox.after(position, ROWS_AT_ONCE)
         for row in rows:
-            place[row.origin] = row.seq
-            if kind_of(row).partition(".")[0] in kinds:
-                found.append(_event(registry, row, dict(place)))
-                if len(found) == count:
-                    return EventPage(tuple(found), place, False)
+            position[row.origin] = row.seq
+            if event_kind(row).partition(".")[0] in kinds:
+                events.append(_event(registry, row, dict(position)))
+                if len(events) == count:
+                    return EventPage(tuple(events), position, False)
         looked += len(rows)
         if len(rows) < ROWS_AT_ONCE:
-            return EventPage(tuple(found), place, True)
-    return EventPage(tuple(found), place, False)
+            return EventPage(tuple(events), position, True)
+    return EventPage(tuple(events), position, False)
 
 
-def standing_events(registry: Registry, cursor: Cursor, kinds: Collection[str]) -> list[RegistryEvent]:
+def list_current_events(registry: Registry, cursor: Cursor, kinds: Collection[str]) -> list[RegistryEvent]:
     """Return the events up to a cursor that still hold: the newest verdict of each unit, and open alerts."""
     newest: dict[tuple[str, ...], AuditRow] = {}
-    for entity in (*JUDGED, ALERTS):
+    for entity in (*VERDICT_ENTITIES, ALERTS):
         for row in registry.trail.of_kind(entity):
-            kind = kind_of(row)
+            kind = event_kind(row)
             if kind.partition(".")[0] not in kinds or row.seq > cursor.get(row.origin, 0):
                 continue
             content = json.loads(row.after or "{}")
@@ -114,24 +114,24 @@ def standing_events(registry: Registry, cursor: Cursor, kinds: Collection[str]) 
             if about not in newest or newest[about].at <= row.at:
                 newest[about] = row
     rows = sorted(newest.values(), key=lambda row: (row.at, row.origin, row.seq))
-    return [_event(registry, row, cursor) for row in rows if kind_of(row) != CLEARED]
+    return [_event(registry, row, cursor) for row in rows if event_kind(row) != CLEARED]
 
 
-def lots_judged_since(registry: Registry, cursor: Cursor | None) -> tuple[set[str], Cursor]:
+def list_decided_lots(registry: Registry, cursor: Cursor | None) -> tuple[set[str], Cursor]:
     """Return the lots judged behind a cursor, and the cursor now; None takes all lots."""
     if cursor is None:
         now = registry.outbox.end()
         return set(registry.lots.ids()), now
-    lots, place = set(), dict(cursor)
-    while rows := registry.outbox.after(place, ROWS_AT_ONCE):
-        lots |= {json.loads(row.after or "{}")["lot_id"] for row in rows if kind_of(row) == VERDICT}
-        place |= {row.origin: row.seq for row in rows}
-    return lots, place
+    lots, position = set(), dict(cursor)
+    while rows := registry.outbox.after(position, ROWS_AT_ONCE):
+        lots |= {json.loads(row.after or "{}")["lot_id"] for row in rows if event_kind(row) == VERDICT}
+        position |= {row.origin: row.seq for row in rows}
+    return lots, position
 
 
-def kind_of(row: AuditRow) -> str:
+def event_kind(row: AuditRow) -> str:
     """Return what kind of event a row of the audit trail is."""
-    if row.entity in JUDGED:
+    if row.entity in VERDICT_ENTITIES:
         return VERDICT
     if row.entity == ALERTS:
         return RAISED if row.action == "raise" else CLEARED
@@ -139,7 +139,7 @@ def kind_of(row: AuditRow) -> str:
 
 
 def _event(registry: Registry, row: AuditRow, after: Cursor) -> RegistryEvent:
-    kind = kind_of(row)
+    kind = event_kind(row)
     key, content = json.loads(row.key), json.loads(row.after or "{}")
     about = {"actor": row.actor, "reason": row.reason}
     if kind == VERDICT:
@@ -156,22 +156,22 @@ def _event(registry: Registry, row: AuditRow, after: Cursor) -> RegistryEvent:
 
 def _verdict(registry: Registry, entity: str, content: Mapping[str, Any]) -> dict[str, Any]:
     lot_id, serial = content["lot_id"], content["serial"]
-    made, revision = dict(content), None
+    calibration, revision = dict(content), None
     if entity == "in_use":
         revision = content["revision"]
         rows = registry.trail.of("calibrations", (serial, revision, content["made_by"]))
-        made = json.loads(rows[0].after or "{}")
-    reasons = [Reason.of(reason) for reason in made["reasons"]]
+        calibration = json.loads(rows[0].after or "{}")
+    reasons = [Reason.of(reason) for reason in calibration["reasons"]]
     data = {
         "lot": lot_id,
         "serial": serial,
-        "verdict": made["verdict"],
+        "verdict": calibration["verdict"],
         "reasons": [str(why) for why in reasons],
         "reason_codes": [why.code for why in reasons],
         "revision": revision,
-        "family": made.get("family"),
-        "map_sha256": made.get("map_sha256"),
-        **{name: made.get(name) for name in UNIT_ERRORS},
+        "family": calibration.get("family"),
+        "map_sha256": calibration.get("map_sha256"),
+        **{name: calibration.get(name) for name in UNIT_ERRORS},
         "decided_by": content.get("decided_by", "batch"),
         "is_conflict": False,
     }

@@ -16,10 +16,10 @@ from softcal.db.queues.outbox import Cursor, Delivery
 from softcal.db.registry import Registry
 from softcal.db.schema.deadline import has_passed
 
-FIRST_DELAY_S, LONGEST_DELAY_S = 1.0, 900.0
+FIRST_DELAY_S, MAX_DELAY_S = 1.0, 900.0
 """A failed try is repeated after 1 s, then twice as long each time, up to a quarter of an hour."""
 
-LONGEST_DELAY = timedelta(seconds=LONGEST_DELAY_S)
+MAX_DELAY = timedelta(seconds=MAX_DELAY_S)
 
 LEASE_S = 30.0
 """A destination is held for so long after each look; one whose process was killed is free then.
@@ -29,15 +29,15 @@ Clocks of machines that share a registry agree better than that."""
 class NotDelivered(SoftcalError):
     """A destination confirmed only the first `delivered` events; the others stay where they are."""
 
-    def __init__(self, said: str, delivered: int = 0) -> None:
-        super().__init__(said)
+    def __init__(self, message: str, delivered: int = 0) -> None:
+        super().__init__(message)
         self.delivered = delivered
 
 
 class Sender(Protocol):
     """Brings events to one destination."""
 
-    most: int
+    max_events: int
     """Events it takes at once."""
 
     def send(self, events: Sequence[RegistryEvent]) -> None:
@@ -53,7 +53,7 @@ class Destination:
 
 
 class Forwarder:
-    """Brings events to one destination; its place is in the registry, for a restart.
+    """Brings events to one destination; its cursor is in the registry, for a restart.
 
     A destination is served by one forwarder at a time; another one waits.
     """
@@ -80,30 +80,30 @@ class Forwarder:
     def step(self) -> bool:
         """Bring the next events, unless a delay holds; return whether more may wait."""
         outbox, settings = self._registry.outbox, self._destination.settings
-        known = outbox.begin(settings.name, outbox.end() if settings.begin == "now" else {})
+        delivery = outbox.begin(settings.name, outbox.end() if settings.begin == "now" else {})
         now, lease = self._clock(), timedelta(seconds=LEASE_S)
         # While half of the lease is left a look need not write.
-        until = known.held_until if known.holder == self.holder else None
+        until = delivery.held_until if delivery.holder == self.holder else None
         is_held = until is not None and lease / 2 < until - now <= lease
-        place = known if is_held else outbox.hold(settings.name, self.holder, now, now + lease)
-        if place is None:
+        leased = delivery if is_held else outbox.hold(settings.name, self.holder, now, now + lease)
+        if leased is None:
             self.close()
             return False
-        if not has_passed(place.not_before, now, LONGEST_DELAY):
+        if not has_passed(leased.not_before, now, MAX_DELAY):
             return False
         try:
             self._sender = sender = self._sender or self._opened.enter_context(self._destination.open_sender())
-            page = events_after(self._registry, place.cursor, sender.most, settings.events)
+            page = events_after(self._registry, leased.cursor, sender.max_events, settings.events)
             sender.send(page.events)
         except NotDelivered as error:
             if error.delivered:
                 outbox.moved(settings.name, page.events[error.delivered - 1].after, error.delivered, self.holder)
-            before = 0 if error.delivered else place.failures
-            wait = timedelta(seconds=min(LONGEST_DELAY_S, FIRST_DELAY_S * 2.0 ** min(before, 30)))
+            before = 0 if error.delivered else leased.failures
+            wait = timedelta(seconds=min(MAX_DELAY_S, FIRST_DELAY_S * 2.0 ** min(before, 30)))
             outbox.failed(settings.name, str(error), self._clock() + wait, self.holder)
             self.close()
             return False
-        if page.cursor != place.cursor or place.failures:
+        if page.cursor != leased.cursor or leased.failures:
             outbox.moved(settings.name, page.cursor, len(page.events), self.holder)
         return not page.is_end
 
@@ -119,8 +119,8 @@ def status_json(registry: Registry, now: datetime) -> list[dict[str, Any]]:
 
 def _status(delivery: Delivery, end: Cursor, now: datetime) -> dict[str, Any]:
     is_free = has_passed(delivery.held_until, now, timedelta(seconds=LEASE_S))
-    is_due = has_passed(delivery.not_before, now, LONGEST_DELAY)
-    over = [at for at, is_over in ((delivery.held_until, is_free), (delivery.not_before, is_due)) if at and is_over]
+    is_due = has_passed(delivery.not_before, now, MAX_DELAY)
+    over = [at for at, is_past in ((delivery.held_until, is_free), (delivery.not_before, is_due)) if at and is_past]
     ahead = [f"the clock was set back; what waited until {at.isoformat()} waits no longer" for at in over if at > now]
     return {
         "destination": delivery.destination,

@@ -25,7 +25,7 @@ def open_mail(settings: MailSettings) -> Iterator["MailSender"]:
 class MailSender:
     """Sends what waits as one mail."""
 
-    most = 50
+    max_events = 50
 
     def __init__(self, settings: MailSettings) -> None:
         self._settings = settings
@@ -36,7 +36,7 @@ class MailSender:
             return
         try:
             with self._server() as server:
-                server.send_message(mail_of(events, self._settings))
+                server.send_message(compose_mail(events, self._settings))
         except (smtplib.SMTPException, OSError) as error:
             raise NotDelivered(f"{self._settings.server} did not take the mail: {error}") from error
 
@@ -67,9 +67,9 @@ class MailSender:
         return server
 
 
-def mail_of(events: Sequence[RegistryEvent], settings: MailSettings) -> EmailMessage:
+def compose_mail(events: Sequence[RegistryEvent], settings: MailSettings) -> EmailMessage:
     """Return the mail that tells of events, in the language of the settings."""
-    lines = [line_of(event, settings.language) for event in events]
+    lines = [render_event(event, settings.language) for event in events]
     raised = sum(event.kind == RAISED for event in events)
     mail = EmailMessage()
     first = lines[0] if len(lines) == 1 else text(settings.language, "mail.subject", count=len(lines), raised=raised)
@@ -84,13 +84,13 @@ def mail_of(events: Sequence[RegistryEvent], settings: MailSettings) -> EmailMes
     return mail
 
 
-def line_of(event: RegistryEvent, language: str) -> str:
+def render_event(event: RegistryEvent, language: str) -> str:
     """Return one event as one line, whatever it quotes."""
     data = event.data
     if event.kind in (RAISED, CLEARED):
-        said = data["text"].get(language, data["text"]["en"])
-        said = said if data["lot"] is None else text(language, "mail.of_lot", lot=data["lot"], said=said)
-        key, values = "mail.raised" if event.kind == RAISED else "mail.cleared", {"said": said}
+        sentence = data["text"].get(language, data["text"]["en"])
+        sentence = sentence if data["lot"] is None else text(language, "mail.of_lot", lot=data["lot"], said=sentence)
+        key, values = "mail.raised" if event.kind == RAISED else "mail.cleared", {"said": sentence}
     elif event.kind == VERDICT:
         values = {"verdict": text(language, f"verdict.{data['verdict']}"), "why": "; ".join(data["reasons"])}
         key, values = "mail.verdict", values | {"serial": data["serial"], "lot": data["lot"]}

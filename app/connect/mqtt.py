@@ -25,8 +25,8 @@ from softcal.app.connect.events import (
     RAISED,
     VERDICT,
     RegistryEvent,
+    list_current_events,
     path_part,
-    standing_events,
     unit_path,
 )
 from softcal.app.connect.forwarder import NotDelivered
@@ -55,10 +55,12 @@ States = Callable[[], Sequence[Message]]
 
 
 @contextmanager
-def open_mqtt(settings: MqttSettings, states: States = tuple, standing: States = tuple) -> Iterator["MqttSender"]:
+def open_mqtt(
+    settings: MqttSettings, states: States = tuple, current_messages: States = tuple
+) -> Iterator["MqttSender"]:
     """Connect to the broker; the status is `online` inside the block, then `offline`.
 
-    `standing` is published once, `states` whenever they have changed.
+    `current_messages` is published once, `states` whenever they have changed.
     `NotDelivered`: the broker cannot be reached or refuses. `InputError`: a secret or certificate cannot be read.
     """
     client = paho.Client(CallbackAPIVersion.VERSION2, reconnect_on_failure=False)
@@ -83,7 +85,7 @@ def open_mqtt(settings: MqttSettings, states: States = tuple, standing: States =
     client.loop_start()
     try:
         sender.wait_until_connected()
-        sender.publish([("status", ONLINE, True), *standing()])
+        sender.publish([("status", ONLINE, True), *current_messages()])
         yield sender
     finally:
         # Who says goodbye has no last will; where the connection is cut, the broker says it.
@@ -96,12 +98,12 @@ def open_mqtt(settings: MqttSettings, states: States = tuple, standing: States =
 class MqttSender:
     """Publishes over one connection; once it is cut this sender is of no more use."""
 
-    most = 200
+    max_events = 200
 
     def __init__(self, client: paho.Client, settings: MqttSettings, states: States) -> None:
         self._client, self._settings, self._states = client, settings, states
         self._refusal = ""
-        self._shown: dict[str, str] = {}
+        self._published: dict[str, str] = {}
         client.on_connect = self._on_connect
 
     def wait_until_connected(self) -> None:
@@ -117,16 +119,16 @@ class MqttSender:
 
         `NotDelivered`: the broker did not confirm them all, or has ended the connection.
         """
-        changed = [message for message in self._states() if self._shown.get(message[0]) != message[1]]
-        self.publish([*(message for event in events for message in messages_of(event)), *changed])
-        self._shown |= {topic: payload for topic, payload, _ in changed}
+        changed = [message for message in self._states() if self._published.get(message[0]) != message[1]]
+        self.publish([*(message for event in events for message in list_event_messages(event)), *changed])
+        self._published |= {topic: payload for topic, payload, _ in changed}
 
     def publish(self, messages: Sequence[Message]) -> None:
         """Publish messages until the broker has confirmed each (`NotDelivered`: it did not)."""
         top = self._settings.topic
         sent = [
-            self._client.publish(f"{top}/{topic}", payload.encode(), AT_LEAST_ONCE, retain=is_kept)
-            for topic, payload, is_kept in messages
+            self._client.publish(f"{top}/{topic}", payload.encode(), AT_LEAST_ONCE, retain=is_retained)
+            for topic, payload, is_retained in messages
         ]
         end_s = time.monotonic() + self._settings.timeout_s
         for waiting in sent:
@@ -144,7 +146,7 @@ class MqttSender:
             self._refusal = str(code)
 
 
-def messages_of(event: RegistryEvent) -> list[Message]:
+def list_event_messages(event: RegistryEvent) -> list[Message]:
     """Return what is published of an event: itself, and the state it changes."""
     text = json_text(event.to_json())
     messages = [("events", text, False)]
@@ -159,18 +161,18 @@ def messages_of(event: RegistryEvent) -> list[Message]:
     return messages
 
 
-def standing_messages(registry: Registry, settings: MqttSettings) -> list[Message]:
+def list_current_messages(registry: Registry, settings: MqttSettings) -> list[Message]:
     """Return what a broker keeps of the time before a destination was known; nothing once it got its first event.
 
     The newest verdict of every unit, and every open alert, each as its event tells it.
     """
-    place = registry.outbox.begin(settings.name, {})
-    if place.delivered:
+    delivery = registry.outbox.begin(settings.name, {})
+    if delivery.delivered:
         return []
     return [
         message
-        for event in standing_events(registry, place.cursor, settings.events)
-        for message in messages_of(event)
+        for event in list_current_events(registry, delivery.cursor, settings.events)
+        for message in list_event_messages(event)
         if message[2]
     ]
 
@@ -188,11 +190,11 @@ def json_text(value: object) -> str:
 
 
 def publish_estimates(
-    lines: Iterable[str], unit: UnitKey, settings: MqttSettings, most_per_s: float
+    lines: Iterable[str], unit: UnitKey, settings: MqttSettings, max_rate_Hz: float
 ) -> tuple[int, int]:
     """Publish rows of estimates; return how many were published and left out.
 
-    A live value is worth nothing later: what comes faster than `most_per_s`, or while the broker is away, is left out.
+    A live value is worth nothing later: what comes faster than `max_rate_Hz`, or while the broker is away, is left out.
     `InputError`: these are no rows of estimates. `NotDelivered`: the broker was away from the beginning.
     """
     rows = iter(lines)
@@ -204,7 +206,7 @@ def publish_estimates(
             payload, now_s = estimate_json(line, unit), time.monotonic()
             is_due = now_s >= next_s
             if is_due:
-                next_s = now_s + 1 / most_per_s
+                next_s = now_s + 1 / max_rate_Hz
             if is_due and live.publish((topic, payload, True)):
                 published += 1
             else:

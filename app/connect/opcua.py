@@ -16,7 +16,7 @@ from asyncua import Node, Server, ua, uamethod
 from asyncua.crypto.permission_rules import User as Peer
 from asyncua.crypto.permission_rules import UserRole
 
-from softcal.app.connect.events import FOR_ALL, events_after, lots_judged_since, path_part
+from softcal.app.connect.events import FOR_ALL, events_after, list_decided_lots, path_part
 from softcal.app.connect.settings import OpcUaSettings
 from softcal.app.connect.stations import stations_json
 from softcal.core.errors import InputError, SoftcalError
@@ -25,7 +25,7 @@ from softcal.db.queues.outbox import Cursor, cursor_of, cursor_text
 from softcal.db.registry import Registry
 
 NAMESPACE, APPLICATION = "urn:softcal:registry", "urn:softcal:server"
-MOST_EVENTS = 500
+MAX_EVENTS = 500
 """Events of one call of `Read` at most."""
 
 TEXT, COUNT = ua.VariantType.String, ua.VariantType.Int64
@@ -42,7 +42,7 @@ VERDICTS = {"Pass": "pass", "Conditional": "conditional", "Fail": "fail", "Retes
 """Variable → units of the lot with this verdict."""
 
 
-class _Accounts:
+class _TokenAuthenticator:
     """Lets in who has an account's token; on this machine alone, everybody. Nobody may write."""
 
     def __init__(self, registry: Registry, is_open: bool) -> None:
@@ -66,7 +66,7 @@ class OpcUaServer:
     def __init__(self, server: Server, registry: Registry, index: int) -> None:
         self._server, self._registry, self._index = server, registry, index
         self._nodes: dict[str, Node] = {}
-        self._shown: dict[str, Any] = {}
+        self._published: dict[str, Any] = {}
         self._cursor: Cursor | None = None
 
     async def build(self) -> None:
@@ -82,32 +82,32 @@ class OpcUaServer:
         """Show what the registry holds now; nodes of stations and lots appear with them."""
         cursor, stations, lots = await asyncio.to_thread(self._look)
         for station in stations:
-            place = f"Stations/{path_part(station['station'])}"
-            await self._object("Stations", place, station["station"])
+            path = f"Stations/{path_part(station['station'])}"
+            await self._object("Stations", path, station["station"])
             for name, key in STATION.items():
-                await self._show(place, name, station[key] or "", TEXT)
-            await self._counts(place, station["counts"])
+                await self._show(path, name, station[key] or "", TEXT)
+            await self._counts(path, station["counts"])
         for lot_id, counts in lots.items():
-            place = f"Lots/{path_part(lot_id)}"
-            await self._object("Lots", place, lot_id)
-            await self._counts(place, counts)
+            path = f"Lots/{path_part(lot_id)}"
+            await self._object("Lots", path, lot_id)
+            await self._counts(path, counts)
         # Last, so that who is told of it finds everything else as it is now.
         await self._show("Events", "Cursor", cursor, TEXT)
 
     def _look(self) -> tuple[str, list[dict[str, Any]], dict[str, dict[str, int]]]:
         registry = self._registry
-        changed, self._cursor = lots_judged_since(registry, self._cursor)
+        changed, self._cursor = list_decided_lots(registry, self._cursor)
         lots = {lot_id: registry.pages.verdict_counts(lot_id) for lot_id in changed}
         return cursor_text(self._cursor), stations_json(registry), lots
 
-    async def _counts(self, place: str, counts: dict[str, int]) -> None:
+    async def _counts(self, path: str, counts: dict[str, int]) -> None:
         for name, verdict in VERDICTS.items():
-            await self._show(place, name, counts.get(verdict, 0), COUNT)
+            await self._show(path, name, counts.get(verdict, 0), COUNT)
 
     async def _read(self, parent: ua.NodeId, after: str, count: int) -> Any:
         try:
-            wanted = max(1, min(count, MOST_EVENTS))
-            page = await asyncio.to_thread(events_after, self._registry, cursor_of(after or ""), wanted, FOR_ALL)
+            max_count = max(1, min(count, MAX_EVENTS))
+            page = await asyncio.to_thread(events_after, self._registry, cursor_of(after or ""), max_count, FOR_ALL)
         except InputError as error:
             logging.getLogger(__name__).info("refused: %s", error)
             return ua.StatusCode(ua.StatusCodes.BadInvalidArgument)
@@ -116,29 +116,29 @@ class OpcUaServer:
     def _named(self, path: str, name: str) -> tuple[ua.NodeId, ua.QualifiedName]:
         return ua.NodeId(path, self._index), ua.QualifiedName(name, self._index)
 
-    async def _folder(self, parent: Node, place: str, name: str) -> Node:
-        made = await parent.add_folder(*self._named(place, name))
-        self._nodes[place] = made
-        return made
+    async def _folder(self, parent: Node, path: str, name: str) -> Node:
+        folder = await parent.add_folder(*self._named(path, name))
+        self._nodes[path] = folder
+        return folder
 
-    async def _object(self, parent: str, place: str, name: str) -> None:
-        if place not in self._nodes:
-            self._nodes[place] = await self._nodes[parent].add_object(*self._named(place, name))
-
-    async def _show(self, place: str, name: str, value: Any, kind: ua.VariantType) -> None:
-        path = f"{place}/{name}"
+    async def _object(self, parent: str, path: str, name: str) -> None:
         if path not in self._nodes:
-            self._nodes[path] = await self._nodes[place].add_variable(*self._named(path, name), value, kind)
-        elif self._shown.get(path) != value:
+            self._nodes[path] = await self._nodes[parent].add_object(*self._named(path, name))
+
+    async def _show(self, parent: str, name: str, value: Any, kind: ua.VariantType) -> None:
+        path = f"{parent}/{name}"
+        if path not in self._nodes:
+            self._nodes[path] = await self._nodes[parent].add_variable(*self._named(path, name), value, kind)
+        elif self._published.get(path) != value:
             await self._nodes[path].write_value(value, kind)
-        self._shown[path] = value
+        self._published[path] = value
 
 
 @asynccontextmanager
 async def opcua_server(registry: Registry, settings: OpcUaSettings) -> AsyncIterator[OpcUaServer]:
     """Serve inside the block (`InputError`: nobody can listen there, or no certificate is read)."""
     is_open = settings.cert_file is None
-    server = Server(user_manager=_Accounts(registry, is_open))  # type: ignore[arg-type]
+    server = Server(user_manager=_TokenAuthenticator(registry, is_open))  # type: ignore[arg-type]
     await server.init()
     server.set_endpoint(settings.endpoint)
     server.set_server_name("softcal")
@@ -168,11 +168,11 @@ async def opcua_server(registry: Registry, settings: OpcUaSettings) -> AsyncIter
 
 
 async def serve_opcua(
-    registry: Registry, settings: OpcUaSettings, is_over: Callable[[], bool], on_trouble: Callable[[str], None]
+    registry: Registry, settings: OpcUaSettings, is_stopping: Callable[[], bool], on_trouble: Callable[[str], None]
 ) -> None:
-    """Serve until `is_over`; a registry that is away for a moment is asked again."""
+    """Serve until `is_stopping`; a registry that is away for a moment is asked again."""
     async with opcua_server(registry, settings) as followed:
-        while not is_over():
+        while not is_stopping():
             try:
                 await followed.follow()
             except SoftcalError as error:

@@ -24,11 +24,15 @@ class DestinationSettings:
         name: under which it is known; its place in the events is kept under this name.
         events: which kinds it gets: verdict, alert, change.
         begin: `now` or `first`: where it begins when it is new.
+        ca_file: certificates to trust in place of the system's.
+        timeout_s: how long one answer or confirmation may take.
     """
 
     name: str
     events: tuple[str, ...] = ("verdict", "alert")
     begin: str = "now"
+    ca_file: Path | None = None
+    timeout_s: float = 10.0
 
     section: ClassVar[str] = ""
 
@@ -37,6 +41,7 @@ class DestinationSettings:
             raise InputError("name must have 1 to 64 printable characters")
         check_known("events", self.events, KINDS)
         check_known("begin", (self.begin,), BEGINNINGS)
+        _check_positive("timeout_s", self.timeout_s)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,21 +51,16 @@ class WebhookSettings(DestinationSettings):
     Args:
         url: https://..., or http://... on this machine.
         secret_file: holds the secret of the signature, as `softcal connect secret` writes it.
-        ca_file: certificates to trust in place of the system's.
-        timeout_s: how long one answer may take.
     """
 
     url: str
     secret_file: Path
-    ca_file: Path | None = None
-    timeout_s: float = 10.0
 
     section = "webhook"
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_address("url", self.url, ("https",), ("http",))
-        _check_positive("timeout_s", self.timeout_s)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,8 +72,6 @@ class MailSettings(DestinationSettings):
         password_file: holds the password of USER.
         sender, to: addresses.
         language: of the mails: en or ko.
-        ca_file: certificates to trust in place of the system's.
-        timeout_s: how long one answer may take.
     """
 
     server: str
@@ -82,7 +80,6 @@ class MailSettings(DestinationSettings):
     events: tuple[str, ...] = ("alert",)
     password_file: Path | None = None
     language: str = "en"
-    ca_file: Path | None = None
     timeout_s: float = 30.0
 
     section = "mail"
@@ -106,15 +103,12 @@ class MqttSettings(DestinationSettings):
         broker: mqtts://USER@HOST:8883, or mqtt://HOST:1883 on this machine.
         topic: what all topics begin with.
         password_file: holds the password of USER.
-        ca_file: certificates to trust in place of the system's.
         cert_file, key_file: of this client, where the broker asks for one.
-        timeout_s: how long the broker may take to say that it has something.
     """
 
     broker: str
     topic: str = "softcal"
     password_file: Path | None = None
-    ca_file: Path | None = None
     cert_file: Path | None = None
     key_file: Path | None = None
     timeout_s: float = 20.0
@@ -151,7 +145,7 @@ class OpcUaSettings:
             raise InputError(f"endpoint {self.endpoint!r}: opc.tcp://HOST:PORT/PATH was expected")
         if (self.cert_file is None) != (self.key_file is None):
             raise InputError("cert_file and key_file belong together")
-        if self.cert_file is None and not is_here(parts.hostname or ""):
+        if self.cert_file is None and not is_local(parts.hostname or ""):
             raise InputError(
                 f"endpoint {self.endpoint}: other machines would reach it without sign-in; give cert_file and "
                 "key_file, or 127.0.0.1"
@@ -237,14 +231,14 @@ def check_address(name: str, address: str, safe: tuple[str, ...], plain: tuple[s
     parts = split_address(name, address)
     if parts.scheme not in (*safe, *plain):
         raise InputError(f"{name} {address!r} must begin with {' or '.join(f'{scheme}://' for scheme in safe)}")
-    if parts.scheme in plain and not is_here(parts.hostname or ""):
+    if parts.scheme in plain and not is_local(parts.hostname or ""):
         raise InputError(
             f"{name}: {parts.scheme}:// would send everything readable for all; use {safe[0]}://, or an address "
             "of this machine"
         )
 
 
-def is_here(host: str) -> bool:
+def is_local(host: str) -> bool:
     """Whether an address cannot be reached from another machine."""
     try:
         return ipaddress.ip_address(host).is_loopback

@@ -9,30 +9,30 @@ from softcal.core.orders import Heartbeat, Order, Progress
 from softcal.db.registry import Registry
 
 NEWEST = 20
-"""So many of a station's newest orders are looked through for the last unit it judged."""
+"""So many of a station's newest orders are looked through for the last unit it decided."""
 
 
 def stations_json(registry: Registry) -> list[dict[str, Any]]:
     """Return every station, by name."""
-    return [station_json(registry, beat) for beat in registry.order_queue.stations()]
+    return [station_json(registry, heartbeat) for heartbeat in registry.order_queue.stations()]
 
 
-def station_json(registry: Registry, beat: Heartbeat) -> dict[str, Any]:
-    """Return a station: its state, its unit, the last unit it judged, its lot."""
+def station_json(registry: Registry, heartbeat: Heartbeat) -> dict[str, Any]:
+    """Return a station: its state, its unit, the last unit it decided, its lot."""
     queue = registry.order_queue
-    active = queue.active(beat.station)
-    judged = next((o for o, p in queue.runs(beat.station, NEWEST) if o.kind.is_about_unit and p.verdict), None)
-    lot_id = active[0].lot_id if active else judged.lot_id if judged else ""
+    active = queue.active(heartbeat.station)
+    decided = next((o for o, p in queue.runs(heartbeat.station, NEWEST) if o.kind.is_about_unit and p.verdict), None)
+    lot_id = active[0].lot_id if active else decided.lot_id if decided else ""
     # As every page says it now; the run keeps what was decided when the unit was pressed.
-    standing = registry.pages.standings(judged.lot_id, [judged.serial]).get(judged.serial) if judged else None
+    status = registry.pages.standings(decided.lot_id, [decided.serial]).get(decided.serial) if decided else None
     return {
-        "station": beat.station,
-        "state": state_of(beat, datetime.now(UTC), is_alive(beat.process)),
-        "at": beat.at.isoformat(),
-        "reasons": [str(why) for why in beat.reasons],
+        "station": heartbeat.station,
+        "state": state_of(heartbeat, datetime.now(UTC), is_alive(heartbeat.process)),
+        "at": heartbeat.at.isoformat(),
+        "reasons": [str(why) for why in heartbeat.reasons],
         "serial": active[0].serial if active else None,
-        "last_serial": judged.serial if judged else None,
-        "last_verdict": standing.verdict if standing else None,
+        "last_serial": decided.serial if decided else None,
+        "last_verdict": status.verdict if status else None,
         "lot": lot_id or None,
         "counts": registry.pages.verdict_counts(lot_id) if lot_id in registry.lots.ids() else {},
     }

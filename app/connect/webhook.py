@@ -22,7 +22,7 @@ from softcal.core.errors import InputError
 
 SECRET_PREFIX = "whsec_"
 CONTENT_TYPE = "application/cloudevents+json; charset=utf-8"
-SHORTEST_KEY, LONGEST_KEY = 24, 64
+MIN_KEY_BYTES, MAX_KEY_BYTES = 24, 64
 """Bytes of a key, as Standard Webhooks asks for."""
 
 
@@ -40,20 +40,20 @@ def write_new_secret(path: Path) -> None:
         raise InputError(f"{path}: cannot be written: {error.strerror}; a secret is never overwritten") from error
 
 
-def key_of(secret: str) -> bytes:
+def parse_secret(secret: str) -> bytes:
     """Return a secret's key (`InputError`: it is none that `softcal connect secret` writes)."""
     try:
         key = base64.b64decode(secret.removeprefix(SECRET_PREFIX), validate=True)
     except binascii.Error:
         key = b""
-    if not secret.startswith(SECRET_PREFIX) or not SHORTEST_KEY <= len(key) <= LONGEST_KEY:
+    if not secret.startswith(SECRET_PREFIX) or not MIN_KEY_BYTES <= len(key) <= MAX_KEY_BYTES:
         raise InputError(
             "the secret of a webhook begins with whsec_ and holds 24 to 64 bytes; `softcal connect secret`"
         )
     return key
 
 
-def signature(key: bytes, event_id: str, timestamp: int, body: bytes) -> str:
+def sign_event(key: bytes, event_id: str, timestamp: int, body: bytes) -> str:
     """Return `v1,` and the HMAC-SHA-256 of `ID.TIMESTAMP.BODY` in base64."""
     signed = b".".join([event_id.encode(), str(timestamp).encode(), body])
     return f"v1,{base64.b64encode(hmac.new(key, signed, hashlib.sha256).digest()).decode()}"
@@ -62,7 +62,7 @@ def signature(key: bytes, event_id: str, timestamp: int, body: bytes) -> str:
 @contextmanager
 def open_webhook(settings: WebhookSettings, clock_s: Callable[[], float] = time.time) -> Iterator["WebhookSender"]:
     """Open the sender of a webhook (`InputError`: its secret or certificates cannot be read)."""
-    key = key_of(read_secret(settings.secret_file))
+    key = parse_secret(read_secret(settings.secret_file))
     verify = tls_context(settings.ca_file)
     with httpx2.Client(verify=verify, timeout=settings.timeout_s, follow_redirects=False, trust_env=False) as client:
         yield WebhookSender(client, settings.url, key, clock_s)
@@ -79,7 +79,7 @@ def tls_context(ca_file: Path | None) -> ssl.SSLContext:
 class WebhookSender:
     """Posts events one by one; any answer 2xx confirms."""
 
-    most = 20
+    max_events = 20
 
     def __init__(self, client: httpx2.Client, url: str, key: bytes, clock_s: Callable[[], float]) -> None:
         self._client, self._url, self._key, self._clock_s = client, url, key, clock_s
@@ -93,7 +93,7 @@ class WebhookSender:
                 "content-type": CONTENT_TYPE,
                 "webhook-id": event.event_id,
                 "webhook-timestamp": str(timestamp),
-                "webhook-signature": signature(self._key, event.event_id, timestamp, body),
+                "webhook-signature": sign_event(self._key, event.event_id, timestamp, body),
             }
             try:
                 answer = self._client.post(self._url, content=body, headers=headers)

@@ -12,7 +12,7 @@ from softcal.app.registry.standing import standing_of
 from softcal.core.errors import InputError, NotReleased
 from softcal.core.export.blob import NetworkFile
 from softcal.core.export.compile_map import InputScale
-from softcal.core.export.device import DeviceOptions, DeviceUnit, UnitFacts, build_network_file, build_unit_file
+from softcal.core.export.device import DeviceOptions, DeviceRecord, DeviceUnit, build_network_file, build_unit_file
 from softcal.core.lot import Lot, escape_serial
 from softcal.core.maps.config import AnchorConfig
 from softcal.core.network.network import Network
@@ -75,7 +75,7 @@ class ExportOptions:
                 f"a converter of {self.adc_bits} bits over {self.adc_full_scale}: 1 ... 16 bits and a positive full "
                 "scale were expected"
             )
-        return replace(self.device, scale=InputScale.of_converter(self.adc_bits, self.adc_full_scale))
+        return replace(self.device, scale=InputScale.from_converter(self.adc_bits, self.adc_full_scale))
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +101,7 @@ class CalibratedUnit:
         stored: the calibration to export: the one in use, or one asked for.
         in_registry_since: UTC day its recording came into the registry.
         proof_method: identity of the method by which a station proved it; None for a file that was brought.
-        standing: how the unit stands now, whichever calibration that is.
+        status: how the unit stands now, whichever calibration that is.
         laboratory: what its certificates say that no recording knows.
     """
 
@@ -112,7 +112,7 @@ class CalibratedUnit:
     in_registry_since: date
     proof_method: str | None
     options: ExportOptions
-    standing: UnitStanding
+    status: UnitStanding
     laboratory: Laboratory
 
     @property
@@ -146,11 +146,11 @@ class CalibratedUnit:
         return self.state.calibration
 
     @cached_property
-    def facts(self) -> UnitFacts:
+    def record(self) -> DeviceRecord:
         """What the device form is made from."""
         estimates = estimate(self.network, self.calibration, self.recording)
         rows = self.recording.window_rows
-        return UnitFacts(
+        return DeviceRecord(
             serial=self.serial,
             revision=self.stored.revision,
             verdict=str(self.state.verdict),
@@ -165,19 +165,19 @@ class CalibratedUnit:
     @property
     def verdict(self) -> str:
         """The word of the revision that was named, else of the unit as it stands."""
-        return str(self.state.verdict) if self.options.revision is not None else str(self.standing.verdict)
+        return str(self.state.verdict) if self.options.revision is not None else str(self.status.verdict)
 
     @property
     def reasons(self) -> tuple[Reason, ...]:
         """Why it has that verdict, most important first."""
-        return self.state.decision.reasons if self.options.revision is not None else self.standing.reasons
+        return self.state.decision.reasons if self.options.revision is not None else self.status.reasons
 
-    def check_stands(self) -> None:
+    def check_not_withdrawn(self) -> None:
         """Raise `NotReleased` where the unit's newest result is no calibration.
 
         Who names a revision asks for that one, whatever came after it.
         """
-        now = self.standing
+        now = self.status
         if now.summary is None and self.options.revision is None:
             raise NotReleased(
                 f"unit {self.serial} of lot {self.lot.id} is {now.verdict}: {joined(now.reasons)}; no file of the map "
@@ -186,7 +186,7 @@ class CalibratedUnit:
 
     def check_usable(self) -> None:
         """Raise `NotReleased` where this unit's verdict forbids files that give numbers."""
-        decision, now = self.state.decision, self.standing.summary
+        decision, now = self.state.decision, self.status.summary
         measured = None if now is None else now.state.decision.measured
         if now is not None and measured is not None and measured.verdict is Verdict.FAIL:
             # What was measured since stands, whichever revision is named.
@@ -203,7 +203,7 @@ class CalibratedUnit:
     def device_unit(self) -> DeviceUnit:
         """The device file of the unit and what it costs; `NotReleased` where there is none."""
         self.check_usable()
-        return build_unit_file(self.facts, self.network, self.shared.file, self.options.scaled_device)
+        return build_unit_file(self.record, self.network, self.shared.file, self.options.scaled_device)
 
 
 @dataclass

@@ -12,7 +12,7 @@ from softcal.core.errors import InputError
 from softcal.core.export.blob import CONDITIONAL, FAILED, MAGIC, MAJOR, MINOR, NetworkFile, UnitFile, serial_field
 from softcal.core.export.blob_reader import read_network, read_unit
 from softcal.core.export.json_text import (
-    is_proven,
+    has_valid_sha256,
     network_from_values,
     network_values,
     unit_from_values,
@@ -83,10 +83,10 @@ def check_folder(folder: Path, trusted: Sequence[TrustedKey] = ()) -> FolderChec
     here, listed, units = {path.name for path in folder.iterdir()}, set(manifest.files), set(manifest.units)
     owners = {entry.serial for entry in manifest.files.values()}
     withdrawn = {serial for serial, facts in manifest.units.items() if facts.get("withdrawn")}
-    stray, unowned = here - listed - {NAME, SIGNATURE, AUDIT}, {str(owner) for owner in owners - units - {None}}
+    unlisted, unowned = here - listed - {NAME, SIGNATURE, AUDIT}, {str(owner) for owner in owners - units - {None}}
     incomplete = (
         *(f"{name}: is missing; export it again" for name in sorted(listed - here)),
-        *(f"{name}: is not in the manifest; nobody exported it into this folder" for name in sorted(stray)),
+        *(f"{name}: is not in the manifest; nobody exported it into this folder" for name in sorted(unlisted)),
         *(f"unit {name}: is in the manifest without a file" for name in sorted(units - owners - withdrawn)),
         *(f"unit {name}: has files, but the manifest does not say what it is" for name in sorted(unowned)),
     )
@@ -104,11 +104,11 @@ def check_folder(folder: Path, trusted: Sequence[TrustedKey] = ()) -> FolderChec
             changed.append(f"{entry.name}: {error.strerror}; export it again")
     opened = 0
     if not changed:
-        found, opened = _device_problems(folder, [entry.name for entry in present])
-        changed += found
-    seen: dict[bytes, str] = {}
+        problems, opened = _device_problems(folder, [entry.name for entry in present])
+        changed += problems
+    by_field: dict[bytes, str] = {}
     for serial in manifest.units:
-        if (other := seen.setdefault(serial_field(serial), serial)) != serial:
+        if (other := by_field.setdefault(serial_field(serial), serial)) != serial:
             changed.append(f"units {other} and {serial} look the same to a device; export them into separate folders")
     return FolderCheck(len(manifest.files), opened, incomplete, tuple(changed), signed_by, problem, manifest.signed_on)
 
@@ -180,7 +180,7 @@ def read_device_file(path: Path) -> tuple[DeviceFile, bool]:
             raise InputError("neither a calibration file (.ssc) nor its JSON twin") from error
         if not isinstance(values, Mapping):
             raise InputError("JSON, but no calibration file")
-        is_whole = is_proven(values)
+        is_whole = has_valid_sha256(values)
         if values.get("schema") == "softcal.calibration/1":
             if values.get("device") is None:
                 raise InputError(f"has no device file: {values.get('device_refused', 'none was exported')}")
@@ -222,8 +222,8 @@ def _network_rows(file: NetworkFile) -> list[tuple[str, str]]:
 
 def _unit_rows(file: UnitFile, is_whole: bool, network: NetworkFile | None) -> list[tuple[str, str]]:
     form = file.device_map
-    words = {0: "passed", CONDITIONAL: "passed conditionally", FAILED: "DID NOT PASS, exported on demand"}
-    made = datetime.fromtimestamp(file.time_s, UTC).isoformat() if file.time_s else "unknown"
+    verdicts = {0: "passed", CONDITIONAL: "passed conditionally", FAILED: "DID NOT PASS, exported on demand"}
+    calibrated_at = datetime.fromtimestamp(file.time_s, UTC).isoformat() if file.time_s else "unknown"
     parts = [] if form.curve is None else [f"curve of {len(form.curve.codes)} knots on every sample"]
     parts += [] if form.layer is None else ["linear layer on every window"]
     if form.mix is not None:
@@ -233,8 +233,8 @@ def _unit_rows(file: UnitFile, is_whole: bool, network: NetworkFile | None) -> l
         ("kind", f"unit, format {MAJOR}.{MINOR}"),
         ("serial", file.serial),
         ("network", file.network_id.hex()),
-        ("revision", f"{file.revision}, calibrated {made}"),
-        ("verdict", words.get(file.flags, f"unknown flags {file.flags}") if is_whole else "not proven"),
+        ("revision", f"{file.revision}, calibrated {calibrated_at}"),
+        ("verdict", verdicts.get(file.flags, f"unknown flags {file.flags}") if is_whole else "not proven"),
         ("bytes", f"{len(file.to_bytes())}"),
         ("map", ", then ".join(parts)),
         ("code", f"output = {file.scale.zero:.6g} + {file.scale.lsb:.6g} × code"),

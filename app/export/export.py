@@ -10,7 +10,7 @@ from softcal.app.export.calibrated_unit import CalibratedUnit, ExportOptions, Un
 from softcal.app.export.formats import Writer, device_summary, writer_of
 from softcal.app.export.manifest import NAME, FileEntry, Manifest, read_manifest, withdraw_units, write_manifest
 from softcal.app.export.names import APART, AUDIT, DEVICE_FORMATS, PAPERS, SIGNED_APART
-from softcal.app.export.names import formats as known_formats
+from softcal.app.export.names import formats as list_formats
 from softcal.app.export.signature import SigningKey
 from softcal.app.files.atomic import write_bytes, write_text
 from softcal.app.registry.anchors import anchor_json, remember
@@ -45,7 +45,7 @@ def export_units(
     out: Path,
     options: ExportOptions = ExportOptions(),  # noqa: B008
     on_unit: Callable[[ExportedUnit], object] = lambda _: None,
-    place: str | None = None,
+    folder_name: str | None = None,
 ) -> list[ExportedUnit]:
     """Write the calibration files of units and the manifest of the folder.
 
@@ -57,38 +57,40 @@ def export_units(
         formats: names of `softcal.app.export.names.formats`.
         out: folder; files of other units in it stay, and stay in its manifest.
         on_unit: told after each unit.
-        place: where the files go, as the registry remembers it; None: this folder.
+        folder_name: where the files go, as the registry remembers it; None: this folder.
 
     Raises:
         InputError: an unknown format or serial, serials a device could not tell apart, also one of another lot that
             is in the folder already, or a folder that cannot be written.
     """
     if not formats:
-        raise InputError(f"no format is given; known: {', '.join(known_formats())}")
+        raise InputError(f"no format is given; known: {', '.join(list_formats())}")
     writers = {name: writer_of(name) for name in dict.fromkeys(formats)}
-    seen: dict[str, str] = {}
+    by_field: dict[str, str] = {}
     for serial in serials:
         for shown in {serial.casefold(), serial_field(serial).rstrip(b"\0").decode().casefold()}:
-            if shown in seen:
-                raise InputError(f"serials {seen[shown]} and {serial} look the same to a device; export one of them")
-            seen[shown] = serial
+            if shown in by_field:
+                raise InputError(
+                    f"serials {by_field[shown]} and {serial} look the same to a device; export one of them"
+                )
+            by_field[shown] = serial
     if len(serials) > 1:
-        known = {unit.serial for unit in registry.lots.units(options.lot_id) if unit.revision is not None}
-        if unknown := [serial for serial in serials if serial not in known]:
+        calibrated = {unit.serial for unit in registry.lots.units(options.lot_id) if unit.revision is not None}
+        if unknown := [serial for serial in serials if serial not in calibrated]:
             raise InputError(f"the registry has no calibration of {', '.join(unknown[:5])}; nothing was written")
     key = options.signing_key
     manifest, loader = read_manifest(out), UnitLoader(registry, options)
     for serial in serials:
         manifest.check_lot(registry.calibrations.unit_key(serial, options.lot_id))
-    exported, given = [], {}
+    exported, file_records = [], {}
     for serial in serials:
         unit = loader.load(serial)
         exported.append(_export(unit, writers, out, manifest, key))
         if exported[-1].refusal is None and not PAPERS.issuperset(writers):
-            given[unit.stored.key] = given_facts(unit)
+            file_records[unit.stored.key] = exported_file_record(unit)
         on_unit(exported[-1])
     write_manifest(out, manifest, key)
-    remember_files(registry, given, str(out.absolute()) if place is None else place)
+    remember_files(registry, file_records, str(out.absolute()) if folder_name is None else folder_name)
     remember(registry, f"export {out.absolute()}")
     write_text(out / AUDIT, json.dumps(anchor_json(registry, "export"), indent=2, sort_keys=True) + "\n")
     return exported
@@ -103,7 +105,7 @@ def lot_serials(registry: Registry, lot_id: str, options: ExportOptions) -> list
     return serials
 
 
-def given_facts(unit: CalibratedUnit) -> Mapping[str, object]:
+def exported_file_record(unit: CalibratedUnit) -> Mapping[str, object]:
     """Return what the registry remembers of the files of a unit that were given out."""
     return {"revision": unit.stored.revision, "map_sha256": unit.state.map_sha256, "verdict": unit.verdict}
 
@@ -111,11 +113,13 @@ def given_facts(unit: CalibratedUnit) -> Mapping[str, object]:
 def withdraw_given(registry: Registry, lot_ids: Sequence[str]) -> list[Recall]:
     """Take files that no longer hold out of the folders of this computer; return what is recalled."""
     recalls, here = list_recalls(registry, lot_ids), socket.gethostname()
-    for place, lot_id in sorted({(one.place, one.lot) for one in recalls if one.host == here}):
-        if not (Path(place) / NAME).is_file():
+    for folder_name, lot_id in sorted({(one.place, one.lot) for one in recalls if one.host == here}):
+        if not (Path(folder_name) / NAME).is_file():
             continue
-        lost = {one.serial: one.verdict for one in recalls if (one.place, one.lot, one.host) == (place, lot_id, here)}
-        withdraw_units(Path(place), lot_id, (), lost)
+        lost = {
+            one.serial: one.verdict for one in recalls if (one.place, one.lot, one.host) == (folder_name, lot_id, here)
+        }
+        withdraw_units(Path(folder_name), lot_id, (), lost)
     return recalls
 
 

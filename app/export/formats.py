@@ -18,7 +18,7 @@ from softcal.core.export.c_text import intel_hex, network_header, unit_header
 from softcal.core.export.compile_map import compile_map, fine_forms
 from softcal.core.export.device import device_cost, device_limit, limits_of_unit, sample_period_us
 from softcal.core.export.graph import compose
-from softcal.core.export.json_text import json_text, network_values, sealed, unit_values
+from softcal.core.export.json_text import add_sha256, json_text, network_values, unit_values
 from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE
 from softcal.core.lot import escape_serial
 from softcal.core.plugins import installed, loaded, who
@@ -35,9 +35,9 @@ def runtime_header() -> bytes:
         Path(__file__).parents[2] / "firmware" / "softsensor" / "softsensor.h",
         Path(sys.prefix) / "share" / "softcal" / "softsensor.h",
     )
-    for place in places:
-        if place.is_file():
-            return place.read_bytes()
+    for folder_name in places:
+        if folder_name.is_file():
+            return folder_name.read_bytes()
     raise InputError(f"softsensor.h is neither in {places[0].parent} nor in {places[1].parent}; install softcal again")
 
 
@@ -49,11 +49,11 @@ def _json_files(unit: CalibratedUnit) -> dict[str, bytes]:
     try:
         values["device"] = unit_values(unit.device_unit.file)
         network = unit.shared.file
-        files[f"network-{network.id.hex()}.json"] = json_text(sealed(network_values(network))).encode()
+        files[f"network-{network.id.hex()}.json"] = json_text(add_sha256(network_values(network))).encode()
     except UnitRefused as error:
         values["device"] = None
         values["device_refused"] = str(error)
-    return {f"unit-{unit.escaped_serial}.json": json_text(sealed(values)).encode(), **files}
+    return {f"unit-{unit.escaped_serial}.json": json_text(add_sha256(values)).encode(), **files}
 
 
 def calibration_values(unit: CalibratedUnit) -> dict[str, object]:
@@ -89,41 +89,34 @@ def calibration_values(unit: CalibratedUnit) -> dict[str, object]:
     }
 
 
+def _device_files(unit: CalibratedUnit, ending: str, of_unit: bytes, of_network: bytes) -> dict[str, bytes]:
+    network = unit.shared.file.id.hex()
+    return {f"unit-{unit.escaped_serial}.{ending}": of_unit, f"network-{network}.{ending}": of_network}
+
+
 def _blob_files(unit: CalibratedUnit) -> dict[str, bytes]:
-    network, device = unit.shared.file, unit.device_unit
-    return {
-        f"unit-{unit.escaped_serial}.ssc": device.file.to_bytes(),
-        f"network-{network.id.hex()}.ssc": network.to_bytes(),
-    }
+    return _device_files(unit, "ssc", unit.device_unit.file.to_bytes(), unit.shared.file.to_bytes())
 
 
 def _c_files(unit: CalibratedUnit) -> dict[str, bytes]:
-    network, device = unit.shared.file, unit.device_unit
-    return {
-        f"unit-{unit.escaped_serial}.h": unit_header(device.file).encode(),
-        f"network-{network.id.hex()}.h": network_header(network).encode(),
-        "softsensor.h": runtime_header(),
-    }
+    of_unit, of_network = unit_header(unit.device_unit.file).encode(), network_header(unit.shared.file).encode()
+    return _device_files(unit, "h", of_unit, of_network) | {"softsensor.h": runtime_header()}
 
 
 def _hex_files(unit: CalibratedUnit) -> dict[str, bytes]:
-    network, device, options = unit.shared.file, unit.device_unit, unit.options
+    files = (unit.device_unit.file, unit.options.unit_address), (unit.shared.file, unit.options.network_address)
     try:
-        unit_hex = intel_hex(device.file.to_bytes(), options.unit_address)
-        network_hex = intel_hex(network.to_bytes(), options.network_address)
+        of_unit, of_network = (intel_hex(file.to_bytes(), address).encode() for file, address in files)
     except ValueError as error:
         raise InputError(f"no Intel HEX: {error}") from error
-    return {
-        f"unit-{unit.escaped_serial}.hex": unit_hex.encode(),
-        f"network-{network.id.hex()}.hex": network_hex.encode(),
-    }
+    return _device_files(unit, "hex", of_unit, of_network)
 
 
 def _onnx_files(unit: CalibratedUnit) -> dict[str, bytes]:
     from softcal.app.files.onnx_file import onnx_bytes
 
     unit.check_usable()
-    limit = device_limit(unit.facts, unit.network, unit.options.device)
+    limit = device_limit(unit.record, unit.network, unit.options.device)
     period_us = sample_period_us(unit.shared.source)
     compiled = compile_map(unit.calibration.unit_map, unit.network, unit.recording, limit, fine_forms)
     metadata = {
@@ -144,22 +137,22 @@ def _onnx_files(unit: CalibratedUnit) -> dict[str, bytes]:
         "map_rms_deviation": repr(compiled.rms_deviation),
         "provenance": json.dumps(unit.provenance.to_json()),
     }
-    graph = compose(compiled.form, unit.network, limits_of_unit(unit.facts, unit.network, unit.options.scaled_device))
+    graph = compose(compiled.form, unit.network, limits_of_unit(unit.record, unit.network, unit.options.scaled_device))
     return {f"unit-{unit.escaped_serial}.onnx": onnx_bytes(graph, metadata)}
 
 
 def _pdf_files(unit: CalibratedUnit) -> dict[str, bytes]:
-    from softcal.app.export.certificates.content import certificate_of
+    from softcal.app.export.certificates.content import build_certificate
     from softcal.app.export.certificates.pdf import certificate_pdf
 
-    return {f"certificate-{unit.escaped_serial}.pdf": certificate_pdf(certificate_of(unit))}
+    return {f"certificate-{unit.escaped_serial}.pdf": certificate_pdf(build_certificate(unit))}
 
 
 def _dcc_files(unit: CalibratedUnit) -> dict[str, bytes]:
-    from softcal.app.export.certificates.content import certificate_of
+    from softcal.app.export.certificates.content import build_certificate
     from softcal.app.export.certificates.dcc import certificate_xml
 
-    return {f"certificate-{unit.escaped_serial}.xml": certificate_xml(certificate_of(unit))}
+    return {f"certificate-{unit.escaped_serial}.xml": certificate_xml(build_certificate(unit))}
 
 
 def device_summary(unit: CalibratedUnit) -> dict[str, object]:
@@ -203,7 +196,7 @@ def writer_of(name: str) -> Writer:
     """
     points = [point for point in installed(GROUP) if point.name == name]
     if name in WRITERS and not points:
-        return partial(_written, WRITERS[name])
+        return partial(_write_released, WRITERS[name])
     if not points:
         raise InputError(f"format {name}; known: {', '.join(formats())}")
     if name in WRITERS or len(points) > 1:
@@ -211,11 +204,11 @@ def writer_of(name: str) -> Writer:
     write = loaded(points[0], KIND)
     if not callable(write):
         raise InputError(f"{who(points[0], KIND)}: is {type(write).__name__}; a function was expected")
-    return partial(_written, partial(_plugin_files, points[0], write))
+    return partial(_write_released, partial(_plugin_files, points[0], write))
 
 
-def _written(write: Writer, unit: CalibratedUnit) -> dict[str, bytes]:
-    unit.check_stands()
+def _write_released(write: Writer, unit: CalibratedUnit) -> dict[str, bytes]:
+    unit.check_not_withdrawn()
     return write(unit)
 
 

@@ -129,14 +129,14 @@ def withdraw_units(folder: Path, lot_id: str, released: Collection[str], verdict
     """
     manifest = read_manifest(folder)
     mine = {serial for serial, facts in manifest.units.items() if facts["lot"] == lot_id}
-    gone, before = [], dict(manifest.units)
+    withdrawn, before = [], dict(manifest.units)
     for serial in sorted(mine & verdicts.keys() - set(released)):
         names = [name for name, entry in manifest.files.items() if entry.serial == serial]
         manifest.remove(folder, names)
-        gone += [serial] if names else []
+        withdrawn += [serial] if names else []
         is_withdrawn = bool(names) or before[serial].get("withdrawn", False)
         manifest.units[serial] = {**before[serial], "verdict": verdicts[serial], "withdrawn": is_withdrawn}
     if manifest.units != before:
         # A signature of the folder as it was would vouch for files that are gone.
         write_manifest(folder, manifest, None)
-    return gone
+    return withdrawn

@@ -16,10 +16,10 @@ from softcal.app.files.atomic import whole_folder, write_text
 from softcal.app.files.lot_folder import write_lot_toml
 from softcal.app.files.recording_file import write_columns
 from softcal.app.gap.sealed_file import key_beside, read_sealed, write_sealed
+from softcal.core.challenge.case_generator import LINES, SEED_BITS, draw_case, draw_challenge, drawn_seed
 from softcal.core.challenge.cases import EXPERIMENTS, RunPlan, SealedCase, press_lot
-from softcal.core.challenge.draw import LINES, SEED_BITS, draw_case, draw_challenge, drawn_seed
-from softcal.core.challenge.mistakes import RunOnFile
-from softcal.core.challenge.realised import realised_shrink
+from softcal.core.challenge.explained_fraction import explained_fraction
+from softcal.core.challenge.recording_mistakes import RunOnFile
 from softcal.core.challenge.score import ScoreSheet, score_reports
 from softcal.core.challenge.seal import Label, Seal, open_seal, seal_labels, seed_origin
 from softcal.core.errors import InputError
@@ -93,7 +93,7 @@ def make_challenge(
 
 def write_case(folder: Path, case: SealedCase) -> str:
     """Record every run of a sealed case and return the content hash of the folder."""
-    for number, written in enumerate(case.written(case.plans), start=1):
+    for number, written in enumerate(case.write_runs(case.plans), start=1):
         write_run(folder / "runs" / str(number), case, written)
     return folder_sha256(folder)
 
@@ -268,7 +268,7 @@ def score_challenge(
                 read[name] = _json(path)
     if not read:
         raise InputError(f"{reports}: no report of this challenge; expected files such as {labels[0].case.name}.json")
-    sheet = score_reports(labels, read, lambda label, report: realised_shrink(label.case, report))
+    sheet = score_reports(labels, read, lambda label, report: explained_fraction(label.case, report))
     files = [path for path in paths.values() if path.exists()]
     provenance = record_provenance(METHOD.id, hash_files(reports, files), current_user())
     return ScoredChallenge(sheet, Seal(text).commitment, commitment is not None, seed_origin(text), provenance)

@@ -16,7 +16,7 @@ from softcal.app.files.atomic import whole_folder, write_bytes, write_text
 from softcal.app.files.case_folder import METADATA, RECORDING, open_case
 from softcal.app.gap.challenge import ask_rig, asked_run, make_challenge, open_challenge
 from softcal.app.gap.diagnose import run_views
-from softcal.core.challenge.mistakes import Mistake
+from softcal.core.challenge.recording_mistakes import Mistake
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
 
@@ -75,7 +75,7 @@ def truth(case: Path) -> tuple[tuple[str, ...], Mistake | None]:
     labels = open_challenge(case.parent, _seal(case.parent))
     sealed = next(label for label in labels if label.case.name == case.name).case
     effects = tuple(cause.effect for cause in sealed.causes)
-    return effects, Mistake.of(sealed.mistake) if sealed.mistake else None
+    return effects, Mistake.from_text(sealed.mistake) if sealed.mistake else None
 
 
 def _seal(folder: Path) -> Path:

@@ -294,7 +294,7 @@ def archive(registry: Registry, job: Job, tell: Teller) -> Outcome:
     tell.step(0.0, "files", done=0, total=len(serials))
     with tempfile.TemporaryDirectory(prefix="softcal-archive-") as place:
         folder = Path(place) / "files"
-        exported = export_units(registry, serials, request["formats"], folder, options, on_unit, place="archive")
+        exported = export_units(registry, serials, request["formats"], folder, options, on_unit, folder_name="archive")
         packed = Path(place) / "files.zip"
         with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as into:
             for file in sorted(folder.iterdir()):

@@ -15,11 +15,11 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from pydantic import AfterValidator
 from starlette.exceptions import HTTPException
 
-from softcal.app.connect.alert_watch import open_alerts
+from softcal.app.connect.alert_monitor import open_alerts
 from softcal.app.connect.events import CHANGE, KINDS, events_after
 from softcal.app.connect.stations import order_json, stations_json
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
-from softcal.app.export.export import given_facts
+from softcal.app.export.export import exported_file_record
 from softcal.app.export.formats import writer_of
 from softcal.app.export.names import PAPERS
 from softcal.app.jobs.runner import JobRunner
@@ -221,7 +221,7 @@ def files(
     unit = UnitLoader(registry, options).load(serial)
     contents = writer_of(format)(unit)
     if format not in PAPERS:
-        remember_files(registry, {unit.stored.key: given_facts(unit)}, "REST")
+        remember_files(registry, {unit.stored.key: exported_file_record(unit)}, "REST")
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in contents.items():

@@ -15,7 +15,7 @@ from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
 from softcal.app.bootstrap import REGISTRY_VARIABLE, open_chosen_registry, registry_url
-from softcal.app.connect.settings import is_here
+from softcal.app.connect.settings import is_local
 from softcal.app.jobs.runner import JobRunner
 from softcal.app.logs import log_crash
 from softcal.app.rest.front import MAX_HEAD, BoundedProtocol, Front
@@ -126,7 +126,7 @@ class ServingOptions:
     def __post_init__(self) -> None:
         if (self.cert_file is None) != (self.key_file is None):
             raise InputError("--cert and --key belong together")
-        if self.cert_file is None and not is_here(self.host):
+        if self.cert_file is None and not is_local(self.host):
             raise InputError(
                 f"--host {self.host}: other machines would send their tokens readable for all; give --cert and --key, "
                 "or stay at 127.0.0.1 behind a proxy that encrypts"

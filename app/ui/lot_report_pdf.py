@@ -36,13 +36,13 @@ def lot_report_pdf(registry: Registry, view: LotView, language: str, made: datet
         author="",
         software=f"softcal {version('softcal')}",
         footer=f"{title}   {say('report.made', at=made, version=version('softcal'))}",
-        made_on=made.date(),
+        created_on=made.date(),
         numbering=say("report.page", number="{number}", count="{count}"),
     )
     story = [
         Paragraph(marked_up(title), parts.style(18, BOLD)),
         Spacer(1, 3 * mm),
-        parts.facts_table(list(report_facts(view, say).items())),
+        parts.property_table(list(report_facts(view, say).items())),
     ]
     listed = say("report.bad", shown=len(bad.units), of=bad.total)
     unit, chart = view.lot.reference_unit, view.process.chart

@@ -9,12 +9,12 @@ from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
+from softcal.core.operation.adapter import QUEUES, AdaptConfig, Adapter
+from softcal.core.operation.method import DriftTracking, OnlineConfig
+from softcal.core.operation.queued_transport import QueuedTransport
+from softcal.core.operation.stream_estimator import MapUpdate, StreamEstimator
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
-from softcal.core.use.adapter import QUEUES, AdaptConfig, Adapter
-from softcal.core.use.batches import Batches, MapUpdate
-from softcal.core.use.method import OnlineConfig, UseMethod
-from softcal.core.use.queued import QueuedTransport
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +25,7 @@ class Unit:
     network: Network
     calibration: Calibration
 
-    def adapter(self, mode: str, calibrated: OutputRecording | None = None) -> Batches:
+    def adapter(self, mode: str, calibrated: OutputRecording | None = None) -> StreamEstimator:
         """Return what follows the unit in a mode, from its beginning; `ot 1500` has a queue of 1500 windows.
 
         Args:
@@ -36,7 +36,7 @@ class Unit:
         if mode not in QUEUES:
             return Adapter(*known, AdaptConfig(mode))
         online = OnlineConfig(int(queue)) if queue else OnlineConfig()
-        return QueuedTransport(*known, self.source, AdaptConfig(mode, UseMethod(online=online)))
+        return QueuedTransport(*known, self.source, AdaptConfig(mode, DriftTracking(online=online)))
 
 
 def calibrate(t_s: Array, output: Array, reference: Array, rate_Hz: float, config: NetworkConfig) -> Unit:

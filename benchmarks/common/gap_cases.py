@@ -12,7 +12,7 @@ import numpy as np
 from common.tables import print_table
 
 from softcal.core.challenge.cases import RunPlan, SealedCase
-from softcal.core.challenge.realised import left_over
+from softcal.core.challenge.explained_fraction import residual_rms
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
 from softcal.core.gap.places import described_twin, explained_twin, repaired_twin
@@ -31,7 +31,7 @@ def as_case(sealed: SealedCase, plans: Sequence[RunPlan]) -> Case:
     rig = sealed.rig
     readout = ReadoutMetadata(rig.vref_V, rig.adc_bits, rig.r_series_ohm, rig.sample_rate_Hz)
     runs = []
-    for number, found in enumerate(sealed.written(plans), start=1):
+    for number, found in enumerate(sealed.write_runs(plans), start=1):
         measured, stated = found.measured, replace(readout, sample_rate_Hz=found.sample_rate_Hz)
         columns = {name: np.round(values, 6) for name, values in measured.columns.items()}
         kept = {"kind": measured.kind, "profile": measured.profile, "dummy_ohm": measured.dummy_ohm, **columns}
@@ -52,7 +52,7 @@ def _gap(twin: Twin, sealed: SealedCase) -> float:
     fine = replace(twin, metadata=replace(twin.metadata, adc_bits=32))
     told = simulate(fine, columns["t_s"], columns["stage_mm"], None, columns.get("temperature_C"))
     noise = (sealed.rig.floor_V, sealed.rig.noise_N)
-    floors = left_over(sealed, measured, sealed.rig, sealed.causes)
+    floors = residual_rms(sealed, measured, sealed.rig, sealed.causes)
     names, values = ("output_V", "force_N"), (told[1], told[0])
     errors = [float(np.sqrt(np.mean((columns[n] - v) ** 2))) / s for n, v, s in zip(names, values, noise, strict=True)]
     return sum(max(0.0, error - floor) for error, floor in zip(errors, floors, strict=True))

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from softcal.core.challenge.cases import RunPlan, SealedCase, sister
-from softcal.core.challenge.draw import draw_case, drawn_seed
+from softcal.core.challenge.case_generator import draw_case, drawn_seed
+from softcal.core.challenge.cases import RunPlan, SealedCase, draw_sister_unit
 from softcal.core.challenge.rig import Cause
 
 SIZE_SPREAD = 0.3
@@ -46,7 +46,7 @@ def draw_lot(seed: int, line: str, units: int) -> list[SealedCase]:
     rng = np.random.default_rng([seed, 50_021])
     lot = []
     for number in range(1, units + 1):
-        own = sister(first, rng)
+        own = draw_sister_unit(first, rng)
         # Every unit has its own noise: other electronics channels, another day.
         noise = replace(own.rig, noise_V=own.rig.noise_V * _near(rng, 0.2), noise_N=own.rig.noise_N * _near(rng, 0.2))
         plans = tuple(RunPlan(p.protocol, drawn_seed(rng)) for p in first.plans)

@@ -12,8 +12,8 @@ from common.planted import LineEffects, planted
 from common.simulated_cases import NETWORK
 from numpy.typing import NDArray
 
+from softcal.core.challenge.case_generator import draw_case
 from softcal.core.challenge.cases import press_lot
-from softcal.core.challenge.draw import draw_case
 from softcal.core.challenge.rig import Measured
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps.interface import Anchors

@@ -1,16 +1,15 @@
 """A sealed case: a rig, its causes and runs, and how far the causes stand out of the noise."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_toeplitz
 
 from softcal.core.challenge.equations import CATALOGUE, CATALOGUE_FORM, OTHER_FORMS, OUTSIDE, OUTSIDE_FORM
-from softcal.core.challenge.mistakes import Mistake, RunOnFile, other_unit, written
 from softcal.core.challenge.protocols import PROTOCOLS, weights
-from softcal.core.challenge.published import PUBLISHED_FORMS, PUBLISHED_OUTSIDE
+from softcal.core.challenge.published_equations import PUBLISHED_FORMS, PUBLISHED_OUTSIDE
+from softcal.core.challenge.recording_mistakes import Mistake, RunOnFile, other_unit, write_runs
 from softcal.core.challenge.rig import (
     BLOCK_COMPLIANCE_MM_PER_N,
     DEAD_WEIGHTS,
@@ -41,8 +40,8 @@ RESISTORS_ohm = (4.7, 10.0, 15.0)
 
 SPECIAL = (RIGID_BLOCK, DUMMY_RESISTOR, DEAD_WEIGHTS)
 TEMPERATURE_STEP = "temperature_step"
-NOT_ASKED = ("kept_back", "lot_source", "lot_unit")
-EXPERIMENTS = (*(name for name in PROTOCOLS if name not in NOT_ASKED), *SPECIAL, TEMPERATURE_STEP)
+NOT_PROPOSED = ("kept_back", "lot_source", "lot_unit")
+EXPERIMENTS = (*(name for name in PROTOCOLS if name not in NOT_PROPOSED), *SPECIAL, TEMPERATURE_STEP)
 """What may be asked of a sealed rig beyond the runs of its case."""
 
 
@@ -64,8 +63,8 @@ class SealedCase:
         depth_mm: stage position at which the base model reaches the peak force.
         withheld: columns taken out of every run.
         kept_back: a run of a protocol that is not among `plans`.
-        mistake: what went wrong when the runs were written down (`mistakes.Mistake` as text); empty
-            for nothing. `measure` gives what was measured, `written` what the files have.
+        mistake: what went wrong when the runs were written down (`recording_mistakes.Mistake` as text); empty
+            for nothing. `measure` gives what was measured, `write_runs` what the files have.
         turns_between_samples: the stage turns between two samples, so the pad goes up to 50 µm beyond the recorded
             path; otherwise the pad sees the recorded path, as the written model has it.
         tare_N: what the load cell reads without load, in every run.
@@ -115,48 +114,33 @@ class SealedCase:
             measured = measured.with_columns(force_N=measured.columns["force_N"] + self.tare_N)
         return replace(measured, columns={k: v for k, v in measured.columns.items() if k not in self.withheld})
 
-    def written(self, plans: Sequence[RunPlan]) -> list[RunOnFile]:
+    def write_runs(self, plans: Sequence[RunPlan]) -> list[RunOnFile]:
         """Return runs as files have them, with the case's mistake; its own stand first in `plans`."""
         runs, others = [self.measure(plan) for plan in plans], []
-        if self.mistake and Mistake.of(self.mistake).what == "other_unit":
-            unit = replace(self, rig=other_unit(self.rig, Mistake.of(self.mistake)))
+        if self.mistake and Mistake.from_text(self.mistake).what == "other_unit":
+            unit = replace(self, rig=other_unit(self.rig, Mistake.from_text(self.mistake)))
             others = [unit.measure(plan) for plan in plans]
-        return written(self.rig, runs, others, self.mistake)
+        return write_runs(self.rig, runs, others, self.mistake)
 
     def _path(self, plan: RunPlan) -> tuple[Path, Callable[[Array], Array] | None]:
         rng = np.random.default_rng([plan.seed, 0])
         if plan.protocol == DEAD_WEIGHTS:
             times, forces = weights(rng, self.peak_N)
-            return _still(plan.protocol, float(times[-1])), lambda t_s: np.asarray(np.interp(t_s, times, forces))
+            return _stand_still(plan.protocol, float(times[-1])), lambda t_s: np.asarray(np.interp(t_s, times, forces))
         if plan.protocol == DUMMY_RESISTOR:
-            return _still(plan.protocol, 60.0), None
+            return _stand_still(plan.protocol, 60.0), None
         if plan.protocol == RIGID_BLOCK:
             # The block is pressed twice up to the peak force at 0.02 mm/s, 2 s at every turn.
             yielding = sum(cause.values.get("compliance_mm_per_N", 0.0) for cause in self.causes)
             play_mm = sum(cause.values.get("width_mm", 0.0) for cause in self.causes)
             start_mm = max(0.0, self.rig.u0_mm - 0.02)
             deep_mm = self.rig.u0_mm + play_mm + (BLOCK_COMPLIANCE_MM_PER_N + yielding) * self.peak_N
-            places = np.repeat([start_mm, deep_mm, start_mm, deep_mm, start_mm], 2)
-            travel_s = np.abs(np.diff(places)) / 0.02
+            positions_mm = np.repeat([start_mm, deep_mm, start_mm, deep_mm, start_mm], 2)
+            travel_s = np.abs(np.diff(positions_mm)) / 0.02
             times = np.concatenate([[0.0], np.cumsum(np.where(travel_s > 0, travel_s, 2.0))])
-            return Path("rigid block", times, places), None
+            return Path("rigid block", times, positions_mm), None
         name = "mixed_ramps" if plan.protocol == TEMPERATURE_STEP else plan.protocol
         return PROTOCOLS[name](rng, self.depth_mm), None
-
-    def to_record(self) -> dict[str, Any]:
-        record = asdict(replace(self, causes=()))
-        return {**record, "causes": [cause.to_record() for cause in self.causes]}
-
-    @classmethod
-    def from_record(cls, record: Mapping[str, Any]) -> "SealedCase":
-        built = {
-            "rig": Rig(**record["rig"]),
-            "causes": tuple(Cause.from_record(cause) for cause in record["causes"]),
-            "plans": tuple(RunPlan(**plan) for plan in record["plans"]),
-            "kept_back": RunPlan(**record["kept_back"]),
-            "withheld": tuple(record["withheld"]),
-        }
-        return cls(**{**record, **built})
 
 
 def full_depth_mm(rig: Rig, peak_N: float) -> float:
@@ -169,7 +153,7 @@ def full_depth_mm(rig: Rig, peak_N: float) -> float:
     return rig.u0_mm + low_mm
 
 
-def _still(name: str, duration_s: float) -> Path:
+def _stand_still(name: str, duration_s: float) -> Path:
     return Path(name, np.array([0.0, duration_s]), np.zeros(2))
 
 
@@ -198,22 +182,22 @@ def distance_sigma(case: SealedCase) -> float:
     if "stage_mm" in case.withheld:
         return _distance_without_stage(case)
     base = replace(case, causes=())
-    gap = _clean(case) - _clean(base)
+    gap = _noiseless_channels(case) - _noiseless_channels(base)
     slopes: list[Array] = []
     for name, step in _STEPS.items():
         size = step * max(abs(float(getattr(case.rig, name))), 0.01)
         moved = replace(base, rig=replace(case.rig, **{name: getattr(case.rig, name) + size}))
-        slopes.append((_clean(moved) - _clean(base)) / size)
+        slopes.append((_noiseless_channels(moved) - _noiseless_channels(base)) / size)
     if case.rig.coloured_V or case.rig.coloured_N:
-        return _left_in_colour(case, np.column_stack([gap, *slopes]))
-    return _left(gap, np.column_stack(slopes))
+        return _residual_in_coloured_noise(case, np.column_stack([gap, *slopes]))
+    return _residual_norm(gap, np.column_stack(slopes))
 
 
-def _left_in_colour(case: SealedCase, columns: Array) -> float:
+def _residual_in_coloured_noise(case: SealedCase, columns: Array) -> float:
     """Return how far the first column stands out of coloured noise, beyond what the others imitate.
 
     Args:
-        columns: (samples, 6) in units of the white noise, ordered as `_clean` has them.
+        columns: (samples, 6) in units of the white noise, ordered as `_noiseless_channels` has them.
     """
     rig, at, products = case.rig, 0, np.zeros((columns.shape[1], columns.shape[1]))
     for plan in case.plans:
@@ -227,21 +211,21 @@ def _left_in_colour(case: SealedCase, columns: Array) -> float:
             part = columns[at : at + len(fade)]
             products += part.T @ solve_toeplitz(covariance, part)
             at += len(fade)
-    imitated = products[0, 1:] @ np.linalg.pinv(products[1:, 1:]) @ products[1:, 0]
-    return float(np.sqrt(max(products[0, 0] - imitated, 0.0)))
+    imitable = products[0, 1:] @ np.linalg.pinv(products[1:, 1:]) @ products[1:, 0]
+    return float(np.sqrt(max(products[0, 0] - imitable, 0.0)))
 
 
-def _clean(case: SealedCase) -> Array:
+def _noiseless_channels(case: SealedCase) -> Array:
     """All channels of all runs in units of their noise, without noise and rounding."""
     parts = []
-    for columns in _silent_runs(case):
+    for columns in _noiseless_runs(case):
         parts.append(columns["output_V"] / case.rig.floor_V)
         if "force_N" in columns:
             parts.append(columns["force_N"] / case.rig.noise_N)
     return np.concatenate(parts)
 
 
-def _silent_runs(case: SealedCase) -> Iterator[Mapping[str, Array]]:
+def _noiseless_runs(case: SealedCase) -> Iterator[Mapping[str, Array]]:
     silent = replace(case, rig=replace(case.rig.without_noise(), adc_bits=30))
     return (silent.measure(plan).columns for plan in case.plans)
 
@@ -250,7 +234,7 @@ def _distance_without_stage(case: SealedCase) -> float:
     rig = case.rig
     moved = [rig, *(replace(rig, **{name: getattr(rig, name) * 1.001}) for name in ("r0_ohm", "kappa_per_N"))]
     gaps, slopes = [], []
-    for columns in _silent_runs(case):
+    for columns in _noiseless_runs(case):
         force_N = np.maximum(0.0, columns["force_N"])
         ohms = [one.r0_ohm / (1.0 - one.kappa_per_N * force_N) for one in moved]
         base_V, *volts = (rig.vref_V * ohm / (ohm + rig.r_series_ohm) for ohm in ohms)
@@ -258,10 +242,10 @@ def _distance_without_stage(case: SealedCase) -> float:
         noise_V = np.hypot(rig.floor_V, slope * rig.noise_N)
         gaps.append((columns["output_V"] - base_V) / noise_V)
         slopes.append(np.column_stack([(one_V - base_V) / noise_V for one_V in volts]))
-    return _left(np.concatenate(gaps), np.concatenate(slopes))
+    return _residual_norm(np.concatenate(gaps), np.concatenate(slopes))
 
 
-def _left(gap: Array, slopes: Array) -> float:
+def _residual_norm(gap: Array, slopes: Array) -> float:
     weights_, *_ = np.linalg.lstsq(slopes, gap, rcond=None)
     return float(np.linalg.norm(gap - slopes @ weights_))
 
@@ -283,7 +267,7 @@ def press_lot(case: SealedCase, units: int) -> Iterator[LotRun]:
     """Press a source unit and target units, each with an audit, on the rig of a sealed case."""
     rng = np.random.default_rng([case.kept_back.seed, 40_009])
     for number in range(units + 1):
-        unit, serial = sister(case, rng), f"R{number:02d}"
+        unit, serial = draw_sister_unit(case, rng), f"R{number:02d}"
         seeds = [int(seed) for seed in rng.integers(2**31, size=2)]
         if number == 0:
             yield LotRun("source", serial, unit.measure(RunPlan("lot_source", seeds[0])))
@@ -292,7 +276,7 @@ def press_lot(case: SealedCase, units: int) -> Iterator[LotRun]:
             yield LotRun("audit", serial, unit.measure(RunPlan("lot_unit", seeds[1])))
 
 
-def sister(case: SealedCase, rng: Rng) -> SealedCase:
+def draw_sister_unit(case: SealedCase, rng: Rng) -> SealedCase:
     """Return another unit of the same make on the same rig, with no channel withheld."""
     deviation = dict(zip(SPREAD, np.clip(rng.normal(size=len(SPREAD)), -2.0, 2.0).tolist(), strict=True))
     changed = {

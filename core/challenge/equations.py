@@ -152,7 +152,7 @@ CATALOGUE = equations(
         "clock_offset": ("instant", lambda instants_s, at, delay_s: instants_s - delay_s),
         "clock_skew": ("instant", lambda instants_s, at, skew: instants_s * (1.0 + skew)),
         "dropped_samples": ("instant", _dropped_samples),
-    },
+    }
 )
 """Every effect of the catalogue by its identifier."""
 
@@ -223,8 +223,8 @@ def _bent_clock(instants_s: Array, at: Moment, skew: float) -> Array:
 
 def _beating_hum(volts: Array, at: Moment, amplitude_V: float, frequency_Hz: float) -> Array:
     """Hum whose amplitude rises and falls by 30 % over eight seconds."""
-    phase, beat = at.rng.uniform(0.0, 2.0 * np.pi, 2)
-    swell = 1.0 + 0.3 * np.sin(2.0 * np.pi * at.t_s / 8.0 + beat)
+    phase, swell_phase = at.rng.uniform(0.0, 2.0 * np.pi, 2)
+    swell = 1.0 + 0.3 * np.sin(2.0 * np.pi * at.t_s / 8.0 + swell_phase)
     return tone(volts, at, amplitude_V * swell, frequency_Hz, phase)
 
 
@@ -340,7 +340,7 @@ OUTSIDE = equations(
             "instant",
             lambda instants_s, at, spread_s: instants_s + at.rng.normal(0.0, spread_s, len(instants_s)),
         ),
-    },
+    }
 )
 """Every effect outside the catalogue by its name."""
 

@@ -1,26 +1,19 @@
 """Memory operators on a fine, even time grid, independent of the twin's."""
 
 from collections.abc import Callable, Sequence
-from functools import wraps
-from typing import Concatenate, ParamSpec
+from typing import TypeVar, cast
 
 import numpy as np
 from numba import njit
 
 from softcal.core.recording import Array
 
-P = ParamSpec("P")
+Function = TypeVar("Function", bound=Callable[..., Array])
 
 
-def recursion(function: Callable[Concatenate[Array, P], Array]) -> Callable[Concatenate[Array, P], Array]:
+def recursion(function: Function) -> Function:
     """Compile a function that goes through a signal sample by sample."""
-    compiled = njit(cache=True)(function)
-
-    @wraps(function)
-    def on_signal(signal: Array, /, *args: P.args, **kwargs: P.kwargs) -> Array:
-        return np.asarray(compiled(np.ascontiguousarray(signal), *args, **kwargs))
-
-    return on_signal
+    return cast(Function, njit(cache=True)(function))
 
 
 @recursion

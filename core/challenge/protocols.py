@@ -11,17 +11,17 @@ RUN_S = 40.0
 """Length of an ordinary run: four of them are a case of about 8,000 samples at 50 Hz."""
 
 
-class _Pen:
+class _PathBuilder:
     def __init__(self, rest_s: float) -> None:
-        self.times, self.places = [0.0, rest_s], [0.0, 0.0]
+        self.times, self.positions_mm = [0.0, rest_s], [0.0, 0.0]
 
-    def go(self, place_mm: float, speed_mm_s: float) -> None:
-        self.times.append(self.times[-1] + abs(place_mm - self.places[-1]) / speed_mm_s)
-        self.places.append(place_mm)
+    def go(self, position_mm: float, speed_mm_s: float) -> None:
+        self.times.append(self.times[-1] + abs(position_mm - self.positions_mm[-1]) / speed_mm_s)
+        self.positions_mm.append(position_mm)
 
     def stay(self, duration_s: float) -> None:
         self.times.append(self.times[-1] + duration_s)
-        self.places.append(self.places[-1])
+        self.positions_mm.append(self.positions_mm[-1])
 
     def press(self, depth_mm: float, speed_mm_s: float, rest_s: float) -> None:
         self.go(depth_mm, speed_mm_s)
@@ -30,11 +30,11 @@ class _Pen:
 
     def path(self, name: str, duration_s: float | None = None) -> Path:
         """Return the path, cut off after a duration where there is one."""
-        times, places = np.array(self.times), np.array(self.places)
+        times, positions_mm = np.array(self.times), np.array(self.positions_mm)
         if duration_s is None:
-            return Path(name, times, places)
-        kept, last_mm = times < duration_s, float(np.interp(duration_s, times, places))
-        return Path(name, np.append(times[kept], duration_s), np.append(places[kept], last_mm))
+            return Path(name, times, positions_mm)
+        is_within, last_mm = times < duration_s, float(np.interp(duration_s, times, positions_mm))
+        return Path(name, np.append(times[is_within], duration_s), np.append(positions_mm[is_within], last_mm))
 
     @property
     def now_s(self) -> float:
@@ -47,7 +47,7 @@ def log_uniform(rng: Rng, low: float, high: float) -> float:
 
 
 def _ramps(name: str, rng: Rng, depth_mm: float, drawn_mm_s: Callable[[Rng], float]) -> Path:
-    pen = _Pen(rng.uniform(0.6, 2.0))
+    pen = _PathBuilder(rng.uniform(0.6, 2.0))
     while pen.now_s < RUN_S:
         speed_mm_s = drawn_mm_s(rng)
         pen.press(depth_mm * rng.uniform(0.75, 1.0), speed_mm_s, rng.uniform(0.2, 1.0))
@@ -56,7 +56,7 @@ def _ramps(name: str, rng: Rng, depth_mm: float, drawn_mm_s: Callable[[Rng], flo
 
 def steps_with_holds(rng: Rng, depth_mm: float) -> Path:
     """Step up and down a staircase and hold on every step."""
-    pen = _Pen(rng.uniform(0.6, 2.0))
+    pen = _PathBuilder(rng.uniform(0.6, 2.0))
     while pen.now_s < RUN_S:
         levels = np.sort(rng.uniform(0.2, 1.0, rng.integers(2, 5)))
         for level in [*levels, *levels[:-1][::-1]]:
@@ -69,10 +69,10 @@ def steps_with_holds(rng: Rng, depth_mm: float) -> Path:
 
 def random_path(rng: Rng, depth_mm: float, duration_s: float = RUN_S) -> Path:
     """Go to random depths at random speeds, with a rest now and then."""
-    pen = _Pen(rng.uniform(0.6, 2.0))
+    pen = _PathBuilder(rng.uniform(0.6, 2.0))
     while pen.now_s < duration_s:
-        place = 0.0 if rng.random() < 0.2 else depth_mm * rng.uniform(0.0, 1.0)
-        pen.go(place, log_uniform(rng, 0.4, 5.0))
+        position_mm = 0.0 if rng.random() < 0.2 else depth_mm * rng.uniform(0.0, 1.0)
+        pen.go(position_mm, log_uniform(rng, 0.4, 5.0))
         if rng.random() < 0.3:
             pen.stay(rng.uniform(0.2, 2.0))
     return pen.path("random", duration_s)
@@ -80,7 +80,7 @@ def random_path(rng: Rng, depth_mm: float, duration_s: float = RUN_S) -> Path:
 
 def one_rich_run(rng: Rng, depth_mm: float) -> Path:
     """A ramp of each speed, a few holds, a random stretch, rest at both ends, in one run."""
-    pen = _Pen(1.0)
+    pen = _PathBuilder(1.0)
     for speed_mm_s in (0.4, 4.0, 1.5):
         pen.press(depth_mm * rng.uniform(0.85, 1.0), speed_mm_s, 0.7)
     for level in rng.uniform(0.2, 1.0, 3):
@@ -95,7 +95,7 @@ def one_rich_run(rng: Rng, depth_mm: float) -> Path:
 
 def kept_back(rng: Rng, depth_mm: float) -> Path:
     """A protocol no fit has seen: growing ramps, a hold at mid-depth, a broken descent."""
-    pen = _Pen(1.0)
+    pen = _PathBuilder(1.0)
     for share in (0.45, 0.7, 0.95):
         pen.go(depth_mm * share, rng.uniform(0.8, 1.6))
         pen.stay(rng.uniform(0.0, 2.5))
@@ -108,7 +108,7 @@ def kept_back(rng: Rng, depth_mm: float) -> Path:
 
 def long_hold(rng: Rng, depth_mm: float) -> Path:
     """Hold for five minutes, then rest for half as long."""
-    pen = _Pen(2.0)
+    pen = _PathBuilder(2.0)
     pen.go(0.9 * depth_mm, 5.0)
     pen.stay(300.0)
     pen.go(0.0, 5.0)
@@ -118,7 +118,7 @@ def long_hold(rng: Rng, depth_mm: float) -> Path:
 
 def _presses(name: str, mm: float, presses: Iterable[tuple[float, float]], rest_s: float = 0.0) -> Path:
     """Press to each share of the depth at its speed in mm/s, then rest."""
-    pen = _Pen(2.0)
+    pen = _PathBuilder(2.0)
     for share, speed_mm_s in presses:
         pen.press(share * mm, speed_mm_s, 1.0)
     if rest_s:
@@ -128,7 +128,7 @@ def _presses(name: str, mm: float, presses: Iterable[tuple[float, float]], rest_
 
 def small_reversals(rng: Rng, depth_mm: float) -> Path:
     """Reverse by a few per cent of the depth, at three depths and two speeds."""
-    pen = _Pen(2.0)
+    pen = _PathBuilder(2.0)
     for centre in (0.3, 0.6, 0.85):
         for speed_mm_s in (0.2, 2.0):
             for swing in (0.04, 0.08, 0.12):
@@ -150,7 +150,7 @@ PROTOCOLS: dict[str, Callable[[Rng, float], Path]] = {
     "kept_back": kept_back,
     "lot_source": lambda rng, mm: random_path(rng, mm, 180.0),
     "lot_unit": lambda rng, mm: random_path(rng, mm, 90.0),
-    "rest": lambda rng, mm: _Pen(120.0).path("rest"),
+    "rest": lambda rng, mm: _PathBuilder(120.0).path("rest"),
     "long_hold": long_hold,
     "rate_sweep": lambda rng, mm: _presses("rate sweep", mm, [(0.95, v) for v in (0.2, 5.0, 0.5, 2.0, 1.0, 5.0)]),
     # Twice to each of four growing depths, and once more to the second.

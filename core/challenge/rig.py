@@ -1,8 +1,8 @@
 """A sealed rig, and the chain of TWIN.md written a second time, with hooks where the causes act."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any, NamedTuple, TypeAlias
+from dataclasses import dataclass, replace
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.signal import lfilter
@@ -66,13 +66,6 @@ class Cause:
     effect: str
     form: str
     values: Mapping[str, float]
-
-    def to_record(self) -> dict[str, Any]:
-        return asdict(self)
-
-    @classmethod
-    def from_record(cls, record: Mapping[str, Any]) -> "Cause":
-        return cls(record["effect"], record["form"], {name: float(v) for name, v in record["values"].items()})
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,11 +211,7 @@ def record(
     return Measured(kind, path.name, present, dummy_ohm)
 
 
-_ABSENT = {
-    RIGID_BLOCK: ("output_V",),
-    DUMMY_RESISTOR: ("stage_mm", "force_N"),
-    DEAD_WEIGHTS: ("stage_mm", "output_V"),
-}
+_ABSENT = {RIGID_BLOCK: ("output_V",), DUMMY_RESISTOR: ("stage_mm", "force_N"), DEAD_WEIGHTS: ("stage_mm", "output_V")}
 
 
 def _press(rack: Rack, moment: Moment, kind: str, known_force: Callable[[Array], Array] | None) -> Moment:
@@ -232,16 +221,16 @@ def _press(rack: Rack, moment: Moment, kind: str, known_force: Callable[[Array],
         return moment
     position_mm = rack.pass_through("position", moment.stage_mm, moment)
     contact_mm = rack.pass_through("contact", np.full_like(position_mm, moment.rig.u0_mm), moment)
-    reach_mm = position_mm - contact_mm
+    travel_mm = position_mm - contact_mm
     if kind == RIGID_BLOCK:
         compliance = BLOCK_COMPLIANCE_MM_PER_N + rack.pass_through(
-            "yielding", np.zeros_like(reach_mm), replace(moment, force_N=np.ones_like(reach_mm))
+            "yielding", np.zeros_like(travel_mm), replace(moment, force_N=np.ones_like(travel_mm))
         )
-        return replace(moment, force_N=np.maximum(0.0, reach_mm) / compliance)
+        return replace(moment, force_N=np.maximum(0.0, travel_mm) / compliance)
     for _ in range(ROUNDS):
         # The frame yields by what it would under the force of the round before.
-        yielding_mm = rack.pass_through("yielding", np.zeros_like(reach_mm), moment)
-        compression_mm = np.maximum(0.0, reach_mm - yielding_mm)
+        yielding_mm = rack.pass_through("yielding", np.zeros_like(travel_mm), moment)
+        compression_mm = np.maximum(0.0, travel_mm - yielding_mm)
         compression_mm = np.maximum(0.0, rack.pass_through("landing", compression_mm, moment))
         pressed = replace(moment, compression_mm=compression_mm)
         force_N = rack.pass_through("elastic", moment.rig.pad_force_N(compression_mm), pressed)

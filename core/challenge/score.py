@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softcal.core.challenge.judge import Judged, read_answer
+from softcal.core.challenge.answers import CaseScore, read_answer
 from softcal.core.challenge.seal import Label
 from softcal.core.errors import InputError
 from softcal.core.metrics import finite_or_none, wilson
 
 POOR = ("one_run", "one_speed", "no_load_cell", "no_stage", "ten_bit")
-SUREST = 1e-3
+MIN_PROBABILITY = 1e-3
 """Nearest a probability counts to 0 or 1."""
 
-STATED_EDGES = (0.05, 0.2, 0.5, 0.8, 0.95, 1.0)
+PROBABILITY_EDGES = (0.05, 0.2, 0.5, 0.8, 0.95, 1.0)
 DISTANCE_EDGES = (0.0, 3.0, 5.0, 10.0, 30.0, 100.0, np.inf)
 """Bins of the detection curve, in units of the noise over all samples."""
 
@@ -82,7 +82,7 @@ class Bin:
     """Named causes with a probability in one interval, and how many of them are at work.
 
     An effect that nobody names is right at 0 whatever the diagnosis does, 24 times out of 25. So
-    only stated probabilities from the first of `STATED_EDGES` on are counted.
+    only stated probabilities from the first of `PROBABILITY_EDGES` on are counted.
     """
 
     low: float
@@ -93,7 +93,7 @@ class Bin:
 
 
 @dataclass(frozen=True)
-class ShrinkScore:
+class FractionScore:
     """Forecast against realised shrink on a run that was in no fit, of every report that has one, right or wrong."""
 
     count: int
@@ -105,11 +105,11 @@ class ShrinkScore:
 class ScoreSheet:
     """Everything a challenge shows."""
 
-    judged: tuple[Judged, ...]
+    case_scores: tuple[CaseScore, ...]
     rows: tuple[Row, ...]
     detection: tuple[Detection, ...]
     probabilities: Probabilities
-    shrink: ShrinkScore
+    fractions: FractionScore
 
     def to_record(self) -> dict[str, Any]:
         """Return plain JSON values; what could not be computed is null."""
@@ -120,26 +120,26 @@ class ScoreSheet:
             "detection": [{**asdict(bin_), "to_sigma": finite_or_none(bin_.to_sigma)} for bin_ in self.detection],
             "probabilities": {**numbers, "by_bin": [asdict(bin_) for bin_ in self.probabilities.by_bin]},
             "shrink": {
-                "count": self.shrink.count,
-                "median_realised": finite_or_none(self.shrink.median_realised),
-                "rows": [row.to_record() for row in self.shrink.rows],
+                "count": self.fractions.count,
+                "median_realised": finite_or_none(self.fractions.median_realised),
+                "rows": [row.to_record() for row in self.fractions.rows],
             },
-            "cases": [_case_record(judged) for judged in self.judged],
+            "cases": [_case_record(score) for score in self.case_scores],
         }
 
 
-def _case_record(judged: Judged) -> dict[str, Any]:
-    label, answer = judged.label, judged.answer
+def _case_record(score: CaseScore) -> dict[str, Any]:
+    label, answer = score.label, score.answer
     return {
         "case": label.case.name,
         "line": label.case.line,
         "truth": [cause.effect for cause in label.case.causes],
         "distance_sigma": label.distance_sigma,
-        "outcome": judged.outcome,
+        "outcome": score.outcome,
         "verdict": answer.verdict if answer else None,
         "first": answer.first if answer else None,
-        "realised_shrink": finite_or_none(judged.realised_shrink),
-        "unread": judged.unread or None,
+        "realised_shrink": finite_or_none(score.explained_fraction),
+        "unread": score.unread or None,
     }
 
 
@@ -154,7 +154,7 @@ def score_reports(
         reports: per case name, a report of schema `softcal.gap/1`.
         realised: shrink of a report's twin on the run that was kept back, NaN where it has none.
     """
-    judged = []
+    case_scores = []
     for label in labels:
         answer, unread, report = None, "", reports.get(label.case.name)
         if report is not None:
@@ -162,15 +162,15 @@ def score_reports(
                 answer = read_answer(label.case.name, report)
             except InputError as error:
                 unread = str(error)
-        shrink = float("nan")
+        fraction = float("nan")
         if (
             report is not None
             and answer is not None
             and answer.verdict in ("explained", "explained_in_part", "ambiguous")
         ):
-            shrink = realised(label, report)
-        judged.append(Judged(label, answer, shrink, unread))
-    answered = [(j, j.answer) for j in judged if j.answer is not None]
+            fraction = realised(label, report)
+        case_scores.append(CaseScore(label, answer, fraction, unread))
+    answered = [(j, j.answer) for j in case_scores if j.answer is not None]
     stated = np.array([p for _, a in answered for p in a.probabilities.values()])
     present = np.array([effect in j.truth for j, a in answered for effect in a.probabilities], dtype=np.float64)
     first = [(a.probabilities[a.first], j.is_first_right) for j, a in answered if a.first and a.verdict != "no_gap"]
@@ -183,19 +183,25 @@ def score_reports(
         log_score=log_score(stated, present),
         by_bin=tuple(
             Bin(low, high, float(stated[here].mean()), int(present[here].sum()), int(here.sum()))
-            for low, high in pairwise(STATED_EDGES)
+            for low, high in pairwise(PROBABILITY_EDGES)
             if (here := (stated >= low) & (stated < high if high < 1.0 else stated <= high)).any()
         ),
     )
-    return ScoreSheet(tuple(judged), tuple(_rows(judged)), tuple(_detection(judged)), probabilities, _shrink(judged))
+    return ScoreSheet(
+        tuple(case_scores),
+        tuple(_rows(case_scores)),
+        tuple(_detection(case_scores)),
+        probabilities,
+        _score_fractions(case_scores),
+    )
 
 
 HONEST = ("right", "set", "below noise")
 
 
-def _rows(judged: Sequence[Judged]) -> Iterable[Row]:
-    for line in dict.fromkeys(j.label.case.line for j in judged):
-        cases = [j for j in judged if j.label.case.line == line]
+def _rows(case_scores: Sequence[CaseScore]) -> Iterable[Row]:
+    for line in dict.fromkeys(j.label.case.line for j in case_scores):
+        cases = [j for j in case_scores if j.label.case.line == line]
         with_cause = [j for j in cases if j.label.case.causes]
         yield _row(line, "right", cases, lambda j: j.outcome == "right")
         yield _row(line, "right or honest set or below noise", cases, lambda j: j.outcome in HONEST)
@@ -211,15 +217,15 @@ def _rows(judged: Sequence[Judged]) -> Iterable[Row]:
             yield _row(line, "stage", visible, lambda j: j.is_stage_right)
             if line in ("outside", "published_outside"):
                 name = "stage right or held open between two"
-                yield _row(line, name, visible, lambda j: j.is_stage_right or j.is_stage_held_open)
+                yield _row(line, name, visible, lambda j: j.is_stage_right or j.is_stage_left_open)
 
 
-def _row(line: str, measure: str, cases: Sequence[Judged], is_hit: Callable[[Judged], bool]) -> Row:
+def _row(line: str, measure: str, cases: Sequence[CaseScore], is_hit: Callable[[CaseScore], bool]) -> Row:
     return Row(line, measure, sum(map(is_hit, cases)), len(cases))
 
 
-def _detection(judged: Sequence[Judged]) -> Iterable[Detection]:
-    singles = [j for j in judged if len(j.truth) == 1 and len(j.label.case.causes) == 1]
+def _detection(case_scores: Sequence[CaseScore]) -> Iterable[Detection]:
+    singles = [j for j in case_scores if len(j.truth) == 1 and len(j.label.case.causes) == 1]
     for effect in sorted({next(iter(j.truth)) for j in singles}):
         for low, high in pairwise(DISTANCE_EDGES):
             here = [j for j in singles if effect in j.truth and low <= j.label.distance_sigma < high]
@@ -243,32 +249,32 @@ def log_score(stated: NDArray[np.float64], present: NDArray[np.float64]) -> floa
     What nobody states and nobody hid costs nothing, so that it would only hide what is wrong. A probability of 0 or 1
     counts as one in a thousand short of it.
     """
-    counts = (stated >= STATED_EDGES[0]) | (present > 0.0)
+    counts = (stated >= PROBABILITY_EDGES[0]) | (present > 0.0)
     if not counts.any():
         return float("nan")
-    p = np.clip(stated[counts], SUREST, 1.0 - SUREST)
+    p = np.clip(stated[counts], MIN_PROBABILITY, 1.0 - MIN_PROBABILITY)
     return float(np.mean(-np.log(np.where(present[counts] > 0.0, p, 1.0 - p))))
 
 
-def _shrink(judged: Sequence[Judged]) -> ShrinkScore:
-    known = [
-        (j.answer, j.realised_shrink)
-        for j in judged
-        if j.answer and np.isfinite(j.realised_shrink) and np.isfinite(j.answer.predicted)
+def _score_fractions(case_scores: Sequence[CaseScore]) -> FractionScore:
+    forecasts = [
+        (j.answer, j.explained_fraction)
+        for j in case_scores
+        if j.answer and np.isfinite(j.explained_fraction) and np.isfinite(j.answer.predicted)
     ]
     measures = {
-        "realised ≥ 0.95": [shrink >= 0.95 for _, shrink in known],
-        "|forecast − realised| ≤ 0.10": [abs(a.predicted - shrink) <= 0.10 for a, shrink in known],
-        "realised inside [low, high]": [a.low <= shrink <= a.high for a, shrink in known],
+        "realised ≥ 0.95": [fraction >= 0.95 for _, fraction in forecasts],
+        "|forecast − realised| ≤ 0.10": [abs(a.predicted - fraction) <= 0.10 for a, fraction in forecasts],
+        "realised inside [low, high]": [a.low <= fraction <= a.high for a, fraction in forecasts],
     }
-    return ShrinkScore(
-        count=len(known),
-        median_realised=float(np.median([shrink for _, shrink in known])) if known else float("nan"),
+    return FractionScore(
+        count=len(forecasts),
+        median_realised=float(np.median([fraction for _, fraction in forecasts])) if forecasts else float("nan"),
         rows=tuple(Row("explained", name, sum(hits), len(hits)) for name, hits in measures.items()),
     )
 
 
-FLOORS: Mapping[str, float] = MappingProxyType(
+MIN_SHARES: Mapping[str, float] = MappingProxyType(
     {
         "usual": 0.7,
         "none": 0.7,
@@ -289,10 +295,10 @@ look at the recording. With a handful of cases a line, a sound diagnosis fails o
 times, and silence never passes.
 """
 
-CASES_OF_FLOOR = 4
+MIN_CASES = 4
 """Cases that a large draw has of each of these lines: fewer could miss a floor by chance."""
 
-POOLED = 0.6
+MIN_SHARE_OF_ALL = 0.6
 """Least share over all these lines together."""
 
 
@@ -301,13 +307,13 @@ def shortfalls(sheet: ScoreSheet) -> list[str]:
 
     All that was drawn is judged: a case without a report counts as wrong.
     """
-    said, hits, total = [], 0, 0
-    for line, floor in FLOORS.items():
-        cases = [judged for judged in sheet.judged if judged.label.case.line == line]
-        right = sum(judged.outcome == "right" for judged in cases)
+    sentences, hits, total = [], 0, 0
+    for line, min_share in MIN_SHARES.items():
+        cases = [score for score in sheet.case_scores if score.label.case.line == line]
+        right = sum(score.outcome == "right" for score in cases)
         hits, total = hits + right, total + len(cases)
-        if right < floor * len(cases):
-            said.append(f"{line}: {right} of {len(cases)} right; at least {floor:.0%} were expected")
-    if total and hits < POOLED * total:
-        said.append(f"all lines: {hits} of {total} right; at least {POOLED:.0%} were expected")
-    return said
+        if right < min_share * len(cases):
+            sentences.append(f"{line}: {right} of {len(cases)} right; at least {min_share:.0%} were expected")
+    if total and hits < MIN_SHARE_OF_ALL * total:
+        sentences.append(f"all lines: {hits} of {total} right; at least {MIN_SHARE_OF_ALL:.0%} were expected")
+    return sentences

@@ -7,7 +7,9 @@ case as it was handed out, so neither labels nor cases can change without the se
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+
+import msgspec
 
 from softcal.core.challenge.cases import SealedCase, distance_sigma
 from softcal.core.errors import InputError
@@ -50,7 +52,7 @@ def seal_labels(
         seed_origin: `drawn` in secret, or `stated`.
     """
     labels = [
-        {"case": case.to_record(), "sha256": contents[case.name], "distance_sigma": round(distance_sigma(case), 3)}
+        {"case": asdict(case), "sha256": contents[case.name], "distance_sigma": round(distance_sigma(case), 3)}
         for case in cases
     ]
     sealed = {"schema": SCHEMA, "nonce": nonce, "seed": seed, "seed_origin": seed_origin, "labels": labels}
@@ -76,7 +78,4 @@ def open_seal(text: str, commitment: str) -> list[Label]:
     sealed = json.loads(text)
     if sealed.get("schema") != SCHEMA:
         raise InputError(f"the sealed file has schema {sealed.get('schema')!r}; {SCHEMA!r} was expected")
-    return [
-        Label(SealedCase.from_record(label["case"]), label["sha256"], label["distance_sigma"])
-        for label in sealed["labels"]
-    ]
+    return msgspec.convert(sealed["labels"], list[Label])

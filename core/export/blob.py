@@ -226,7 +226,7 @@ def serial_field(serial: str) -> bytes:
     return raw.ljust(SERIAL_BYTES, b"\0")
 
 
-def serial_of(field: bytes) -> str:
+def decode_serial(field: bytes) -> str:
     """Return the serial of a file's 20 bytes; of one that was shortened, what is there."""
     text = field.rstrip(b"\0").decode("utf-8", errors="replace")
     try:

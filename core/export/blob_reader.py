@@ -39,7 +39,9 @@ def _open(data: bytes, kind: Kind) -> _Opened:
     name = f"{kind.name.lower()} file"
     if len(data) < blob.HEADER.size + 4:
         raise FileRefused(RefusalCause.LENGTH, f"{name} of {len(data)} bytes is shorter than its header; copy it again")
-    magic, found, major, minor, flags, length, network_id, revision, time_s, serial = blob.HEADER.unpack_from(data)
+    magic, kind_number, major, minor, flags, length, network_id, revision, time_s, serial = blob.HEADER.unpack_from(
+        data
+    )
     if magic != blob.MAGIC:
         raise FileRefused(RefusalCause.MAGIC, f"this is no calibration file: it starts with 0x{magic:08x}")
     if major != blob.MAJOR:
@@ -50,9 +52,9 @@ def _open(data: bytes, kind: Kind) -> _Opened:
         raise FileRefused(RefusalCause.LENGTH, f"{name} says {length} bytes and has {len(data)}; copy it again")
     if zlib.crc32(data[:-4]) != struct.unpack_from("<I", data, length - 4)[0]:
         raise FileRefused(RefusalCause.CRC, f"{name} is damaged: its CRC-32 does not match; copy or export it again")
-    if found != kind:
-        raise FileRefused(RefusalCause.KIND, f"a {name} was expected, this one is of kind {found}")
-    return _Opened(flags, minor, network_id, revision, time_s, blob.serial_of(serial), data[blob.HEADER.size : -4])
+    if kind_number != kind:
+        raise FileRefused(RefusalCause.KIND, f"a {name} was expected, this one is of kind {kind_number}")
+    return _Opened(flags, minor, network_id, revision, time_s, blob.decode_serial(serial), data[blob.HEADER.size : -4])
 
 
 def _text(field: bytes) -> str:
@@ -128,8 +130,8 @@ def read_unit(data: bytes) -> UnitFile:
             raise ValueError(f"codes {code_min} ... {code_max}, estimates {out_min} ... {out_max}")
         band_rows, at = _rows(blob.BAND, body, blob.UNIT_FIXED.size, bands)
         test_rows, at = _rows(blob.SELF_TEST, body, at, tests)
-        own_bands = tuple(blob.Band(*row) for row in band_rows)
-        own_tests = tuple(SelfTest(*row) for row in test_rows)
+        file_bands = tuple(blob.Band(*row) for row in band_rows)
+        file_tests = tuple(SelfTest(*row) for row in test_rows)
         at += -at % 4
         curve, layer, mix = None, None, None
         if form & blob.HAS_CURVE:
@@ -140,15 +142,15 @@ def read_unit(data: bytes) -> UnitFile:
         if form & blob.HAS_MIX:
             mix, at = _parse_mix(body, at)
         device_map = DeviceMap(curve, layer, mix)
-        levels = [band.level for band in own_bands]
+        levels = [band.level for band in file_bands]
         if levels != sorted(levels):
             raise ValueError(f"band levels {levels} do not rise")
-        for test in own_tests:
+        for test in file_tests:
             if not 0 <= test.start + (TAPS - 1) * test.step <= CODE_MAX or abs(test.expected) > ACTIVATION_MAX:
                 raise ValueError(f"self-test {test} leaves the range of codes")
         file = UnitFile(
             opened.serial, opened.network_id, opened.revision, opened.time_s, opened.flags, device_map,
-            InputScale(zero, lsb), code_min, code_max, out_min, out_max, own_bands, own_tests, pivot,
+            InputScale(zero, lsb), code_min, code_max, out_min, out_max, file_bands, file_tests, pivot,
         )  # fmt: skip
     except (ValueError, struct.error, IndexError) as error:
         raise _layout("unit", error) from error

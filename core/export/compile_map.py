@@ -53,12 +53,12 @@ class InputScale:
         return np.asarray(self.zero + self.lsb * codes, dtype=np.float64)
 
     @classmethod
-    def of_converter(cls, bits: int, full_scale: float) -> "InputScale":
+    def from_converter(cls, bits: int, full_scale: float) -> "InputScale":
         """Codes of an ADC, left-aligned to 16 bits: full_scale / (2^bits - 1) per ADC step."""
         return cls(0.0, full_scale / ((2**bits - 1) * 2 ** (16 - bits)))
 
     @classmethod
-    def covering(cls, network: Network, output: Array) -> "InputScale":
+    def cover_range(cls, network: Network, output: Array) -> "InputScale":
         """A round full scale (1, 2 or 5 times a power of ten) that holds source and unit."""
         reach = 6 * network.output_scale
         low = min(float(output.min()), float(network.output_mean - reach))
@@ -140,8 +140,8 @@ def _bases(
     unit_map: UnitMap, windows: Array, mapped: Array, knots: int, is_regressed: bool = True
 ) -> Iterator[tuple[Curve, Array]]:
     """Give the curves that a linear part may follow, each with the windows it makes."""
-    if (drawn := _drawn(unit_map, windows, mapped, knots)) is not None:
-        yield drawn, drawn.apply(windows)
+    if (rescaled := _rescaled_curve(unit_map, windows, mapped, knots)) is not None:
+        yield rescaled, rescaled.apply(windows)
     if is_regressed:
         regressed = _from_regression(windows, mapped, knots)
         yield regressed, regressed.apply(windows)
@@ -180,7 +180,7 @@ SIZED_FORMS: tuple[Forms, ...] = (curve_forms, mix_forms, matrix_forms)
 """Forms of a map, from those of the smallest file to those of the largest."""
 
 
-def _drawn(unit_map: UnitMap, windows: Array, mapped: Array, knots: int) -> Curve | None:
+def _rescaled_curve(unit_map: UnitMap, windows: Array, mapped: Array, knots: int) -> Curve | None:
     """The curve of constant windows, drawn to the source's range by the best gain and offset."""
     curve = _from_constant_windows(unit_map, windows, knots)
     curved = curve.apply(windows)
@@ -231,9 +231,9 @@ def compile_map(
 
 def _from_constant_windows(unit_map: UnitMap, windows: Array, knots: int) -> Curve:
     """Read γ off constant windows: exact for every family that works sample by sample."""
-    own = np.asarray(unit_map.arrays().get("knots", ()), dtype=np.float64)
+    knots_of_map = np.asarray(unit_map.arrays().get("knots", ()), dtype=np.float64)
     grid = _grid(windows)
-    bends = np.unique(own[(own > grid[0]) & (own < grid[-1])])
+    bends = np.unique(knots_of_map[(knots_of_map > grid[0]) & (knots_of_map < grid[-1])])
     if 0 < len(bends) <= knots - 2:
         ends = np.concatenate([grid[:1], bends, grid[-1:]])
         values = unit_map.apply(resting(ends))[:, -1]
@@ -249,8 +249,8 @@ def _from_regression(windows: Array, mapped: Array, knots: int) -> Curve:
     cell = np.clip(np.searchsorted(grid, windows.ravel()), 0, len(grid) - 1)
     count = np.bincount(cell, minlength=len(grid)).astype(float)
     total = np.bincount(cell, weights=mapped.ravel(), minlength=len(grid))
-    seen = count > 0
-    means = np.interp(grid, grid[seen], _monotone(total[seen] / count[seen], count[seen]))
+    has_samples = count > 0
+    means = np.interp(grid, grid[has_samples], _monotone(total[has_samples] / count[has_samples], count[has_samples]))
     return _with_few_knots(grid, means, windows, knots)
 
 

@@ -49,7 +49,7 @@ class DeviceOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class UnitFacts:
+class DeviceRecord:
     """What an export knows of one calibrated unit.
 
     Args:
@@ -100,16 +100,16 @@ def build_network_file(network: Network, source: LabelledRecording, anchors: Anc
             f"{blob.MAX_WIDTH} are the most; train a smaller one or fewer members"
         )
     integers = quantise.quantise_network(network, source.windows)
-    held = replace(integers, input_zero=_float32(integers.input_zero), input_lsb=_float32(integers.input_lsb))
+    stored = replace(integers, input_zero=_float32(integers.input_zero), input_lsb=_float32(integers.input_lsb))
     levels = SourceLevels.of(source, anchors)
-    count = 10.0**held.output_exponent
+    count = 10.0**stored.output_exponent
     first, last = (round(float(load) / count) for load in levels.load[[0, -1]])
     step = max(1, (last - first) // (len(levels.load) - 1))
     loads = np.asarray((first + step * np.arange(len(levels.load))) * count, np.float64)
-    counts = np.rint((levels.at(loads) - held.input_zero) / held.input_lsb)
+    counts = np.rint((levels.at(loads) - stored.input_zero) / stored.input_lsb)
     clipped = np.clip(counts, -ACTIVATION_MAX, ACTIVATION_MAX).astype(np.int64).tolist()
     return NetworkFile(
-        held,
+        stored,
         network.id,
         source.serial,
         sample_period_us(source),
@@ -124,23 +124,23 @@ def sample_period_us(source: LabelledRecording) -> int:
     return round(1e6 / source.unlabelled.sample_rate_Hz)
 
 
-def limits_of_unit(facts: UnitFacts, network: Network, options: DeviceOptions) -> quantise.Limits:
+def limits_of_unit(record: DeviceRecord, network: Network, options: DeviceOptions) -> quantise.Limits:
     """Return interval, range (that of its codes) and clamp of a unit in floating point."""
-    exact = network.evaluate(facts.unit_map.apply(facts.recording.windows))
-    scale = _scale(options, network, facts)
-    code_min, code_max = quantise.code_range(scale, facts.recording.output)
+    exact = network.evaluate(record.unit_map.apply(record.recording.windows))
+    scale = _scale(options, network, record)
+    code_min, code_max = quantise.code_range(scale, record.recording.output)
     low, high, margin = float(exact.min()), float(exact.max()), float(np.ptp(exact)) / 4
     return quantise.Limits(
         scale.zero + scale.lsb * (code_min - 0.5),
         scale.zero + scale.lsb * (code_max + 0.5),
         low - margin,
         high + margin,
-        *quantise.reach_by_band(exact, exact - facts.lower, facts.upper - exact),
+        *quantise.half_width_by_band(exact, exact - record.lower, record.upper - exact),
     )
 
 
 def build_unit_file(
-    facts: UnitFacts,
+    record: DeviceRecord,
     network: Network,
     network_file: NetworkFile,
     options: DeviceOptions = DeviceOptions(),  # noqa: B008
@@ -156,7 +156,7 @@ def build_unit_file(
     best, refusal = None, None
     for size in sizes:
         try:
-            unit = _build(facts, network, network_file, options, size)
+            unit = _build(record, network, network_file, options, size)
         except UnitRefused as error:
             refusal = error
             continue
@@ -165,19 +165,19 @@ def build_unit_file(
         if best.max_error <= best.goal:
             break
     if best is None:
-        raise refusal or UnitRefused(f"unit {facts.serial} has no device form")
+        raise refusal or UnitRefused(f"unit {record.serial} has no device form")
     return best
 
 
 def _build(
-    facts: UnitFacts, network: Network, network_file: NetworkFile, options: DeviceOptions, size: int
+    record: DeviceRecord, network: Network, network_file: NetworkFile, options: DeviceOptions, size: int
 ) -> DeviceUnit:
-    windows = facts.recording.windows
-    exact = quantise.evaluate_float64(network, facts.unit_map.apply(windows))
-    limit, goal = device_limit(facts, network, options), GOAL * float(np.ptp(exact))
-    scale = _scale(options, network, facts)
-    _check_scale(scale, facts)
-    compiled = compile_map(facts.unit_map, network, facts.recording, limit, FORMS_OF[size], goal / 2)
+    windows = record.recording.windows
+    exact = quantise.evaluate_float64(network, record.unit_map.apply(windows))
+    limit, goal = device_limit(record, network, options), GOAL * float(np.ptp(exact))
+    scale = _scale(options, network, record)
+    _check_scale(scale, record)
+    compiled = compile_map(record.unit_map, network, record.recording, limit, FORMS_OF[size], goal / 2)
     integers = network_file.network
     device_map = quantise.quantise_map(compiled.form, scale, integers)
     codes = scale.codes(windows)
@@ -186,48 +186,48 @@ def _build(
     rms_error, max_error = float(np.sqrt(np.mean(error**2))), float(np.abs(error).max())
     if rms_error > limit:
         raise UnitRefused(
-            f"unit {facts.serial}: the integers of the device are {rms_error:.3g} {network.reference_unit} rms off, "
+            f"unit {record.serial}: the integers of the device are {rms_error:.3g} {network.reference_unit} rms off, "
             f"{limit:.3g} is allowed; give the converter's own scale, or calibrate with another map"
         )
-    code_min, code_max = quantise.code_range(scale, facts.recording.output)
+    code_min, code_max = quantise.code_range(scale, record.recording.output)
     # Estimates seen on the unit's recording, and a quarter of their span beyond on both sides.
     margin = int(np.ptp(counts)) // 4 + 1
     file = UnitFile(
-        serial=facts.serial,
+        serial=record.serial,
         network_id=network_file.id,
-        revision=facts.revision,
-        time_s=facts.time_s,
-        flags=VERDICT_FLAGS[facts.verdict],
+        revision=record.revision,
+        time_s=record.time_s,
+        flags=VERDICT_FLAGS[record.verdict],
         device_map=device_map,
         scale=scale,
         code_min=code_min,
         code_max=code_max,
         out_min=max(-ACTIVATION_MAX, int(counts.min()) - margin),
         out_max=min(ACTIVATION_MAX, int(counts.max()) + margin),
-        bands=_bands(counts, exact, facts, error, 10.0**integers.output_exponent),
+        bands=_bands(counts, exact, record, error, 10.0**integers.output_exponent),
         self_tests=_self_tests(integers, device_map, code_min, code_max),
         pivot=_pivot(device_map, codes),
     )
     if (needed := len(file.to_bytes())) > size:
         raise UnitRefused(f"unit {file.serial}: its file would take {needed} bytes, {size} is allowed")
-    join(network_file, read_unit(file.to_bytes()), facts.serial)
+    join(network_file, read_unit(file.to_bytes()), record.serial)
     return DeviceUnit(file, compiled, rms_error, max_error, limit, goal)
 
 
-def device_limit(facts: UnitFacts, network: Network, options: DeviceOptions) -> float:
+def device_limit(record: DeviceRecord, network: Network, options: DeviceOptions) -> float:
     """Return the largest rms change of the estimate a compiled form may make, in reference units.
 
     A quarter of the predicted error raises the error by 3 % at most, as both add in quadrature.
     Without a forecast it is 1 % of the span of the estimates.
     """
-    if facts.predicted_rmse:
-        return options.compile_limit * facts.predicted_rmse
-    return 0.01 * float(np.ptp(network.evaluate(facts.unit_map.apply(facts.recording.windows))))
+    if record.predicted_rmse:
+        return options.compile_limit * record.predicted_rmse
+    return 0.01 * float(np.ptp(network.evaluate(record.unit_map.apply(record.recording.windows))))
 
 
-def _scale(options: DeviceOptions, network: Network, facts: UnitFacts) -> InputScale:
+def _scale(options: DeviceOptions, network: Network, record: DeviceRecord) -> InputScale:
     """Return the scale as a file holds it, so that its reader computes the same codes."""
-    scale = options.scale or InputScale.covering(network, facts.recording.output)
+    scale = options.scale or InputScale.cover_range(network, record.recording.output)
     return InputScale(_float32(scale.zero), _float32(scale.lsb))
 
 
@@ -235,21 +235,23 @@ def _float32(value: float) -> float:
     return float(np.float32(value))
 
 
-def _check_scale(scale: InputScale, facts: UnitFacts) -> None:
-    low, high = float(facts.recording.output.min()), float(facts.recording.output.max())
+def _check_scale(scale: InputScale, record: DeviceRecord) -> None:
+    low, high = float(record.recording.output.min()), float(record.recording.output.max())
     top = scale.zero + scale.lsb * (CODE_MAX + 0.5)
     if low < scale.zero - scale.lsb or high > top:
         raise UnitRefused(
-            f"unit {facts.serial} puts out {low:.6g} ... {high:.6g} {facts.recording.output_unit}, the converter "
+            f"unit {record.serial} puts out {low:.6g} ... {high:.6g} {record.recording.output_unit}, the converter "
             f"takes {scale.zero:.6g} ... {top:.6g}; correct its full scale"
         )
 
 
-def _bands(counts: Integers, exact: Array, facts: UnitFacts, error: Array, count: float) -> tuple[blob.Band, ...]:
+def _bands(counts: Integers, exact: Array, record: DeviceRecord, error: Array, count: float) -> tuple[blob.Band, ...]:
     """The 90 % interval by level: per band its mean reach and the device's own error."""
-    own = float(np.quantile(np.abs(error), COVERED))
-    levels, *reach = quantise.reach_by_band(counts, exact - facts.lower, facts.upper - exact)
-    minus, plus = (np.clip(np.ceil((side + own) / count), 0, CODE_MAX).astype(int).tolist() for side in reach)
+    device_error = float(np.quantile(np.abs(error), COVERED))
+    levels, *half_widths = quantise.half_width_by_band(counts, exact - record.lower, record.upper - exact)
+    minus, plus = (
+        np.clip(np.ceil((side + device_error) / count), 0, CODE_MAX).astype(int).tolist() for side in half_widths
+    )
     return tuple(map(blob.Band, (*map(int, levels), ACTIVATION_MAX), minus, plus))
 
 
@@ -269,7 +271,7 @@ def _pivot(device_map: DeviceMap, codes: Integers) -> int:
     return round(float(np.quantile(device_map.on_samples(codes[:, -1]), REST_QUANTILE)))
 
 
-STATE_BYTES, BYTES_PER_WIDTH, LEAST_WIDTH = 100, 4, 16
+STATE_BYTES, BYTES_PER_WIDTH, MIN_WIDTH = 100, 4, 16
 """Of `ss_sensor` on 32 bits: its fixed part, and two buffers as wide as the widest layer."""
 
 PER_MULTIPLICATION, PER_ROW, ALWAYS, PER_MIX = 4.0, 45.0, 570.0, 2500.0
@@ -301,7 +303,7 @@ def device_cost(network: IntegerNetwork, device_map: DeviceMap) -> DeviceCost:
     instructions = PER_MULTIPLICATION * multiplications + PER_ROW * sum(padded) + ALWAYS
     instructions += PER_MIX * (device_map.mix is not None)
     return DeviceCost(
-        STATE_BYTES + BYTES_PER_WIDTH * max(LEAST_WIDTH, *padded),
+        STATE_BYTES + BYTES_PER_WIDTH * max(MIN_WIDTH, *padded),
         round(instructions),
         instructions * CYCLES_PER_INSTRUCTION / CLOCK_kHz,
     )

@@ -80,8 +80,8 @@ def check_no_overflow(layer: IntegerLayer) -> None:
     _require(bound <= ACCUMULATOR_MAX, bound, "can reach {} in its accumulator, 2^31 - 1 is the most")
     _require((layer.shift1 >= 0) & (layer.shift1 <= 31), layer.shift1, "shifts by {}, 0 ... 31 is allowed")
     _require((layer.shift2 >= 1) & (layer.shift2 <= 31), layer.shift2, "shifts by {}, 1 ... 31 is allowed")
-    known = (layer.multiplier >= MULTIPLIER_MIN) & (layer.multiplier <= MULTIPLIER_MAX)
-    _require(known, layer.multiplier, "has multiplier {}, 8192 ... 16383 is allowed")
+    is_allowed = (layer.multiplier >= MULTIPLIER_MIN) & (layer.multiplier <= MULTIPLIER_MAX)
+    _require(is_allowed, layer.multiplier, "has multiplier {}, 8192 ... 16383 is allowed")
     reduced = (bound >> layer.shift1) + 1  # + 1: an arithmetic shift rounds a negative number away from zero
     product = reduced * layer.multiplier + (np.int64(1) << (layer.shift2 - 1))
     _require(product <= ACCUMULATOR_MAX, product, "can reach {} after its multiplier, 2^31 - 1 is the most")
@@ -182,10 +182,10 @@ class IntegerMix:
 
     def apply(self, counts: Integers) -> Integers:
         steps = (counts @ self.weights.T >> self.shift) + self.bias
-        place = np.arange(TAPS, dtype=np.int64) - SHAPE_CENTRE
+        position = np.arange(TAPS, dtype=np.int64) - SHAPE_CENTRE
         total = before = np.zeros(counts.shape, dtype=np.int64)
         for k in reversed(range(len(self.bias))):
-            total, before = steps[:, k, None] + (place * total >> 2) - before, total
+            total, before = steps[:, k, None] + (position * total >> 2) - before, total
         mixed: Integers = np.clip((total + self.keep * counts + KEEP_ONE // 2) >> 6, -ACTIVATION_MAX, ACTIVATION_MAX)
         return mixed
 

@@ -40,8 +40,8 @@ def network_from_values(values: Mapping[str, Any]) -> NetworkFile:
     """Rebuild a network file; `InputError` where a value is missing or impossible."""
     _check_schema(values, NETWORK_SCHEMA)
     try:
-        stated = values["levels"]
-        levels = LoadLevels(int(stated["first"]), int(stated["step"]), tuple(map(int, stated["counts"])))
+        table = values["levels"]
+        levels = LoadLevels(int(table["first"]), int(table["step"]), tuple(map(int, table["counts"])))
         network = IntegerNetwork(
             tuple(_layer_from(layer) for layer in values["layers"]),
             float(values["input_zero"]),
@@ -78,10 +78,10 @@ def unit_from_values(values: Mapping[str, Any]) -> UnitFile:
     """Rebuild a unit file; `InputError` where a value is missing or impossible."""
     _check_schema(values, UNIT_SCHEMA)
     try:
-        code, estimate, kept = values["code"], values["estimate"], values["map"]
-        knots, layer, mix = kept["knots"], kept["layer"], None
-        if (stated := kept["mix"]) is not None:
-            mix = IntegerMix(int(stated["keep"]), *(np.array(stated[name], dtype=np.int64) for name in MIX_FIELDS))
+        code, estimate, of_map = values["code"], values["estimate"], values["map"]
+        knots, layer, mix = of_map["knots"], of_map["layer"], None
+        if (of_mix := of_map["mix"]) is not None:
+            mix = IntegerMix(int(of_mix["keep"]), *(np.array(of_mix[name], dtype=np.int64) for name in MIX_FIELDS))
         return UnitFile(
             serial=str(values["serial"]),
             network_id=bytes.fromhex(values["network_id"]),
@@ -104,12 +104,12 @@ def unit_from_values(values: Mapping[str, Any]) -> UnitFile:
         raise _refusal(error) from error
 
 
-def sealed(values: Mapping[str, object]) -> dict[str, object]:
+def add_sha256(values: Mapping[str, object]) -> dict[str, object]:
     """Return values with their own SHA-256, as a file carries them."""
     return {**values, "sha256": _sha256(values)}
 
 
-def is_proven(values: Mapping[str, Any]) -> bool:
+def has_valid_sha256(values: Mapping[str, Any]) -> bool:
     """Whether values carry their SHA-256 (`InputError`: they are not what it is of)."""
     if "sha256" not in values:
         return False

@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.export.blob import FileRefused, NetworkFile, RefusalCause, SelfTest, UnitFile, serial_field
-from softcal.core.export.blob_reader import read_network, read_unit
 from softcal.core.export.integer_network import ACTIVATION_MAX, DeviceMap, IntegerNetwork, Integers
-from softcal.core.recording import Array
 from softcal.core.windows import TAPS
 
 WARM_UP, CLOSED, STALE, OUT_OF_RANGE, CLAMPED, WRONG_RATE, STUCK = 1, 2, 4, 8, 16, 32, 64
@@ -35,10 +33,6 @@ class DeviceSensor:
     network_file: NetworkFile
     unit_file: UnitFile
 
-    @property
-    def count(self) -> float:
-        return float(10.0**self.network_file.network.output_exponent)
-
     def estimate(self, codes: Integers) -> DeviceEstimate:
         """Estimate for every window (`codes`: (n, TAPS) windows of 16-bit codes, newest last)."""
         return self.estimate_mapped(
@@ -52,7 +46,7 @@ class DeviceSensor:
         raw = self.network_file.network.evaluate(unit.device_map.on_windows(ring))
         value = np.clip(raw, unit.out_min, unit.out_max)
         flags = OUT_OF_RANGE * outside.any(axis=1) + CLAMPED * (raw != value)
-        minus, plus = self.reach(value)
+        minus, plus = self.half_widths(value)
         return DeviceEstimate(
             value,
             np.maximum(value - minus, -ACTIVATION_MAX),
@@ -60,7 +54,7 @@ class DeviceSensor:
             flags.astype(np.int64),
         )
 
-    def reach(self, value: Integers) -> tuple[Integers, Integers]:
+    def half_widths(self, value: Integers) -> tuple[Integers, Integers]:
         """Return how far the 90 % interval reaches below and above (n,) counts, each (n,)."""
         bands = self.unit_file.bands
         levels = np.array([band.level for band in bands[:-1]], dtype=np.int64)
@@ -69,32 +63,11 @@ class DeviceSensor:
         plus = np.array([b.plus for b in bands], dtype=np.int64)[band]
         return minus, plus
 
-    def estimate_output(self, windows: Array) -> tuple[Array, Array, Array, Integers]:
-        """Return estimate, lower, upper in reference units, and flags, of (n, TAPS) outputs."""
-        estimates = self.estimate(self.unit_file.scale.codes(windows))
-        value, lower, upper = (
-            counts.astype(np.float64) * self.count for counts in (estimates.value, estimates.lower, estimates.upper)
-        )
-        return value, lower, upper, estimates.flags
-
 
 def run_self_test(network: IntegerNetwork, device_map: DeviceMap, test: SelfTest) -> int:
     """Return the estimate of a self-test's window."""
     codes = test.start + test.step * np.arange(TAPS, dtype=np.int64)
     return int(network.evaluate(device_map.apply(codes[None, :]))[0])
-
-
-def open_sensor(network: bytes, unit: bytes, serial: str | None = None) -> DeviceSensor:
-    """Open two files, checking them in the order the firmware does.
-
-    Args:
-        network, unit: contents of `network-<id>.ssc` and `unit-<serial>.ssc`.
-        serial: of the unit at hand, where it is known.
-
-    Raises:
-        FileRefused: the first check that fails; no number comes from such a file.
-    """
-    return join(read_network(network), read_unit(unit), serial)
 
 
 def join(network_file: NetworkFile, unit_file: UnitFile, serial: str | None = None) -> DeviceSensor:

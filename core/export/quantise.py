@@ -58,12 +58,12 @@ def quantise_network(network: Network, source_windows: Array) -> integer.Integer
 
 def activations(network: Network, windows: Array) -> list[Array]:
     """Return what leaves each layer in float64, the estimate (n, 1) last."""
-    hidden, found = windows - network.output_mean, []
+    hidden, layers = windows - network.output_mean, []
     for weight, bias in network.folded[:-1]:
         hidden = np.maximum(hidden @ weight + bias, 0.0)
-        found.append(hidden)
+        layers.append(hidden)
     weight, bias = network.folded[-1]
-    return [*found, hidden @ weight + bias]
+    return [*layers, hidden @ weight + bias]
 
 
 def evaluate_float64(network: Network, windows: Array) -> Array:
@@ -145,12 +145,12 @@ def quantise_map(form: MapForm, scale: InputScale, network: integer.IntegerNetwo
         bounds = [b for b in (low, high) if values.min() < b < values.max()]
         crossings = np.interp(bounds, values[order], outputs[order])
         inside = np.abs(values - network.input_zero) <= network.input_lsb * ACTIVATION_MAX
-        kept = np.unique(np.concatenate([outputs[inside], crossings]))
+        outputs_kept = np.unique(np.concatenate([outputs[inside], crossings]))
         # Knots closer than one code fall together; one of them is kept.
-        codes, first = np.unique(scale.codes(kept), return_index=True)
-        counts = np.rint((form.curve.apply(kept)[first] - network.input_zero) / network.input_lsb)
-        held = np.clip(counts, -ACTIVATION_MAX, ACTIVATION_MAX).astype(np.int64)
-        curve = integer.PiecewiseMap(codes, held)
+        codes, first = np.unique(scale.codes(outputs_kept), return_index=True)
+        counts = np.rint((form.curve.apply(outputs_kept)[first] - network.input_zero) / network.input_lsb)
+        stored = np.clip(counts, -ACTIVATION_MAX, ACTIVATION_MAX).astype(np.int64)
+        curve = integer.PiecewiseMap(codes, stored)
         if isinstance(form.linear, Linear):
             # Counts in, counts out: count = (output - zero) / lsb on both sides.
             matrix, zero, one = form.linear.matrix, network.input_zero, np.full(TAPS, network.input_lsb)
@@ -189,7 +189,7 @@ class Limits:
     plus: Array
 
 
-def reach_by_band(estimate: Array | integer.Integers, below: Array, above: Array) -> tuple[Array, Array, Array]:
+def half_width_by_band(estimate: Array | integer.Integers, below: Array, above: Array) -> tuple[Array, Array, Array]:
     """Return levels between `MAX_BANDS` bands of an estimate, and its mean reach in each.
 
     Args:

@@ -9,35 +9,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.core.export.integer_network import (
-    ACTIVATION_MAX,
-    KEEP_ONE,
-    SHAPE_CENTRE,
-    SHAPE_HALF,
-    IntegerMix,
-    Integers,
-)
+from softcal.core.export.integer_network import ACTIVATION_MAX, KEEP_ONE, SHAPE_CENTRE, SHAPE_HALF, IntegerMix, Integers
 from softcal.core.network.network import Network
 from softcal.core.recording import Array
 from softcal.core.windows import TAPS
 
-MOST_WINDOWS = 3000
+MAX_WINDOWS = 3000
 STEPS = 5
 WINDOW_WEIGHT = 1e-3
 """The window itself counts this much: it settles what f does not see of it."""
 
 RIDGE = 1e-7
-MOST_SHIFT = 24
-MOST_ROW_SUM = 65_000
+MAX_SHIFT = 24
+MAX_ROW_SUM = 65_000
 """Of the weights of a row: times 32767 they stay within 32 bits, with room for rounding."""
 
 
 def shapes(count: int) -> Array:
     """Return U_0 ... U_(count - 1) at (tap - 7) / 8: (TAPS, count)."""
-    place = (np.arange(TAPS) - SHAPE_CENTRE) / SHAPE_HALF
-    columns = [np.ones(TAPS), 2 * place]
+    position = (np.arange(TAPS) - SHAPE_CENTRE) / SHAPE_HALF
+    columns = [np.ones(TAPS), 2 * position]
     for _ in range(count - 2):
-        columns.append(2 * place * columns[-1] - columns[-2])
+        columns.append(2 * position * columns[-1] - columns[-2])
     return np.stack(columns[:count], axis=1)
 
 
@@ -99,60 +92,60 @@ def fit_mix(count: int, windows: Array, mapped: Array, network: Network) -> Mix 
     Returns:
         None where the weights are too large for their bytes.
     """
-    rows = np.linspace(0, len(windows) - 1, min(MOST_WINDOWS, len(windows))).astype(np.int64)
+    rows = np.linspace(0, len(windows) - 1, min(MAX_WINDOWS, len(windows))).astype(np.int64)
     windows, mapped = windows[rows], mapped[rows]
     exact = network.evaluate(mapped)
-    best, least, found = None, np.inf, mapped
+    best, min_error, fitted = None, np.inf, mapped
     for _ in range(STEPS):
-        mix = _Normal(count, windows, mapped, network, found).solved()
+        mix = _Normal(count, windows, mapped, network, fitted).solved()
         if mix is None:
             break
-        found = mix.apply(windows)
-        error = float(np.mean((network.evaluate(found) - exact) ** 2))
-        if error < least:
-            best, least = mix, error
+        fitted = mix.apply(windows)
+        error = float(np.mean((network.evaluate(fitted) - exact) ** 2))
+        if error < min_error:
+            best, min_error = mix, error
     return best
 
 
 class _Normal:
     """Normal equations of a mix: (TAPS + 1, k) weights of taps and a constant, then keep."""
 
-    def __init__(self, count: int, windows: Array, mapped: Array, network: Network, found: Array) -> None:
-        """Linearise f at `found`, the windows of the step before."""
+    def __init__(self, count: int, windows: Array, mapped: Array, network: Network, fitted: Array) -> None:
+        """Linearise f at `fitted`, the windows of the step before."""
         self._count, self._centre, self._spread = count, float(windows.mean()), float(windows.std())
         moved = (windows - self._centre) / self._spread
-        wanted = (mapped - self._centre) / self._spread
-        estimate, slope = network.gradient(found)
+        target_windows = (mapped - self._centre) / self._spread
+        estimate, slope = network.gradient(fitted)
         # Estimates in units of the window: both parts of the sum then count in the same measure.
         scale = float(np.sqrt(np.mean(slope**2)))
         slope = slope / scale
         missing = (network.evaluate(mapped) - estimate) / (scale * self._spread)
         basis = shapes(count)
         taps = np.hstack([moved, np.ones((len(moved), 1))])
-        seen = np.einsum("nt,nk->ntk", taps, slope @ basis).reshape(len(moved), -1)
-        seen = np.hstack([seen, np.sum(slope * moved, axis=1)[:, None]])
-        target = missing + np.sum(slope * (found - self._centre), axis=1) / self._spread
+        design = np.einsum("nt,nk->ntk", taps, slope @ basis).reshape(len(moved), -1)
+        design = np.hstack([design, np.sum(slope * moved, axis=1)[:, None]])
+        target = missing + np.sum(slope * (fitted - self._centre), axis=1) / self._spread
         cross = (taps.T @ moved @ basis).reshape(-1)
         whole = np.block([
             [np.kron(taps.T @ taps, basis.T @ basis), cross[:, None]],
             [cross[None, :], np.array([[np.sum(moved**2)]])],
         ])  # fmt: skip
-        right = np.append((taps.T @ wanted @ basis).reshape(-1), np.sum(moved * wanted))
-        self._matrix = seen.T @ seen + WINDOW_WEIGHT * whole
+        right = np.append((taps.T @ target_windows @ basis).reshape(-1), np.sum(moved * target_windows))
+        self._matrix = design.T @ design + WINDOW_WEIGHT * whole
         self._matrix += RIDGE * float(np.trace(self._matrix)) / len(right) * np.eye(len(right))
-        self._right = seen.T @ target + WINDOW_WEIGHT * right
+        self._right = design.T @ target + WINDOW_WEIGHT * right
 
     def solved(self) -> Mix | None:
         """Return the best mix on the device's integers; None where a weight is too large."""
         # The share that stays is fixed first: every other unknown is linear beside it.
         keep = int(np.clip(round(KEEP_ONE * float(np.linalg.solve(self._matrix, self._right)[-1])), 0, 255))
         weights = self.weights(keep / KEEP_ONE)
-        filled = np.maximum(np.abs(weights).max(axis=1) / ACTIVATION_MAX, np.abs(weights).sum(axis=1) / MOST_ROW_SUM)
+        filled = np.maximum(np.abs(weights).max(axis=1) / ACTIVATION_MAX, np.abs(weights).sum(axis=1) / MAX_ROW_SUM)
         if not np.all(np.isfinite(filled)) or filled.max() > 1 / KEEP_ONE:
             return None
         # The largest shift at which a row still fits its bytes is the finest step it can have.
-        room = np.log2(1 / KEEP_ONE / np.maximum(filled, 2.0**-MOST_SHIFT / ACTIVATION_MAX))
-        shift = np.clip(np.floor(room), 0, MOST_SHIFT).astype(np.int64)
+        room = np.log2(1 / KEEP_ONE / np.maximum(filled, 2.0**-MAX_SHIFT / ACTIVATION_MAX))
+        shift = np.clip(np.floor(room), 0, MAX_SHIFT).astype(np.int64)
         step = 1 / (KEEP_ONE * 2.0**shift)
         integers = np.rint(weights / step[:, None]).astype(np.int64)
         return Mix(keep, integers, shift, self.bias(keep / KEEP_ONE, integers * step[:, None]))

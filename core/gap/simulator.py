@@ -30,7 +30,7 @@ from softcal.core.gap.problem import Hypothesis
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs
 from softcal.core.twin.parameters import ReadoutMetadata
-from softcal.core.twin.probes import Extent
+from softcal.core.twin.probes import ExcitationRange
 
 Columns: TypeAlias = Mapping[str, Array]
 
@@ -235,7 +235,7 @@ class Simulator:
         return SimulatorFailed(f"simulator {self.name} ({self._file}{line}) fails: {what}; at {at}")
 
 
-PROBED = Extent(1.0, 1.0, 0.0, 1.0, 1.0, 1.0)
+PROBED = ExcitationRange(1.0, 1.0, 0.0, 1.0, 1.0, 1.0)
 """What probes of a mechanism are asked at; they do not depend on it."""
 
 
@@ -243,7 +243,7 @@ def _elsewhere(flow: Flow, values: Sequence[float], state: Memory) -> None:
     raise ValueError("this effect belongs to another simulator, not to the twin of a soft sensor")
 
 
-def _given(rows: Sequence[tuple[float, ...]], at: Extent) -> Sequence[tuple[float, ...]]:
+def _given(rows: Sequence[tuple[float, ...]], at: ExcitationRange) -> Sequence[tuple[float, ...]]:
     return rows
 
 

@@ -36,7 +36,7 @@ from softcal.core.gap.simulator_reach import (
 from softcal.core.metrics import finite_or_none
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Form, Parameter
-from softcal.core.twin.probes import Extent
+from softcal.core.twin.probes import ExcitationRange
 from softcal.core.words.reason import Reason, reason
 
 if TYPE_CHECKING:
@@ -291,7 +291,7 @@ class SimulatorModel(Model):
     def probes(self, base: Fit, effects: Sequence[Effect]) -> tuple[Probe, ...]:
         runs = base.problem.case.runs
         longest_s = max(float(run.elapsed_s[-1]) for run in runs)
-        extent = Extent(1.0, 1.0, 0.0, 1.0, longest_s, float(np.median(runs[0].step_s[1:])))
+        extent = ExcitationRange(1.0, 1.0, 0.0, 1.0, longest_s, float(np.median(runs[0].step_s[1:])))
         return tuple(Probe(c, row, c.is_one_sided) for c in effects for row in c.probes(extent))
 
     def start_again(self, search: "Search") -> None:

@@ -36,7 +36,7 @@ from softcal.core.gap.twin_reach import (
     visible_effects,
 )
 from softcal.core.recording import Array
-from softcal.core.twin.catalogue import EFFECTS, FORMS, OWN_EFFECTS
+from softcal.core.twin.catalogue import BUILTIN_EFFECTS, EFFECTS, FORMS
 from softcal.core.twin.effects import Alias, Effect, Form
 from softcal.core.twin.empirical_terms import EmpiricalTerm
 from softcal.core.twin.mechanics import elastic_force_at
@@ -321,7 +321,7 @@ class TwinModel(Model):
         return out | {
             "missing_channels": list(case.missing_channels),
             "unseen_stages": list(case.unseen_stages),
-            "plugins": [effect_id for effect_id in EFFECTS if effect_id not in OWN_EFFECTS],
+            "plugins": [effect_id for effect_id in EFFECTS if effect_id not in BUILTIN_EFFECTS],
             "base": {p.name: getattr(named.base, p.name) for p in BASE},
             "noise": {
                 short(channel): {"white": sigma, "fading": fades.spread, "fading_s": fades.fading_s}

@@ -30,7 +30,7 @@ from softcal.core.twin.effects import Alias, ChainStage, Effect, Flow, Hook, Mem
 from softcal.core.twin.empirical_terms import PLACES, VARIABLES, EmpiricalTerm
 from softcal.core.twin.mechanics import elastic_force
 from softcal.core.twin.parameters import BaseParameters
-from softcal.core.twin.probes import Extent
+from softcal.core.twin.probes import ExcitationRange
 from softcal.core.twin.signals import compiled, low_pass
 from softcal.core.twin.simulate import Chain, Values
 
@@ -93,7 +93,7 @@ def rough_start(case: Case) -> Array:
     return np.array([to_fit(p, v) for p, v in zip(BASE, values, strict=True)])
 
 
-def extent_of(base: Fit) -> Extent:
+def extent_of(base: Fit) -> ExcitationRange:
     """Measure a case; depth and force beyond what was recorded come from the fitted base."""
     case = base.problem.case
     depths = [float(stage_mm.max()) for stage_mm in case.recorded("stage_mm")]
@@ -101,7 +101,7 @@ def extent_of(base: Fit) -> Extent:
     forces = [float(force_N.max()) for force_N in case.recorded("force_N")]
     force_N = max(forces, default=base.base.k1_N_mm * depth_mm + base.base.k3_N_mm3 * depth_mm**3)
     every_V = np.concatenate(case.recorded("output_V") or [np.array([0.0, 1.0])])
-    return Extent(
+    return ExcitationRange(
         depth_mm=max(depth_mm, 1e-9),
         force_N=max(force_N, 1e-9),
         lowest_V=float(every_V.min()),
@@ -138,7 +138,7 @@ def terms_of_twin(base: Fit) -> Iterator[EmpiricalTerm]:
             yield EmpiricalTerm(place, name, 0.0, load_N, depth_mm)
 
 
-def menu(case: Case, extent: Extent) -> tuple[MenuEntry, ...]:
+def menu(case: Case, extent: ExcitationRange) -> tuple[MenuEntry, ...]:
     """Return what can be recorded here: profiles to the depth already pressed, and special runs."""
     d, rate_Hz = extent.depth_mm, case.readout.sample_rate_Hz
     pressed: dict[str, Profile] = {}

@@ -5,6 +5,7 @@ were lost), the last two samples are extended by a straight line; a batch uses t
 """
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -12,22 +13,22 @@ from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Placing, Signs
 from softcal.core.twin.forms import plus
 from softcal.core.twin.probes import Sizes
-from softcal.core.twin.signals import known_so_far, read_at
+from softcal.core.twin.signals import extend_buffer, read_at
 
 
-def _read_at(flow: Flow, wanted_s: Array, state: Memory) -> None:
-    known_s, known_V = known_so_far(flow.t_s, flow.output_V, wanted_s, state)
-    flow.output_V = np.interp(wanted_s, known_s, known_V)
-    late = wanted_s > known_s[-1] + 1e-9
+def _read_at(flow: Flow, instants_s: Array, state: Memory) -> None:
+    buffer_s, buffer_V = extend_buffer(flow.t_s, flow.output_V, instants_s, state)
+    flow.output_V = np.interp(instants_s, buffer_s, buffer_V)
+    late = instants_s > buffer_s[-1] + 1e-9
     earlier = flow.is_unforeseeable
     flow.is_unforeseeable = late
-    if earlier is not None and len(earlier) == len(known_s):
+    if earlier is not None and len(earlier) == len(buffer_s):
         # Straight lines between the samples beside a step cut its corner.
-        at = np.clip(np.searchsorted(known_s, wanted_s), 1, len(known_s) - 1)
+        at = np.clip(np.searchsorted(buffer_s, instants_s), 1, len(buffer_s) - 1)
         flow.is_unforeseeable = late | earlier[at] | earlier[at - 1]
-    if late.any() and len(known_s) > 1:
-        slope = (known_V[-1] - known_V[-2]) / (known_s[-1] - known_s[-2])
-        flow.output_V[late] = known_V[-1] + slope * (wanted_s[late] - known_s[-1])
+    if late.any() and len(buffer_s) > 1:
+        slope = (buffer_V[-1] - buffer_V[-2]) / (buffer_s[-1] - buffer_s[-2])
+        flow.output_V[late] = buffer_V[-1] + slope * (instants_s[late] - buffer_s[-1])
 
 
 def _clock_offset(flow: Flow, values: Sequence[float], state: Memory) -> None:
@@ -41,23 +42,23 @@ def _clock_skew(flow: Flow, values: Sequence[float], state: Memory) -> None:
 def _dropped_samples(flow: Flow, _: Sequence[float], state: Memory) -> None:
     # The median: the step across a gap is no sampling period.
     period_s = float(np.median(flow.step_s[flow.step_s > 0])) if np.any(flow.step_s > 0) else 0.0
-    wanted_s = flow.t_s.copy()
+    instants_s = flow.t_s.copy()
     for lost_at_s, count in flow.episodes.get("dropped_samples", ()):
         # Later samples close up: each loss moves all that follow it.
-        wanted_s = wanted_s + count * period_s * (flow.t_s >= lost_at_s)
-    _read_at(flow, wanted_s, state)
+        instants_s = instants_s + count * period_s * (flow.t_s >= lost_at_s)
+    _read_at(flow, instants_s, state)
 
 
 def _skew_curve(flow: Flow, v: Sequence[float], state: Memory) -> None:
-    wanted_s = flow.t_s * (1.0 + v[0] + v[1] * flow.t_s)
-    flow.output_V = read_at(flow.t_s, flow.output_V, wanted_s, state)
+    instants_s = flow.t_s * (1.0 + v[0] + v[1] * flow.t_s)
+    flow.output_V = read_at(flow.t_s, flow.output_V, instants_s, state)
 
+
+in_stage = partial(Effect, stage="acquisition", hook=Hook.CLOCK)
 
 EFFECTS = (
-    Effect(
+    in_stage(
         id="clock_offset",
-        stage="acquisition",
-        hook=Hook.CLOCK,
         equation="output_V(t) is the true V(t − Δ)",
         source="latency of a serial link; 1–50 ms over USB",
         parameters=(Parameter("delta", "s", -2.0, 2.0, 0.04, neutral=0.0),),
@@ -69,10 +70,8 @@ EFFECTS = (
             shown_by=("rate_sweep", "fast_ramps"),
         ),
     ),
-    Effect(
+    in_stage(
         id="clock_skew",
-        stage="acquisition",
-        hook=Hook.CLOCK,
         equation="output_V(t) is V(t·(1 + ε))",
         source="10–100 ppm for a crystal, up to 1 % for an RC clock",
         parameters=(Parameter("epsilon", "", -0.03, 0.03, 0.001, neutral=0.0),),
@@ -84,10 +83,8 @@ EFFECTS = (
             shown_by=("fast_ramps",),
         ),
     ).with_forms(plus(_skew_curve, "bending clock", (Parameter("bend", "1/s", -1e-3, 1e-3, 1e-5), 0.0))),
-    Effect(
+    in_stage(
         id="dropped_samples",
-        stage="acquisition",
-        hook=Hook.CLOCK,
         equation="output samples missing, later ones closed up",
         source="overrun of a serial buffer; blocks of 1–100 samples",
         parameters=(Parameter("count", "", 0.0, 1000.0, 5.0, neutral=0.0),),

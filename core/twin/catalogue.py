@@ -8,7 +8,7 @@ from softcal.core.plugins import PluginKind
 from softcal.core.twin import acquisition, electronics, load_cell, mechanics, transduction
 from softcal.core.twin.effects import Effect, Form
 
-OWN_EFFECTS: Mapping[str, Effect] = MappingProxyType(
+BUILTIN_EFFECTS: Mapping[str, Effect] = MappingProxyType(
     {
         effect.id: effect
         for module in (mechanics, transduction, electronics, load_cell, acquisition)
@@ -22,7 +22,7 @@ PLUGINS = PluginKind[Effect](
 )
 """Effects that other installed packages bring along."""
 
-EFFECTS: Mapping[str, Effect] = MappingProxyType(PLUGINS.beside(OWN_EFFECTS))
+EFFECTS: Mapping[str, Effect] = MappingProxyType(PLUGINS.beside(BUILTIN_EFFECTS))
 """Every effect that a diagnosis can name, by identifier."""
 
 FORMS: Mapping[str, tuple[Form, ...]] = MappingProxyType({e.id: e.forms for e in EFFECTS.values() if e.forms})

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.recording import Array
-from softcal.core.twin.probes import Extent, Probes
+from softcal.core.twin.probes import ExcitationRange, Probes
 from softcal.core.words.reason import Reason
 
 ChainStage = Literal["motion", "mechanics", "transduction", "electronics", "load_cell", "acquisition"]
@@ -223,7 +223,7 @@ class Effect:
         return next((side for side in every if set(names) <= {p.name for p in side.parameters}), self)
 
     def probes(
-        self, at: Extent, sized: Callable[[Parameter], Parameter] = lambda parameter: parameter
+        self, at: ExcitationRange, sized: Callable[[Parameter], Parameter] = lambda parameter: parameter
     ) -> list[tuple[float, ...]]:
         """Return the values at which a search on such a case begins, shapes within their bounds.
 

@@ -23,7 +23,7 @@ from softcal.core.twin.effects import (
 )
 from softcal.core.twin.forms import constant, drifts, plus
 from softcal.core.twin.parameters import ReadoutMetadata
-from softcal.core.twin.probes import Extent, Sizes
+from softcal.core.twin.probes import ExcitationRange, Sizes
 from softcal.core.twin.signals import low_pass, read_at
 from softcal.core.twin.transduction import CLIMATE
 
@@ -75,14 +75,15 @@ def _hum_of_runs(runs: int) -> Effect:
     return replace(MAINS_HUM, parameters=parameters)
 
 
-def _near_the_top(at: Extent) -> list[tuple[float, ...]]:
+def _near_the_top(at: ExcitationRange) -> list[tuple[float, ...]]:
     span_V = at.highest_V - at.lowest_V
     return [(at.highest_V - share * span_V,) for share in (1e-3, 0.01, 0.03, 0.08)]
 
 
-MAINS_HUM = Effect(
+in_stage = partial(Effect, stage="electronics")
+
+MAINS_HUM = in_stage(
     id="mains_hum",
-    stage="electronics",
     hook=Hook.OUTPUT,
     equation="V + A·sin(2πft + φ), f the alias of 50 or 60 Hz at the sample rate",
     source="pick-up of the mains; 1–10 mV",
@@ -92,9 +93,8 @@ MAINS_HUM = Effect(
     of_runs=_hum_of_runs,
 )
 
-CLIPPED_BELOW = Effect(
+CLIPPED_BELOW = in_stage(
     id="adc_saturation",
-    stage="electronics",
     hook=Hook.OUTPUT,
     equation="V clipped below V_min > 0",
     source="range of an amplifier or an ADC that does not reach zero",
@@ -104,9 +104,8 @@ CLIPPED_BELOW = Effect(
 )
 """The other side of a clipped output; a setting that gives `V_min` means this one."""
 
-ADC_SATURATION = Effect(
+ADC_SATURATION = in_stage(
     id="adc_saturation",
-    stage="electronics",
     hook=Hook.OUTPUT,
     equation="V clipped above V_max < Vref",
     source="range of an amplifier or an ADC short of the rail",
@@ -129,9 +128,8 @@ ADC_SATURATION = Effect(
 )
 
 EFFECTS = (
-    Effect(
+    in_stage(
         id="readout_lag",
-        stage="electronics",
         hook=Hook.OUTPUT,
         equation="V passes a first-order low-pass before the ADC",
         source="RC filter of the divider's input; 1–300 ms",
@@ -151,9 +149,8 @@ EFFECTS = (
             constants=("period_s",),
         ),
     ),
-    Effect(
+    in_stage(
         id="wiring_resistance",
-        stage="electronics",
         hook=Hook.REFERENCE,
         equation="V = Vref·(R + Rw)/(R + Rw + Rs)",
         source="leads and contacts in series with the channel, Ohm; 0.05–1 Ω",
@@ -165,9 +162,8 @@ EFFECTS = (
             shown_by=("dummy_resistor",),
         ),
     ),
-    Effect(
+    in_stage(
         id="reference_drift",
-        stage="electronics",
         hook=Hook.REFERENCE,
         equation="Vref(t) = Vref·(1 + ρ·t); the ADC reads against the nominal Vref",
         source="supply that warms up; linear over a run",

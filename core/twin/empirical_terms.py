@@ -32,7 +32,7 @@ MEMORY_s = (0.1, 0.5, 2.0, 8.0, 30.0)
 SHARP, BLUNT = 0.01, 0.1
 """Shares of the deepest press within which `direction` turns after a reversal."""
 
-TOUCH = 0.05
+CONTACT_FADE = 0.05
 """Share of the deepest press over which `touch` fades."""
 
 
@@ -88,9 +88,9 @@ def _direction(width: float) -> Column:
     return column
 
 
-def _touch(flow: Flow, _: Memory, term: "EmpiricalTerm") -> Array:
+def _contact_share(flow: Flow, _: Memory, term: "EmpiricalTerm") -> Array:
     depth = _depth(flow, term)
-    return np.exp(-depth / TOUCH) * (depth > 0.0)
+    return np.exp(-depth / CONTACT_FADE) * (depth > 0.0)
 
 
 def _deepest(flow: Flow, state: Memory, term: "EmpiricalTerm") -> Array:
@@ -130,8 +130,8 @@ VARIABLES: Mapping[str, Variable] = MappingProxyType(
         "load": Variable("", _load),
         "load²": Variable("", lambda flow, state, term: _load(flow, state, term) ** 2),
         "load³": Variable("", lambda flow, state, term: _load(flow, state, term) ** 3),
-        "touch": Variable("", _touch),
-        "touch·direction": Variable("", _product(_touch, _direction(SHARP))),
+        "touch": Variable("", _contact_share),
+        "touch·direction": Variable("", _product(_contact_share, _direction(SHARP))),
         "acceleration": Variable("1/s²", _acceleration, "stage_mm"),
         "position": Variable("", _position, "stage_mm"),
     }

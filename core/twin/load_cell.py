@@ -30,11 +30,11 @@ def _curve(flow: Flow, v: Sequence[float], _: Memory) -> Array:
     return flow.reading_N * (1.0 + v[0] * (1.0 - part) + v[2] * (1.0 - part**2) + v[3] * (1.0 - part**3))
 
 
+in_stage = partial(Effect, stage="load_cell", hook=Hook.READING)
+
 EFFECTS = (
-    Effect(
+    in_stage(
         id="loadcell_saturation",
-        stage="load_cell",
-        hook=Hook.READING,
         equation="F_meas = F_sat·tanh(F/F_sat)",
         source="cell or amplifier near its capacity",
         parameters=(Parameter("F_sat", "N", 0.5, 1000.0, 15.0, neutral=np.inf, scale="inverse_square"),),
@@ -45,10 +45,8 @@ EFFECTS = (
             shown_by=("dead_weights",),
         ),
     ).with_forms(plus(sets("reading_N", _knee), "knee", (Parameter("sharpness", "", 0.8, 30.0, 1.0), 2.0))),
-    Effect(
+    in_stage(
         id="loadcell_nonlinearity",
-        stage="load_cell",
-        hook=Hook.READING,
         equation="F_meas = F + λ·F·(1 − F/F_max)",
         source="terminal-line nonlinearity of a strain-gauge cell; 0.02–3 % of full scale",
         parameters=(Parameter("lambda", "", -0.25, 0.25, 0.03, neutral=0.0), SPAN),
@@ -67,10 +65,8 @@ EFFECTS = (
             (Parameter("cubic", "", -0.5, 0.5, 0.01), 0.0),
         )
     ),
-    Effect(
+    in_stage(
         id="loadcell_creep",
-        stage="load_cell",
-        hook=Hook.READING,
         equation="F_meas = F + k·LP_τ[F]",
         source="creep of the spring element, OIML R60; 0.05–0.2 % for cheap bars, more when overloaded",
         parameters=(
@@ -86,10 +82,8 @@ EFFECTS = (
             shown_by=("dead_weights", "long_hold"),
         ),
     ).with_forms(two("two creep times")),
-    Effect(
+    in_stage(
         id="loadcell_drift",
-        stage="load_cell",
-        hook=Hook.READING,
         equation="F_meas = F + r·t",
         source="zero drift of the amplifier; 0.01–0.1 % of full scale per K",
         parameters=(Parameter("r", "N/s", -0.1, 0.1, 0.001, neutral=0.0),),

@@ -4,6 +4,7 @@ F = k1·δ + k3·δ³ with δ = max(0, u − u0).
 """
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -71,10 +72,10 @@ def soft_contact(travel: Array, softness: tuple[float, float, float], k1: float,
         x = min(x, target) if x > 0.0 else target
         deformation = 0.0
         for _ in range(30):
-            rest, bend = _toe_rest(x, toe, tail)
+            rest, slope_part = _toe_rest(x, toe, tail)
             deformation = x - toe * (1.0 - rest)
             error = x + compliance * deformation * (k1 + k3 * deformation * deformation) - target
-            slope = 1.0 + compliance * (k1 + 3.0 * k3 * deformation * deformation) * (1.0 - bend)
+            slope = 1.0 + compliance * (k1 + 3.0 * k3 * deformation * deformation) * (1.0 - slope_part)
             # The root lies between 0 and the whole travel: a step beyond would only come back.
             x = min(max(x - error / slope, 0.0), target)
             if abs(error) <= 1e-11 * target:
@@ -121,6 +122,8 @@ def _presses(flow: Flow, state: Memory) -> Array:
 
 SOFTENING = Parameter("m", "", 0.0, 0.8, 0.1, neutral=0.0)
 
+in_stage = partial(Effect, stage="mechanics")
+
 EFFECTS = (
     Effect(
         id="backlash",
@@ -137,9 +140,8 @@ EFFECTS = (
             remedy=PLATEN,
         ),
     ),
-    Effect(
+    in_stage(
         id="contact_shift",
-        stage="mechanics",
         hook=Hook.CONTACT,
         equation="u0(t) = u0 + s·(1 − exp(−t/τ))",
         source="settling of an adhesive or of the pad on its bed; exponential approach",
@@ -155,9 +157,8 @@ EFFECTS = (
             remedy=PLATEN,
         ),
     ).with_forms(two("two settling times")),
-    Effect(
+    in_stage(
         id="frame_compliance",
-        stage="mechanics",
         hook=Hook.CONTACT,
         equation="δ = max(0, u − u0 − c_f·F), solved for F",
         source="spring in series, Hooke; 1–50 µm/N for bench stands",
@@ -172,9 +173,8 @@ EFFECTS = (
     ).with_forms(
         plus(hands_on("compliance_mm_N", "toe_mm"), "joint that closes", (Parameter("l", "mm", 0.0, 0.5, 0.05), 0.01))
     ),
-    Effect(
+    in_stage(
         id="misaligned_contact",
-        stage="mechanics",
         hook=Hook.CONTACT,
         equation="δ → δ − ℓ·(1 − exp(−δ/ℓ))",
         source="toe region of a compression curve, ASTM D695 annex on toe compensation",
@@ -190,9 +190,8 @@ EFFECTS = (
         # An edge that is rounded or not straight goes on closing long after the pad is touched.
         plus(hands_on("toe_mm", "toe_tail"), "toe that fades by a power", (Parameter("tail", "", 0.0, 3.0, 0.5), 0.3))
     ),
-    Effect(
+    in_stage(
         id="stress_relaxation",
-        stage="mechanics",
         hook=Hook.FORCE,
         equation="F = max(0, Fe − g·LP_τ[Fe])",
         source="standard linear solid, Zener 1948; 2–20 % per decade in virgin Ecoflex",
@@ -210,9 +209,8 @@ EFFECTS = (
             shown_by=("steps_with_holds", "rate_sweep", "long_hold"),
         ),
     ).with_forms(two("two relaxation times")),
-    Effect(
+    in_stage(
         id="mechanical_hysteresis",
-        stage="mechanics",
         hook=Hook.FORCE,
         equation="F = Fe·(1 + a·z), dz/dt = (dδ/dt)/d0·(1 − z·sign(dδ/dt))",
         source="rate-independent hysteresis, Duhem form; loops of 2–10 % in silicone rubber",
@@ -231,9 +229,8 @@ EFFECTS = (
         stop_form(sets("force_N", _force_stops), "stop operators on the force", "reach_N"),
         stop_form(sets("force_N", _stroke_stops), "stop operators on the compression", "reach_mm", "stiffness_N_mm"),
     ),
-    Effect(
+    in_stage(
         id="mullins_softening",
-        stage="mechanics",
         hook=Hook.FORCE,
         equation="F = Fe·(1 − m·(1 − exp(−N/N0))), N = completed compressions",
         source="Mullins 1969; 5–30 % in virgin silicone",

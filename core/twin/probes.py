@@ -23,7 +23,7 @@ Measure = Literal[
 
 
 @dataclass(frozen=True)
-class Extent:
+class ExcitationRange:
     """How far a case reaches; its longest run, sample period and series resistor."""
 
     depth_mm: float
@@ -46,7 +46,7 @@ class Extent:
         return derived[name] if name in derived else float(getattr(self, name))
 
 
-Probes: TypeAlias = Callable[[Extent], Sequence[tuple[float, ...]]]
+Probes: TypeAlias = Callable[[ExcitationRange], Sequence[tuple[float, ...]]]
 """Parameter values at which an effect is tried on a case, the size first."""
 
 
@@ -57,7 +57,7 @@ class Sizes:
     multiples: tuple[float, ...]
     unit: Measure = "one"
 
-    def __call__(self, at: Extent) -> list[tuple[float, ...]]:
+    def __call__(self, at: ExcitationRange) -> list[tuple[float, ...]]:
         return [(multiple * at.measure(self.unit),) for multiple in self.multiples]
 
 
@@ -70,7 +70,7 @@ class Shapes:
     unit: Measure = "one"
     size_unit: Measure = "one"
 
-    def __call__(self, at: Extent) -> list[tuple[float, ...]]:
+    def __call__(self, at: ExcitationRange) -> list[tuple[float, ...]]:
         return [
             (self.size * at.measure(self.size_unit), multiple * at.measure(self.unit)) for multiple in self.multiples
         ]
@@ -83,5 +83,5 @@ class Times:
     size: float
     without: int = 0
 
-    def __call__(self, at: Extent) -> list[tuple[float, ...]]:
+    def __call__(self, at: ExcitationRange) -> list[tuple[float, ...]]:
         return [(self.size, tau_s) for tau_s in [t for t in TAU_s if t < at.duration_s][self.without :]]

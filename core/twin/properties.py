@@ -15,7 +15,7 @@ import numpy as np
 from softcal.core.recording import Array
 from softcal.core.twin.effects import ChainStage, Effect, Flow, Hook, Placing
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
-from softcal.core.twin.probes import Extent
+from softcal.core.twin.probes import ExcitationRange
 from softcal.core.twin.simulate import Chain
 
 RATE_Hz = 50.0
@@ -30,11 +30,11 @@ STAGE_OF: dict[Hook, ChainStage] = {
     Hook.CLOCK: "acquisition",
     Hook.READING: "load_cell",
 }
-EXTENT = Extent(depth_mm=3.0, force_N=6.5, lowest_V=1.43, highest_V=2.1, duration_s=40.0, period_s=1 / RATE_Hz)
+RANGE = ExcitationRange(depth_mm=3.0, force_N=6.5, lowest_V=1.43, highest_V=2.1, duration_s=40.0, period_s=1 / RATE_Hz)
 EPISODES = np.array([[5.0, 7.0], [21.0, 22.0]])
 
 
-class Broken(AssertionError):
+class Violation(AssertionError):
     """An effect that does not satisfy a property; the message says which and by how much."""
 
 
@@ -75,7 +75,7 @@ def switched_off_it_changes_nothing(effect: Effect) -> None:
         return
     change = np.max(_change(effect, values))
     if not change < 1e-6:
-        raise Broken(f"{effect.id}: at its neutral size it changes the signals by {change:.3g}")
+        raise Violation(f"{effect.id}: at its neutral size it changes the signals by {change:.3g}")
 
 
 def _idle(effect: Effect) -> Effect:
@@ -86,10 +86,10 @@ def at_its_usual_size_it_shows(effect: Effect) -> None:
     """Its usual size changes a signal by a thousandth of its span; levels lie amid the output."""
     values = _usual(effect)
     if effect.signs.placing in (Placing.CEILING, Placing.FLOOR):
-        values[0] = 0.5 * (EXTENT.lowest_V + EXTENT.highest_V)
+        values[0] = 0.5 * (RANGE.lowest_V + RANGE.highest_V)
     span = np.ptp(_run(_idle(effect), []), axis=1)
     if not np.max(np.max(_change(effect, values), axis=1) / span) > 1e-3:
-        raise Broken(f"{effect.id}: at its usual size nothing moves by a thousandth of its span")
+        raise Violation(f"{effect.id}: at its usual size nothing moves by a thousandth of its span")
 
 
 def it_stays_finite_within_its_bounds(effect: Effect) -> None:
@@ -101,7 +101,7 @@ def it_stays_finite_within_its_bounds(effect: Effect) -> None:
             with np.errstate(all="ignore"):
                 signals = _run(effect, values)
             if not np.all(np.isfinite(signals)):
-                raise Broken(f"{effect.id}: {p.name} = {end:.4g} {p.unit} gives numbers that are not finite")
+                raise Violation(f"{effect.id}: {p.name} = {end:.4g} {p.unit} gives numbers that are not finite")
 
 
 def chunks_of_a_stream_give_the_same(effect: Effect) -> None:
@@ -116,43 +116,43 @@ def chunks_of_a_stream_give_the_same(effect: Effect) -> None:
             what = (
                 f"{one.id}: a stream in pieces" if one is effect else f"{one.id}: its form {one.equation!r} in pieces"
             )
-            raise Broken(f"{what} differs from one call by {change:.3g}; keep state in `memory`")
+            raise Violation(f"{what} differs from one call by {change:.3g}; keep state in `memory`")
 
 
 def it_acts_where_it_says(effect: Effect) -> None:
     """The stage is that of its hook, and signals of earlier stages do not change."""
     if effect.stage != STAGE_OF[effect.hook]:
-        raise Broken(f"{effect.id}: stage {effect.stage} does not belong to the hook {effect.hook.name}")
+        raise Violation(f"{effect.id}: stage {effect.stage} does not belong to the hook {effect.hook.name}")
     change = np.max(_change(effect, _usual(effect)), axis=1)
     untouched = [2] if effect.hook == Hook.READING else [0, 1] if effect.hook >= Hook.CHANNEL else []
     for row in untouched:
         if change[row] > 0:
-            raise Broken(
+            raise Violation(
                 f"{effect.id}: it acts at {effect.hook.name}, yet changes {('force', 'reading', 'output')[row]}"
             )
 
 
 def a_search_finds_where_to_begin(effect: Effect) -> None:
     """It has probes within its bounds, or says how it is placed first."""
-    rows = effect.probes(EXTENT)
+    rows = effect.probes(RANGE)
     if not rows and effect.signs.placing is None:
-        raise Broken(f"{effect.id}: it has neither probes nor a way to be placed")
+        raise Violation(f"{effect.id}: it has neither probes nor a way to be placed")
     if effect.is_episodic and effect.signs.placing is None:
-        raise Broken(f"{effect.id}: it is episodic, but says not how its episodes are placed")
+        raise Violation(f"{effect.id}: it is episodic, but says not how its episodes are placed")
     for row in rows:
         for p, value in zip(effect.parameters, row, strict=True):
             if not p.low <= value <= p.high:
-                raise Broken(f"{effect.id}: a search would begin at {p.name} = {value:.4g}, outside its bounds")
+                raise Violation(f"{effect.id}: a search would begin at {p.name} = {value:.4g}, outside its bounds")
 
 
 def other_forms_carry_its_name(effect: Effect) -> None:
     """Every form has the identifier and stage of its cause, and begins within its own bounds."""
     for form in effect.forms:
         if (form.effect.id, form.effect.stage) != (effect.id, effect.stage):
-            raise Broken(f"{effect.id}: its form {form.effect.equation!r} is of another cause")
+            raise Violation(f"{effect.id}: its form {form.effect.equation!r} is of another cause")
         for p, value in zip(form.effect.parameters, form.start(_usual(effect)), strict=True):
             if not p.low <= value <= p.high:
-                raise Broken(f"{effect.id}: its form {form.effect.equation!r} begins at {p.name} = {value:.4g}")
+                raise Violation(f"{effect.id}: its form {form.effect.equation!r} begins at {p.name} = {value:.4g}")
 
 
 PROPERTIES: tuple[Callable[[Effect], None], ...] = (
@@ -164,4 +164,4 @@ PROPERTIES: tuple[Callable[[Effect], None], ...] = (
     a_search_finds_where_to_begin,
     other_forms_carry_its_name,
 )
-"""Each raises `Broken` with one line where an effect does not satisfy it."""
+"""Each raises `Violation` with one line where an effect does not satisfy it."""

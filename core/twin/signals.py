@@ -115,22 +115,22 @@ def largest_so_far(signal: Array, state: Array) -> Array:
     return np.asarray(largest)
 
 
-def known_so_far(t_s: Array, values: Array, wanted_s: Array, state: dict[str, Array]) -> tuple[Array, Array]:
+def extend_buffer(t_s: Array, values: Array, instants_s: Array, state: dict[str, Array]) -> tuple[Array, Array]:
     """Return instants and values known at the end of this chunk; keep what the next may ask for.
 
     Args:
         t_s: (n,) instants of this chunk.
         values: (n,) the signal there.
-        wanted_s: (n,) instants at which it is read, ascending.
+        instants_s: (n,) instants at which it is read, ascending.
     """
-    known_s = np.concatenate([state.get("t_s", np.empty(0)), t_s])
-    known = np.concatenate([state.get("output_V", np.empty(0)), values])
+    buffer_s = np.concatenate([state.get("t_s", np.empty(0)), t_s])
+    buffer = np.concatenate([state.get("output_V", np.empty(0)), values])
     # The oldest instant of the next chunk moves with the clock; one sample more interpolates.
-    keep = max(0, int(np.searchsorted(known_s, min(wanted_s[-1], known_s[-1]))) - 2)
-    state["t_s"], state["output_V"] = known_s[keep:], known[keep:]
-    return known_s, known
+    keep = max(0, int(np.searchsorted(buffer_s, min(instants_s[-1], buffer_s[-1]))) - 2)
+    state["t_s"], state["output_V"] = buffer_s[keep:], buffer[keep:]
+    return buffer_s, buffer
 
 
-def read_at(t_s: Array, values: Array, wanted_s: Array, state: dict[str, Array]) -> Array:
+def read_at(t_s: Array, values: Array, instants_s: Array, state: dict[str, Array]) -> Array:
     """Return a signal at other instants, straight between samples and held beyond the last."""
-    return np.interp(wanted_s, *known_so_far(t_s, values, wanted_s, state))
+    return np.interp(instants_s, *extend_buffer(t_s, values, instants_s, state))

@@ -43,10 +43,10 @@ class EffectSetting:
     form: str = ""
 
     def __post_init__(self) -> None:
-        known = self.effect.value_names
+        names = self.effect.value_names
         for name, value in self.values.items():
-            if name not in known:
-                raise InputError(f"{self.effect_id} has no parameter {name!r}; known are {', '.join(known)}")
+            if name not in names:
+                raise InputError(f"{self.effect_id} has no parameter {name!r}; known are {', '.join(names)}")
             if not np.isfinite(value):
                 raise InputError(f"{self.effect_id}.{name} is {value}; a finite number was expected")
         for name, _ in self.effect.constants:

@@ -1,6 +1,7 @@
 """Transduction: the channel turns what it feels into a resistance, R = R0/(1 − κ·F)."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -32,10 +33,10 @@ def _creep(flow: Flow, v: Sequence[float], state: Memory) -> Array:
 
 def _thermal_drift(flow: Flow, v: Sequence[float], state: Memory) -> None:
     if flow.temperature_rise_K is not None:
-        felt, (alpha, alpha2, tau_s) = flow.temperature_rise_K, (*v, 0.0, 0.0)[:3]
+        delayed_K, (alpha, alpha2, tau_s) = flow.temperature_rise_K, (*v, 0.0, 0.0)[:3]
         if tau_s > 0:
-            felt = low_pass(felt, flow.step_s, tau_s, memory(state, "felt_K", 0.0, 0.0))
-        flow.resistance_ohm = flow.resistance_ohm * (1.0 + alpha * felt + alpha2 * felt**2)
+            delayed_K = low_pass(delayed_K, flow.step_s, tau_s, memory(state, "felt_K", 0.0, 0.0))
+        flow.resistance_ohm = flow.resistance_ohm * (1.0 + alpha * delayed_K + alpha2 * delayed_K**2)
 
 
 def _ageing_power(flow: Flow, v: Sequence[float], _: Memory) -> Array:
@@ -71,10 +72,11 @@ DIVIDER = Alias(
     advice=Reason("gap.advice.warm_dummy"),
 )
 
+in_stage = partial(Effect, stage="transduction")
+
 EFFECTS = (
-    Effect(
+    in_stage(
         id="channel_creep",
-        stage="transduction",
         hook=Hook.CHANNEL,
         equation="Fc = (1 − c)·F + c·LP_τ[F]",
         source="delayed closing of an embedded channel, Kelvin–Voigt; 1–10 % over 0.05–100 s",
@@ -89,9 +91,8 @@ EFFECTS = (
             shown_by=("rate_sweep", "steps_with_holds"),
         ),
     ).with_forms(two("two creep times")),
-    Effect(
+    in_stage(
         id="channel_hysteresis",
-        stage="transduction",
         hook=Hook.CHANNEL,
         equation="Fc = F·(1 + a·z), dz/dt = (dF/dt)/f0·(1 − z·sign(dF/dt))",
         source="rate-independent hysteresis, Duhem form; 1–5 % in eGaIn channels",
@@ -113,9 +114,8 @@ EFFECTS = (
             "reach_N",
         ),
     ),
-    Effect(
+    in_stage(
         id="channel_collapse",
-        stage="transduction",
         hook=Hook.RESISTANCE,
         equation="R = R0/(1 − κ·F)·(1 + β·max(0, F − Fc)²)",
         source="closing of a microchannel under pressure, Park and others 2010; above 60–80 % of the limit",
@@ -133,9 +133,8 @@ EFFECTS = (
             (Parameter("power", "", 0.7, 6.0, 0.5), 2.0),
         )
     ),
-    Effect(
+    in_stage(
         id="thermal_drift",
-        stage="transduction",
         hook=Hook.RESISTANCE,
         equation="R0(t) = R0·(1 + α·(T(t) − T(0)))",
         source="temperature coefficient of a liquid-metal channel, about 1e-3/K",
@@ -157,9 +156,8 @@ EFFECTS = (
             (Parameter("tau", "s", 0.0, 200.0, 5.0), 0.5),
         )
     ),
-    Effect(
+    in_stage(
         id="ageing_drift",
-        stage="transduction",
         hook=Hook.RESISTANCE,
         equation="R0(t) = R0·(1 + γ·ln(1 + t/τ))",
         source="logarithmic ageing; 0.1–5 % per day",
@@ -177,9 +175,8 @@ EFFECTS = (
     ).with_forms(
         plus(grows("resistance_ohm", _ageing_power), "power law", (Parameter("power", "", -2.0, 1.0, 0.3), 0.2))
     ),
-    Effect(
+    in_stage(
         id="intermittent_contact",
-        stage="transduction",
         hook=Hook.RESISTANCE,
         equation="R + ΔR during a few intervals",
         source="loose lead of a channel; steps tied to the motion of the cable",

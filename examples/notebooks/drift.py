@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 
 import softcal
+from softcal.core.operation.adapter import AdaptConfig, Adapter
 from softcal.core.profiles import ramps
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, simulate
-from softcal.core.use.adapter import AdaptConfig, Adapter
 
 rng = np.random.default_rng(5)
 readout = ReadoutMetadata(adc_bits=14)

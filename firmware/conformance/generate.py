@@ -17,7 +17,7 @@ import numpy as np
 
 from softcal.core.export.blob import NetworkFile, UnitFile
 from softcal.core.export.compile_map import InputScale
-from softcal.core.export.device import DeviceOptions, UnitFacts, build_network_file, build_unit_file
+from softcal.core.export.device import DeviceOptions, DeviceRecord, build_network_file, build_unit_file
 from softcal.core.export.integer_network import DeviceMap, IntegerMix
 from softcal.core.export.loader import run_self_test
 from softcal.core.export.quantise import quantise_layer
@@ -46,8 +46,8 @@ def synthetic_files() -> tuple[NetworkFile, dict[str, UnitFile]]:
     network_file = build_network_file(network, source, AnchorConfig())
     unit_map = AffineMap(0.9, 0.05)
     exact = network.evaluate(unit_map.apply(recording.windows))
-    facts = UnitFacts("SYN-1", 7, "pass", 1_700_000_000, unit_map, recording, exact - 0.2, exact + 0.3, 0.5)
-    curve = build_unit_file(facts, network, network_file, DeviceOptions(InputScale.of_converter(12, 1.2))).file
+    facts = DeviceRecord("SYN-1", 7, "pass", 1_700_000_000, unit_map, recording, exact - 0.2, exact + 0.3, 0.5)
+    curve = build_unit_file(facts, network, network_file, DeviceOptions(InputScale.from_converter(12, 1.2))).file
     return network_file, {name: _with_map(curve, network_file, m) for name, m in _maps(curve, rng).items()}
 
 

@@ -162,7 +162,7 @@ class Screen:
         self.port = free_port()
         self.address = f"http://127.0.0.1:{self.port}"
         command = [SOFTCAL, "ui", "--no-browser", "--port", str(self.port), "--registry", url, *options]
-        environment = os.environ | ({"PYTHONPATH": str(Path(__file__).with_name("patient"))} if is_patient else {})
+        environment = os.environ | ({"PYTHONPATH": str(Path(__file__).with_name("slow_start"))} if is_patient else {})
         quiet: dict[str, Any] = {"stdout": DEVNULL, "stderr": DEVNULL, "start_new_session": True}
         self._start = partial(subprocess.Popen, command, env=environment, **quiet)
         self.start()

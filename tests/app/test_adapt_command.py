@@ -10,10 +10,10 @@ import pandas as pd
 import pytest
 
 from softcal.app.cli.main import main
-from softcal.app.use.adapt import AdaptOptions, adapt_file
+from softcal.app.operation.adapt import AdaptOptions, adapt_file
 from softcal.core.lot import UnitKey
-from softcal.core.use.adapter import AdaptConfig
-from softcal.core.use.method import UseMethod
+from softcal.core.operation.adapter import AdaptConfig
+from softcal.core.operation.method import DriftTracking
 from softcal.db.connection import open_registry
 from tests.layers import layered
 
@@ -204,7 +204,7 @@ def test_unknown_serial_and_missing_file_are_refused(
 
 
 def test_a_stream_resumed_under_other_numbers_says_which_and_goes_on(bench: Path, stream: Path, tmp_path: Path) -> None:
-    other = replace(UseMethod(), drift=replace(UseMethod().drift, pace=13.0))
+    other = replace(DriftTracking(), drift=replace(DriftTracking().drift, pace=13.0))
     with open_registry(url(bench)) as registry:
         first = AdaptOptions(stream="numbers")
         adapt_file(registry, "A1", stream, tmp_path / "first.csv", first)
@@ -218,7 +218,7 @@ def test_a_stream_resumed_under_other_numbers_says_which_and_goes_on(bench: Path
     (changed,) = report.changed
     assert all(fact in changed for fact in ("drift.pace", "12.0", "13.0")) and again.changed == []
     assert len(changes) == 1 and changed in changes[0]["reason"]
-    assert {step["method"] for step in course} == {UseMethod().id, other.id}
+    assert {step["method"] for step in course} == {DriftTracking().id, other.id}
     assert course[-1]["state"]["method"] == json.loads(json.dumps(other.to_json()))
 
 
@@ -226,8 +226,8 @@ def test_the_method_is_named_in_the_report(bench: Path, stream: Path, tmp_path: 
     assert adapt(bench, stream, tmp_path / "out.csv", "--json", str(tmp_path / "out.json")) == 0
 
     report = json.loads((tmp_path / "out.json").read_text())
-    assert report["method"]["id"] == UseMethod().id
-    assert UseMethod.of(report["method"]["numbers"]) == UseMethod()
+    assert report["method"]["id"] == DriftTracking().id
+    assert DriftTracking.of(report["method"]["numbers"]) == DriftTracking()
 
 
 @pytest.mark.parametrize("mode", QUEUES)

@@ -14,8 +14,8 @@ import pandas as pd
 import pytest
 
 from softcal.app.cli.main import main
+from softcal.app.operation.adapt import AdaptOptions, Follower
 from softcal.app.registry.unit import unit_in_use
-from softcal.app.use.adapt import AdaptOptions, Follower
 from softcal.core.lot import UnitKey
 from softcal.db.connection import open_registry
 from tests.wait import wait_until
@@ -157,7 +157,7 @@ def test_file_that_was_broken_off_is_begun_again(bench: Path, log: list[str], tm
         unit = unit_in_use(registry, "A0")
         broken = Follower(registry, unit, "file", AdaptOptions(stream="file"), is_repeatable=True)
         broken.advance(*pd.read_csv(tmp_path / "in.csv").to_numpy(dtype=float)[:5000].T)
-        broken.keep_maps()
+        broken.store_maps()
     half = maps(bench, "file")
 
     command = ["adapt", "--registry", url(bench), "--serial", "A0", str(tmp_path / "in.csv"), "--stream", "file"]

@@ -17,9 +17,9 @@ import pandas as pd
 import pytest
 
 from softcal.app.cli.main import main
-from softcal.app.use.live import WIDTH, bar
-from softcal.app.use.sink import open_sink
-from softcal.app.use.source import AWAY_S, SILENCE_S, lines_of, on_one_clock, readings, replugged
+from softcal.app.operation.live import WIDTH, bar
+from softcal.app.operation.sink import open_sink
+from softcal.app.operation.source import AWAY_S, SILENCE_S, lines_of, on_one_clock, readings, replugged
 from softcal.core.errors import BadReply, NoReply
 from softcal.core.lot import UnitKey
 from softcal.db.connection import open_registry

@@ -10,9 +10,9 @@ from softcal.app.registry.unit import source_state
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
+from softcal.core.operation.adapter import Adapter
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.estimate import estimate
-from softcal.core.use.adapter import Adapter
 
 
 @pytest.mark.parametrize(("run", "ratio"), [("sin_20", 0.36), ("tri_30", 0.2), ("mixed_10_20", 0.85)])

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from softcal.app.batch.audit import audited_sample, draw_plan
 from softcal.app.batch.release import lot_standing
-from softcal.app.export.certificates.lot_statement import lot_statement_facts
+from softcal.app.export.certificates.lot_statement import build_lot_statement
 from softcal.app.registry.lot_recordings import newest_audits
 from softcal.core.quality.audit_plan import AuditConfig
 from softcal.core.recording import LabelledRecording
@@ -29,4 +29,4 @@ def test_only_what_was_measured_after_the_draw_was_drawn_before_it_was_measured(
         sample = audited_sample(registry, "small")
         assert (sample.since, sample.before, sample.without_draw) == (1, 1, 1)
         standing = lot_standing(registry, "small")
-        assert lot_statement_facts(registry, standing, standing.decided).sample == sample
+        assert build_lot_statement(registry, standing, standing.decided).sample == sample

@@ -14,10 +14,10 @@ import paho.mqtt.client as paho
 import pytest
 from paho.mqtt.enums import CallbackAPIVersion
 
-from softcal.app.connect.alert_watch import put_alert
+from softcal.app.connect.alert_monitor import store_alert
 from softcal.app.connect.events import events_after
 from softcal.app.connect.forwarder import Destination, Forwarder, NotDelivered
-from softcal.app.connect.mqtt import estimate_json, open_mqtt, publish_estimates, standing_messages, state_messages
+from softcal.app.connect.mqtt import estimate_json, list_current_messages, open_mqtt, publish_estimates, state_messages
 from softcal.app.connect.settings import MqttSettings
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, UnitKey
@@ -130,7 +130,11 @@ def subscriber(broker: Broker) -> Iterator[Subscriber]:
 
 def publisher(registry: Registry, settings: MqttSettings) -> Forwarder:
     """A publisher for whose clock every delay is over when it looks again."""
-    states, standing, hours = partial(state_messages, registry), partial(standing_messages, registry, settings), count()
+    states, standing, hours = (
+        partial(state_messages, registry),
+        partial(list_current_messages, registry, settings),
+        count(),
+    )
     destination = Destination(settings, partial(open_mqtt, settings, states, standing))
     return Forwarder(registry, destination, lambda: datetime.now(UTC) + timedelta(hours=next(hours)))
 
@@ -188,8 +192,8 @@ def test_a_destination_that_is_new_finds_the_verdicts_and_alerts_from_before_and
     registry.calibrations.refuse("lot 1+", "U1", "retest", (plain("press again"),))
     for alert in ("line-1", "line-2"):
         told["values"] = {"station": alert}
-        put_alert(registry, ("golden", "", alert), told, is_open=True)
-    put_alert(registry, ("golden", "", "line-2"), told, is_open=False)
+        store_alert(registry, ("golden", "", alert), told, is_open=True)
+    store_alert(registry, ("golden", "", "line-2"), told, is_open=False)
     early = Subscriber(broker, "softcal/events")
     for number in range(2):  # The second time it is not new, and what happened meanwhile is not overwritten.
         with publisher(registry, settings_of(broker, begin="now")) as forwarder:
@@ -230,9 +234,9 @@ def test_the_state_of_a_station_is_kept_and_changes_are_published_once(registry,
 def test_an_alert_is_kept_until_it_is_over(registry, broker, subscriber):
     told = {"kind": "golden", "lot": None, "values": {"station": "line-1"}, "is_urgent": True, "text": {"en": "x"}}
     with publisher(registry, settings_of(broker)) as forwarder:
-        put_alert(registry, ("golden", "", "line-1"), told, is_open=True)
+        store_alert(registry, ("golden", "", "line-1"), told, is_open=True)
         forwarder.step()
-        put_alert(registry, ("golden", "", "line-1"), told, is_open=False)
+        store_alert(registry, ("golden", "", "line-1"), told, is_open=False)
         forwarder.step()
     topic = "softcal/alerts/golden/-/line-1"
     wait_until(lambda: len(subscriber.of(topic)) == 2, "raised and cleared")

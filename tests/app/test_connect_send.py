@@ -16,10 +16,10 @@ from aiosmtpd.controller import Controller
 from aiosmtpd.smtp import AuthResult, LoginPassword
 from standardwebhooks.webhooks import Webhook, WebhookVerificationError
 
-from softcal.app.connect.alert_watch import put_alert
+from softcal.app.connect.alert_monitor import store_alert
 from softcal.app.connect.events import events_after
 from softcal.app.connect.forwarder import LEASE_S, Destination, Forwarder, status_json
-from softcal.app.connect.mail import line_of, mail_of, open_mail
+from softcal.app.connect.mail import compose_mail, open_mail, render_event
 from softcal.app.connect.settings import MailSettings, WebhookSettings
 from softcal.app.connect.webhook import new_secret, open_webhook
 from softcal.core.errors import InputError
@@ -168,7 +168,7 @@ class Noting:
 
     got: list[str]
     meanwhile: Callable[[], object] = lambda: None
-    most: int = 10
+    max_events: int = 10
 
     def send(self, events):
         self.got += [event.data["serial"] for event in events]
@@ -288,7 +288,7 @@ def test_a_destination_that_is_new_begins_with_what_happens_from_now_on(registry
 
 def test_a_destination_gets_the_kinds_it_asked_for(registry, receiver, webhook):
     judge(registry, 0, 2)
-    put_alert(registry, ("yield", "L1", ""), {"kind": "yield", "lot": "L1", "text": {"en": "x"}}, is_open=True)
+    store_alert(registry, ("yield", "L1", ""), {"kind": "yield", "lot": "L1", "text": {"en": "x"}}, is_open=True)
     deliver(registry, Destination(replace(webhook.settings, events=("alert",)), webhook.open_sender))
     assert [json.loads(body)["type"] for _, body in receiver.got] == ["softcal.alert.raised"]
 
@@ -359,7 +359,7 @@ def test_alerts_arrive_by_mail_in_the_language_of_the_reader_and_none_is_lost(re
     box, port = mailbox
     settings = mail_settings(port, language="ko")
     people, clock = Destination(settings, lambda: open_mail(settings)), Clock()
-    put_alert(registry, ("golden", "", "line-1"), ALERT, is_open=True)
+    store_alert(registry, ("golden", "", "line-1"), ALERT, is_open=True)
     judge(registry, 0, 5)
     box.refused = 2
     for _ in range(4):
@@ -386,15 +386,15 @@ def test_what_waits_goes_out_as_one_mail(registry, mailbox):
 def test_the_same_events_make_the_same_mail(registry):
     judge(registry, 0, 2)
     events = events_after(registry, {}, 9, ["verdict"]).events
-    first, second = (mail_of(events, mail_settings(25)).as_bytes() for _ in range(2))
+    first, second = (compose_mail(events, mail_settings(25)).as_bytes() for _ in range(2))
     assert first == second
 
 
 def test_a_line_break_in_an_event_makes_no_header_of_a_mail(registry):
     registry.calibrations.refuse("L1", "U1", "fail", (plain("x\r\nBcc: all@plant.example"),))
     (event,) = events_after(registry, {}, 9, ["verdict"]).events
-    mail = message_from_bytes(mail_of([event], mail_settings(25)).as_bytes(), policy=policy.default)
-    assert mail["Bcc"] is None and "\n" not in line_of(event, "en")
+    mail = message_from_bytes(compose_mail([event], mail_settings(25)).as_bytes(), policy=policy.default)
+    assert mail["Bcc"] is None and "\n" not in render_event(event, "en")
 
 
 def test_mail_goes_over_tls_with_a_password_from_a_file(registry, tmp_path, tls, some_port):

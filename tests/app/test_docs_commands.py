@@ -50,9 +50,9 @@ ELSEWHERE = {
     "softcal quality capability": "tests/app/test_registry_command.py",
     "softcal quality golden": "tests/app/test_registry_command.py",
     "softcal api serve": "tests/app/test_rest.py",
-    "softcal api token withdraw": "tests/app/test_connect_run.py",
-    "softcal connect check": "tests/app/test_connect_run.py, test_connect_mqtt.py",
-    "softcal connect run": "tests/app/test_connect_run.py, test_connect_mqtt.py",
+    "softcal api token withdraw": "tests/app/test_connect_service.py",
+    "softcal connect check": "tests/app/test_connect_service.py, test_connect_mqtt.py",
+    "softcal connect run": "tests/app/test_connect_service.py, test_connect_mqtt.py",
 }
 """Commands that need a rig, a server, a package or a second station: part of the command → where they are tried."""
 

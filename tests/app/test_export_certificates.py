@@ -7,6 +7,7 @@ import xml.etree.ElementTree as ET
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -16,7 +17,7 @@ import xmlschema
 from PIL import ImageCms
 from pypdf import PdfReader
 
-from softcal.app.export.certificates.content import METHODS, WITHHELD, Certificate, Uncertainty
+from softcal.app.export.certificates.content import Certificate, Uncertainty
 from softcal.app.export.certificates.dcc import certificate_xml
 from softcal.app.export.certificates.fonts import KOREAN as KOREAN_FONT
 from softcal.app.export.certificates.fonts import PLAIN, has_all, register_file, writable
@@ -31,8 +32,10 @@ from softcal.app.export.certificates.laboratory import (
     read_laboratory,
 )
 from softcal.app.export.certificates.pdf import certificate_pdf
+from softcal.app.export.certificates.statements import METHODS, WITHHELD
 from softcal.app.texts.catalogue import catalogue
 from softcal.core.errors import InputError
+from softcal.core.lot import Lot
 from softcal.core.maps.catalogue import FAMILIES
 from softcal.core.unit.budget import SIMULATED, Reference, measured_budget
 from softcal.core.unit.estimate import Estimate
@@ -56,7 +59,7 @@ def facts() -> Certificate:
     estimated = Estimate(t_s, force_N, force_N - 0.1, force_N + 0.1, np.full(1500, "", dtype="<U12"))
     return Certificate(
         identifier="softcal-A1-r2-01234567",
-        made_on=date(2026, 3, 4),
+        calculated_on=date(2026, 3, 4),
         in_registry_since=date(2026, 3, 2),
         source_since=date(2026, 2, 2),
         issued_on=date(2026, 3, 9),
@@ -72,13 +75,8 @@ def facts() -> Certificate:
         ),
         serial="A1",
         revision=2,
-        lot="lot-1",
-        sensor_model="eGaIn <3 mm>",
+        lot=Lot("lot-1", "A0", 50.0, "eGaIn <3 mm>"),
         source="A0",
-        quantity="force",
-        output_unit="V",
-        reference_unit="N",
-        sample_rate_Hz=50.0,
         samples=1500,
         low=0.0,
         high=3.0,
@@ -91,11 +89,11 @@ def facts() -> Certificate:
         is_sampled=False,
         is_trimmed=False,
         reference=CELL,
-        bars=(),
+        blocking_reasons=(),
         budget=measured_budget(0.22, CELL, 2.0),
         map_family="affine",
         by_loads="",
-        made_because="calibrated",
+        revision_reason="calibrated",
         map_sha256="34" * 32,
         provenance=Provenance(
             version="1.2.3",
@@ -121,16 +119,21 @@ def schema(measured_data: Path) -> xmlschema.XMLSchema:
     return xmlschema.XMLSchema(folder / "dcc.xsd", locations={"https://ptb.de/si": str(folder / "SI_Format.xsd")})
 
 
+def of_lot(facts: Certificate, **changes: Any) -> Certificate:
+    """Return the certificate of a unit of a lot with other properties."""
+    return replace(facts, lot=replace(facts.lot, **changes))
+
+
 def _variants(facts: Certificate) -> list[Certificate]:
-    bare = replace(facts, laboratory=Laboratory(), sensor_model="", measured=None, before=None, **NOBODY)
+    bare = replace(of_lot(facts, sensor_model=""), laboratory=Laboratory(), measured=None, before=None, **NOBODY)
     unknown = replace(bare, forecast=None, limit=None, verdict="retest", budget=None)
     loose = replace(
-        facts, sensor_model=" eGaIn\n3 mm ", laboratory=Laboratory(Party(" Works ", "a@b.c ", "KR", "\tSeoul"))
+        of_lot(facts, sensor_model=" eGaIn\n3 mm "), laboratory=Laboratory(Party(" Works ", "a@b.c ", "KR", "\tSeoul"))
     )
     others = [
-        replace(facts, reference_unit="strain counts"),
+        of_lot(facts, reference_unit="strain counts"),
         replace(facts, bands=()),
-        replace(facts, sensor_model=" "),
+        of_lot(facts, sensor_model=" "),
         replace(facts, reference=SIMULATED),
         replace(facts, limit=default_limit("N", 0.1, 3.0, DecisionConfig())),
         replace(facts, by_loads="trimmed", measured=None),
@@ -147,7 +150,7 @@ def expired(facts: Certificate) -> Certificate:
     """The same unit, compared with a load cell whose certificate had ended."""
     cell = replace(CELL, used_on=date(2029, 1, 1))
     bars = tuple(map(str, cell.bars(facts.high)))
-    return replace(facts, reference=cell, bars=bars, verdict="conditional", reasons=bars)
+    return replace(facts, reference=cell, blocking_reasons=bars, verdict="conditional", reasons=bars)
 
 
 def test_every_certificate_is_valid_against_the_schema(facts: Certificate, schema: xmlschema.XMLSchema) -> None:
@@ -171,7 +174,7 @@ def test_the_schema_used_here_refuses_what_is_wrong(facts: Certificate, schema: 
     ("unit", "value", "name"), [("N", 0.21, r"\newton"), ("bar", 21.0, r"\kilo\pascal"), ("1", 0.21, r"\one")]
 )
 def test_numbers_are_in_si_units(facts: Certificate, unit: str, value: float, name: str) -> None:
-    document = ET.fromstring(certificate_xml(replace(facts, reference_unit=unit)))
+    document = ET.fromstring(certificate_xml(of_lot(facts, reference_unit=unit)))
     real = document.find(".//dcc:results//si:real", NAMESPACES)
     assert real is not None
     found = {element.tag.rpartition("}")[2]: element.text for element in real.iter()}
@@ -300,7 +303,7 @@ def test_what_audits_of_other_units_leave_open_is_no_95_percent_interval(facts: 
 def test_a_place_is_the_one_that_was_stated(facts: Certificate) -> None:
     def place(at: str) -> str:
         performance = replace(facts.laboratory.performance, at=at, place=NOT_STATED)
-        return replace(facts, laboratory=replace(facts.laboratory, performance=performance)).place
+        return replace(facts, laboratory=replace(facts.laboratory, performance=performance)).location
 
     assert place(NOT_STATED) == NOT_STATED
     assert "Teheran-ro 1" in place("laboratory") and "Munich" in place("customer")
@@ -442,13 +445,11 @@ def test_the_packages_font_has_every_korean_syllable_and_all_that_the_korean_tex
 )
 def test_no_character_of_a_name_breaks_a_paper(facts: Certificate, name: str, shown: str) -> None:
     laboratory = replace(KOREAN, laboratory=replace(KOREAN.laboratory, name=name), person=Person(name, name))
-    named = replace(
-        facts, laboratory=laboratory, lot=name, sensor_model=name, reference_unit=name, output_unit=name,
-        identifier=name, reasons=(name,),
-    )  # fmt: skip
+    lot = of_lot(facts, sensor_model=name, reference_unit=name, output_unit=name)
+    named = replace(lot, laboratory=laboratory, identifier=name, reasons=(name,))
     pdf = certificate_pdf(named)
     text = "".join(read_text(pdf).split())
-    # Lot, laboratory, person, and the footer.
+    # Sensor model, laboratory, person, and the footer.
     assert text.count("".join(shown.split())) >= 4
     dcc = " ".join(ET.fromstring(certificate_xml(named)).itertext())
     assert shown in unicodedata.normalize("NFC", dcc) or not name.isprintable()

@@ -36,7 +36,7 @@ from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
 from softcal.core.gap.twin_reach import STRANGERS, WARM_DIVIDER, SET_UP_min
 from softcal.core.orders import RunState
-from softcal.core.twin.catalogue import FORMS, OWN_EFFECTS
+from softcal.core.twin.catalogue import BUILTIN_EFFECTS, FORMS
 from softcal.core.twin.effects import Alias
 from softcal.core.twin.empirical_terms import VARIABLES
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
@@ -210,7 +210,7 @@ def test_what_a_plug_in_brings_is_shown_as_it_is_written() -> None:
 
 
 def test_every_effect_has_its_names(english_in: English) -> None:
-    for effect in OWN_EFFECTS.values():
+    for effect in BUILTIN_EFFECTS.values():
         assert effect_name(effect.id, ENGLISH) == effect.id.replace("_", " ")
         fitted = {p.name: {"value": 1.0, "low": 0.9, "high": 1.1, "unit": p.unit} for p in effect.parameters}
         cause = {"effect": effect.id, "stage": effect.stage, "probability": 1.0, "shrink": 1.0, "parameters": fitted}

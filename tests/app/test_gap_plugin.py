@@ -12,7 +12,7 @@ import pytest
 
 from softcal.app.cli.main import main
 from softcal.app.gap.challenge import write_case
-from softcal.core.challenge.draw import draw_case
+from softcal.core.challenge.case_generator import draw_case
 from softcal.core.challenge.equations import OUTSIDE_FORM
 from softcal.core.challenge.rig import Cause
 

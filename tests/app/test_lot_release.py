@@ -24,7 +24,7 @@ from softcal.app.batch.lot_decision import decision_in_force
 from softcal.app.batch.release import decide_lot, decide_unit, lot_standing
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
-from softcal.app.export.certificates.content import certificate_of
+from softcal.app.export.certificates.content import build_certificate
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import said
 from softcal.core.quality.widening import AuditedSamples, fit_widening
@@ -270,7 +270,7 @@ def test_what_the_audits_of_a_lot_read_on_another_day_misread_alike_is_taken_off
     audited = [serial for serial, unit in units.items() if unit["audited"]]
     assert np.median([units[s]["after_rmse"] for s in audited]) < 0.7 * np.median([fitted[s] for s in audited])
     unit = UnitLoader(registry, ExportOptions(lot_id="large")).load(_released(report)[0])
-    assert certificate_of(unit).by_audits and certificate_of(unit).by_audits in certificate_of(unit).deviations
+    assert build_certificate(unit).by_audits and build_certificate(unit).by_audits in build_certificate(unit).deviations
     counts = [len(registry.calibrations.history(serial)) for serial in units]
     assert batch(folder)["release"] == report["release"]
     assert counts == [len(registry.calibrations.history(serial)) for serial in units]

@@ -7,7 +7,7 @@ from functools import partial
 import pytest
 
 from softcal.app.batch.audit import Sample
-from softcal.app.export.certificates.lot_statement import LotStatementFacts, lot_statement_pdf
+from softcal.app.export.certificates.lot_statement import LotStatement, lot_statement_pdf
 from softcal.app.texts.catalogue import text as text_of
 from softcal.app.texts.reasons import said
 from softcal.core.lot import Lot
@@ -27,7 +27,7 @@ LOT, LIMIT = Lot("lot-1", "S0", 50.0, sensor_model="EG <3 mm>", limit_rmse=0.5),
 SAMPLE = Sample(10, 40, datetime(2026, 4, 2, tzinfo=UTC), 3, 7, 4)
 
 
-def facts_of(audits: list[AuditedUnit], units: int, waiting: int = 0, withdrawn: int = 0) -> LotStatementFacts:
+def facts_of(audits: list[AuditedUnit], units: int, waiting: int = 0, withdrawn: int = 0) -> LotStatement:
     """Return the facts of a lot with `units` released on its audits, without audits none."""
     source, why = ("this lot", plain("ten of this lot")) if audits else ("none", reason("part.no_lot"))
     qualification = Qualification(source, tuple(audits), 0 if audits else 6, why, tuple(audits))
@@ -48,7 +48,7 @@ def facts_of(audits: list[AuditedUnit], units: int, waiting: int = 0, withdrawn:
         made_at="2026-05-01T09:00:00+00:00",
         actor="kim@line-2",
     )
-    return LotStatementFacts(LOT, standing, decided, made, SAMPLE, "lot-1-20260501")
+    return LotStatement(LOT, standing, decided, made, SAMPLE, "lot-1-20260501")
 
 
 FACTS = facts_of([AuditedUnit(f"A{k}", 0.2, 0.2 + 0.005 * k, "lot-1") for k in range(10)], 30)

@@ -16,10 +16,18 @@ import softcal.core.errors
 from softcal.app.texts.catalogue import LANGUAGES, catalogue, text
 from softcal.app.texts.reasons import PREFIX, said
 from softcal.core.errors import NoReply, SoftcalError
+from softcal.core.operation.observation import FOLLOWED, HELD, JUMPED, TRIED, UNWATCHED
+from softcal.core.operation.uncertainty import (
+    JUMP,
+    MOVED_WHILE_LEARNT,
+    OPEN,
+    QUEUE,
+    REST_ELSEWHERE,
+    UNCOMPARED,
+    with_remedy,
+)
 from softcal.core.orders import Condition, Heartbeat, OrderKind, Progress, RunState, StationState
 from softcal.core.quality.gate import CellAtGate, GoldenCheck, RigFacts, StationFacts, may_run
-from softcal.core.use.doubt import JUMP, MISSED, OPEN, QUEUE, STRAY, UNCOMPARED, due
-from softcal.core.use.observation import FOLLOWED, HELD, JUMPED, TRIED, UNWATCHED
 from softcal.core.words import rig_sentences
 from softcal.core.words.reason import ENGLISH, PLAIN, Reason, packed, plain, reason, root_of
 from softcal.db.connection import open_registry
@@ -223,11 +231,11 @@ def test_every_order_every_end_of_a_run_and_every_step_in_use_has_a_name() -> No
     assert [(language, name) for language in LANGUAGES for name in named if name not in catalogue()[language]] == []
 
 
-@pytest.mark.parametrize("module", ["tracker", "batches"])
+@pytest.mark.parametrize("module", ["tracker", "stream_estimator"])
 def test_every_reason_to_calibrate_again_has_its_korean_text(
     module: str, english_in: Callable[[str], list[str]]
 ) -> None:
-    tree = ast.parse((ROOT / "core" / "use" / f"{module}.py").read_text())
+    tree = ast.parse((ROOT / "core" / "operation" / f"{module}.py").read_text())
     kept = [n.value for n in ast.walk(tree) if isinstance(n, ast.Assign) and "alarm" in ast.unparse(n.targets[0])]
     kept += [n.value for f in ast.walk(tree) if isinstance(f, ast.FunctionDef) and f.name == "_alarm"
              for n in ast.walk(f) if isinstance(n, ast.Return)]  # fmt: skip
@@ -239,9 +247,9 @@ def test_every_reason_to_calibrate_again_has_its_korean_text(
 
 
 def test_every_cause_of_an_alarm_has_its_text() -> None:
-    for why in (UNCOMPARED, MISSED, STRAY, JUMP, OPEN, QUEUE):
-        assert catalogue()["en"][f"adapt.{due(why)}"] == due(why)
-        assert KOREAN(f"adapt.{due(why)}") not in (due(why), f"adapt.{due(why)}")
+    for why in (UNCOMPARED, MOVED_WHILE_LEARNT, REST_ELSEWHERE, JUMP, OPEN, QUEUE):
+        assert catalogue()["en"][f"adapt.{with_remedy(why)}"] == with_remedy(why)
+        assert KOREAN(f"adapt.{with_remedy(why)}") not in (with_remedy(why), f"adapt.{with_remedy(why)}")
 
 
 def test_an_error_survives_the_way_between_processes() -> None:

@@ -8,7 +8,7 @@ import pytest
 import softcal
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
-from softcal.app.export.certificates.content import certificate_of
+from softcal.app.export.certificates.content import build_certificate
 from softcal.app.export.certificates.dcc import certificate_xml
 from softcal.db.connection import open_registry
 
@@ -42,7 +42,7 @@ def test_no_unit_passes_and_no_file_is_written_whatever_was_measured(unlimited, 
         assert "no limit was stated" in said and "% of the range" in said
     assert not [file for file in out.rglob("*") if any(unit["serial"] in file.name for unit in report["units"])]
     with open_registry(url) as registry:
-        facts = certificate_of(UnitLoader(registry, ExportOptions()).load("A1"))
+        facts = build_certificate(UnitLoader(registry, ExportOptions()).load("A1"))
         assert facts.withheld[0] in ("simulated", "no_limit") and "no_limit" in facts.withheld
         assert facts.verdict == "conditional" and not facts.conformity
         assert ET.fromstring(certificate_xml(facts)).find(".//{https://ptb.de/dcc}conformity") is None

@@ -12,7 +12,7 @@ import pytest
 import softcal
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
-from softcal.app.export.certificates.content import certificate_of
+from softcal.app.export.certificates.content import build_certificate
 from softcal.app.export.certificates.dcc import certificate_xml
 from softcal.app.views.audited import audited_view
 from softcal.app.views.lot import lot_view
@@ -66,7 +66,7 @@ def test_every_surface_states_the_error_of_estimate_on_all_rows(batched, lot_fol
             assert scores["unscored"] == {"warm-up": TAPS - 1, "gap": 0}
             assert scores["own"]["own"]["rmse"] == unit["own_rmse"] and scores["own"]["own"]["rows"] < rows
             trace = on_screen[serial]
-            facts = certificate_of(UnitLoader(registry, ExportOptions(failed_too=True)).load(serial))
+            facts = build_certificate(UnitLoader(registry, ExportOptions(failed_too=True)).load(serial))
             python = softcal.Unit.from_registry(registry, serial)
             stated = {
                 "table": float(table[serial]["after"]),

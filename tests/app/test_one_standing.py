@@ -16,7 +16,7 @@ from softcal.app.batch.release import lot_standing
 from softcal.app.batch.results import lot_results
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions
-from softcal.app.export.certificates.lot_statement import lot_statement_facts
+from softcal.app.export.certificates.lot_statement import build_lot_statement
 from softcal.app.export.export import lot_serials
 from softcal.app.line.facts import Screen, read_line
 from softcal.app.registry.limit import lot_limit
@@ -186,7 +186,7 @@ def check(history: History, tmp_path: Path) -> None:
         assert all(unit.reasons for unit in (*standing.on(Way.WAITING), *standing.withdrawn))
         decided = standing.decided
         if decided is not None:
-            lot_statement_facts(registry, standing, decided)
+            build_lot_statement(registry, standing, decided)
             assert {audit.serial for audit in decided.qualification.here} <= audited
             assert set(decided.doubts) == {serial for serial, doubt in listed.items() if doubt is not None}
             sampled = {s for s, one in states.items() if truth[s] == "pass" and not one.decision.is_audited}

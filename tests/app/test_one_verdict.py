@@ -16,7 +16,7 @@ from softcal.app.charts.palette import palette
 from softcal.app.charts.why import why_figure
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
-from softcal.app.export.certificates.content import certificate_of
+from softcal.app.export.certificates.content import build_certificate
 from softcal.app.export.certificates.dcc import certificate_xml
 from softcal.app.export.certificates.pdf import certificate_pdf
 from softcal.app.export.export import export_units, lot_serials
@@ -94,7 +94,7 @@ def drawn(rng: np.random.Generator, state: UnitState, number: int) -> UnitState:
 def documents(registry: Registry) -> tuple[str, str, str]:
     """Return the words of certificate, its conformity and device file of the unit in use."""
     unit = UnitLoader(registry, ExportOptions(failed_too=True)).load("A1")
-    facts = certificate_of(unit)
+    facts = build_certificate(unit)
     conformity = ET.fromstring(certificate_xml(facts)).findtext(".//dcc:statement/dcc:conformity", None, DCC)
     assert facts.error is not None and facts.limit is not None
     assert conformity != "pass" or facts.error.upper <= facts.limit.acceptance_rmse
@@ -169,7 +169,7 @@ def test_documents_and_files_say_the_same_word(lot, word, tmp_path):
     registry.calibrations.add(lot_id, state)
     assert documents(registry) == (word, word, word if word in ("pass", "conditional") else "not released")
     unit = UnitLoader(registry, ExportOptions()).load("A1")
-    read = read_text(certificate_pdf(certificate_of(unit))).split()
+    read = read_text(certificate_pdf(build_certificate(unit))).split()
     shown = {other for other in Verdict if other.upper() in read}
     assert shown == {word} - {Verdict.RETEST}, "nothing can be stated of a unit that has to be tested again"
     title = why_figure(

@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from softcal.app.cli.main import main
-from softcal.app.use.paper import COURSES, PARTS, PaperTables, compute_tables
+from softcal.app.operation.paper import COURSES, PARTS, PaperTables, compute_tables
 from softcal.core.maps.plan import EXACT, JOINT
 from softcal.core.network.config import NetworkConfig
 

@@ -17,7 +17,7 @@ from fastapi.testclient import TestClient
 
 from softcal.app.batch.results import RESULTS
 from softcal.app.cli.main import main
-from softcal.app.connect.alert_watch import put_alert
+from softcal.app.connect.alert_monitor import store_alert
 from softcal.app.registry.listing import unit_json
 from softcal.app.rest.routes import MOST
 from softcal.app.rest.server import openapi_document, rest_app
@@ -93,7 +93,7 @@ def test_every_list_comes_a_page_at_a_time_by_the_same_cursor(client, registry, 
         registry.calibrations.refuse(f"X{number}", "A1", "fail", (plain("dead"),))
         registry.order_queue.place(Order(f"{number}", f"line-{number}", OrderKind.CHECK))
         registry.order_queue.beat(Heartbeat(f"line-{number}", StationState.OFF, datetime.now(UTC)))
-        put_alert(registry, ("station", "", f"line-{number}"), told, is_open=True)
+        store_alert(registry, ("station", "", f"line-{number}"), told, is_open=True)
     for path in ("lots", "units?serial=A1", "jobs", "orders", "stations", "alerts", "lots/small/units"):
         name = path.rpartition("/")[2].partition("?")[0]
         (whole, end), found, after = page_of(client, path, name, "", MOST), [], ""

@@ -23,9 +23,9 @@ from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import said
 from softcal.core.errors import InputError
 from softcal.core.export.blob_reader import read_unit
-from softcal.core.export.loader import open_sensor
 from softcal.core.lot import unescape_serial
 from softcal.db.connection import open_registry
+from tests.device_sensor import open_sensor
 
 SERIALS = {"A1": "센서-001", "A2": "Gerät_7", "A3": "압력.3"}
 FORMATS = ("json", "c", "blob", "hex", "onnx", "pdf", "dcc")

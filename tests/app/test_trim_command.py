@@ -7,10 +7,10 @@ import pandas as pd
 import pytest
 
 from softcal.app.cli.main import main
-from softcal.core.export.loader import open_sensor
 from softcal.core.unit.state import UnitState
 from softcal.core.windows import windows
 from softcal.db.connection import open_registry
+from tests.device_sensor import estimate_output, open_sensor
 
 GAIN, OFFSET_V = 1.15, 0.54
 
@@ -201,7 +201,7 @@ def test_a_trimmed_unit_is_in_range_where_it_is_now(trimmed, registry_url, tmp_p
     assert main(["export", *common, "--format", "blob", "--release", "conditional", "--out", str(out)]) == 0
     network, unit = (next(out.glob(f"{kind}-*.ssc")).read_bytes() for kind in ("network", "unit"))
     sensor = open_sensor(network, unit)
-    value, _, _, flags = sensor.estimate_output(windows(use["output"].to_numpy()))
+    value, _, _, flags = estimate_output(sensor, windows(use["output"].to_numpy()))
     assert np.mean(flags > 0) < 0.01
     assert np.sqrt(np.mean((value - use["reference"].to_numpy()[14:]) ** 2)) < 0.2
 

@@ -21,7 +21,7 @@ from softcal.app.batch.changes import carry_out, change_limit, preview
 from softcal.app.batch.judging import confirm, redecide, redecide_stale
 from softcal.app.batch.known import keep_result
 from softcal.app.batch.release import decide_lot, lot_standing, roll_back
-from softcal.app.export.certificates.lot_statement import lot_statement_facts
+from softcal.app.export.certificates.lot_statement import build_lot_statement
 from softcal.app.registry.listing import unit_json
 from softcal.app.registry.trimmed import store_trim
 from softcal.app.rest.v1 import UnitAnswer
@@ -240,7 +240,7 @@ class UnitHistories(RuleBasedStateMachine):
             assert set(standing.to_json()["released"]) == passing
             assert {one.serial for way in (Way.MEASURED, Way.SAMPLED) for one in standing.on(way)} == passing
             if standing.decided is not None:
-                facts = lot_statement_facts(registry, standing, standing.decided)
+                facts = build_lot_statement(registry, standing, standing.decided)
                 by_sample = {serial for serial in passing if not standings[serial].summary.state.decision.is_audited}
                 assert by_sample <= set(facts.decided.released)
         self.touched = set()

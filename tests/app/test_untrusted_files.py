@@ -82,7 +82,7 @@ def test_a_file_that_unpacks_to_gigabytes_is_not_opened(tmp_path, kind, most_cel
 
 def test_a_parquet_footer_that_ends_pyarrow_s_process_is_refused_in_one_line(tmp_path):
     # Found by the fuzzer: sizes of a column that contradict its schema.
-    broken = Path(__file__).parent / "broken" / "footer.parquet"
+    broken = Path(__file__).parent / "damaged_files" / "footer.parquet"
     code = "import sys; from softcal.app.cli.main import main; sys.exit(main(sys.argv[1:]))"
     command = ["import", str(broken), "--source", "S0", "--output-column", "output", "--reference-column", "reference"]
     command += ["--sample-rate", "50", "--out", str(tmp_path / "lot")]

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from softcal.core.challenge.case_generator import draw_case
 from softcal.core.challenge.cases import SealedCase
-from softcal.core.challenge.draw import draw_case
 from softcal.core.gap.case import Case, Run
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
@@ -65,7 +65,7 @@ def opened_case() -> Callable[[SealedCase], Case]:
         rig = sealed.rig
         readout = ReadoutMetadata(rig.vref_V, rig.adc_bits, rig.r_series_ohm, rig.sample_rate_Hz)
         runs = []
-        for number, found in enumerate(sealed.written(sealed.plans), start=1):
+        for number, found in enumerate(sealed.write_runs(sealed.plans), start=1):
             measured = found.measured
             columns = {name: np.round(values, 6) for name, values in measured.columns.items()}
             stated = replace(readout, sample_rate_Hz=found.sample_rate_Hz)

@@ -11,17 +11,17 @@ from scipy.signal import lfilter
 from softcal.core.errors import InputError
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.network.network import Network
+from softcal.core.operation.adapter import STATE_FORMAT, AdaptConfig, Adapter
+from softcal.core.operation.method import DriftTracking
+from softcal.core.operation.stream_estimator import FLAG_SEPARATOR, RECALIBRATE, STATES, UNSETTLED
+from softcal.core.operation.stream_windows import WRONG_RATE
+from softcal.core.operation.uncertainty import MOVED_WHILE_LEARNT
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import GAP, INVALID, STUCK, WARM_UP, estimate
 from softcal.core.unit.health import output_limits
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import make_source_model
-from softcal.core.use.adapter import STATE_FORMAT, AdaptConfig, Adapter
-from softcal.core.use.batches import BETWEEN, RECALIBRATE, STATES, UNSETTLED
-from softcal.core.use.doubt import MISSED
-from softcal.core.use.intake import WRONG_RATE
-from softcal.core.use.method import UseMethod
 from softcal.core.windows import TAPS
 
 RATE_HZ = 50.0
@@ -70,7 +70,7 @@ def maker(
         predicted_rmse=0.01,
     )
 
-    def make(mode: str = "improved", method: UseMethod = UseMethod()) -> Adapter:  # noqa: B008 - frozen
+    def make(mode: str = "improved", method: DriftTracking = DriftTracking()) -> Adapter:  # noqa: B008 - frozen
         return Adapter(network, calibration, recording, AdaptConfig(mode, method))
 
     make.calibration, make.network = calibration, network  # type: ignore[attr-defined]
@@ -103,12 +103,12 @@ def rmse(values: Array, reference: Array) -> float:
 
 def why(flags: Array) -> list[str]:
     """Why each row is not to be trusted; empty where it is. The last word of a flag is the state of its map."""
-    assert {flag.rpartition(BETWEEN)[2] for flag in flags} <= set(STATES)
-    return [flag.rpartition(BETWEEN)[0] for flag in flags]
+    assert {flag.rpartition(FLAG_SEPARATOR)[2] for flag in flags} <= set(STATES)
+    return [flag.rpartition(FLAG_SEPARATOR)[0] for flag in flags]
 
 
 def state(flags: Array) -> list[str]:
-    return [flag.rpartition(BETWEEN)[2] for flag in flags]
+    return [flag.rpartition(FLAG_SEPARATOR)[2] for flag in flags]
 
 
 def test_one_by_one_and_in_pieces_give_the_same_rows(make_adapter: Callable[..., Adapter]) -> None:
@@ -118,12 +118,12 @@ def test_one_by_one_and_in_pieces_give_the_same_rows(make_adapter: Callable[...,
     single, pieces = make_adapter(), make_adapter()
 
     rows = [single.step(t, v) for t, v in zip(t_s, output_V, strict=True)]
-    parts = [pieces.advance(t_s[k : k + 77], output_V[k : k + 77]) for k in range(0, len(t_s), 77)]
+    nested_list = [pieces.advance(t_s[k : k + 77], output_V[k : k + 77]) for k in range(0, len(t_s), 77)]
 
     for name in ("estimate", "lower", "upper"):
         column = getattr(whole, name)
         np.testing.assert_array_equal([getattr(row, name) for row in rows], column)
-        np.testing.assert_array_equal(np.concatenate([getattr(part, name) for part in parts]), column)
+        np.testing.assert_array_equal(np.concatenate([getattr(nested, name) for nested in nested_list]), column)
     assert [row.flag for row in rows] == whole.flag.tolist()
 
 
@@ -178,7 +178,7 @@ def test_a_use_that_turns_without_a_rest_has_its_zero_load_where_f_sees_it_in_mo
     output_V = REST_V + 0.0328 + 0.1 * (1 - np.cos(phase)) + noise_V
     load_N = 0.1328 / GAIN_V_N * (1 - np.cos(phase - np.deg2rad(9.73)))
 
-    use = maker(load_N, output_V, network)().calibrated_use
+    use = maker(load_N, output_V, network)().calibrated_operation
 
     assert use.zero is not None and use.curve is not None
     assert use.mean + use.scale * use.zero == pytest.approx(REST_V + 0.0342, abs=0.004)
@@ -237,11 +237,11 @@ def irregular_N(seconds: float, seed: int) -> Array:
 
 def person_N(seconds: float, seed: int) -> Array:
     """Presses of a person: heights and durations scatter by a tenth."""
-    rng, parts = np.random.default_rng(seed), []
-    while sum(map(len, parts)) < seconds * RATE_HZ:
+    rng, nested_list = np.random.default_rng(seed), []
+    while sum(map(len, nested_list)) < seconds * RATE_HZ:
         height, length = (1 + 0.1 * rng.normal(size=2)) * (2.0, 1.5)
-        parts.append(height * np.sin(np.pi * np.arange(0, max(length, 0.7), 1 / RATE_HZ) / max(length, 0.7)) ** 2)
-    return np.concatenate(parts)[: round(seconds * RATE_HZ)]
+        nested_list.append(height * np.sin(np.pi * np.arange(0, max(length, 0.7), 1 / RATE_HZ) / max(length, 0.7)) ** 2)
+    return np.concatenate(nested_list)[: round(seconds * RATE_HZ)]
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -335,7 +335,7 @@ def test_first_use_is_said_to_be_unwatched_and_what_moved_in_it_holds_the_map(
     verdicts = [update.verdict for update in adapter.take_updates()]
     assert verdicts[:2] == ["start", "unwatched"]
     assert (verdicts[-1], adapter.current.alarm) == ("held", "")
-    assert adapter.current.reason.startswith(MISSED)
+    assert adapter.current.reason.startswith(MOVED_WHILE_LEARNT)
 
 
 def test_interval_holds_the_truth_while_the_first_use_is_learnt_and_the_sensor_drifts(
@@ -354,8 +354,8 @@ def test_interval_holds_the_truth_while_the_first_use_is_learnt_and_the_sensor_d
 
 def test_use_that_stays_unknown_is_held_after_the_first_day(make_irregular: Callable[..., Adapter]) -> None:
     """A second stream of one-sided ramps, never twice alike, two days long in time stamps of one sample a second."""
-    learning = replace(UseMethod().learning, first_use_s=300.0)
-    adapter = make_irregular(method=replace(UseMethod(), learning=learning))
+    learning = replace(DriftTracking().learning, first_operation_s=300.0)
+    adapter = make_irregular(method=replace(DriftTracking(), learning=learning))
     # Steps of a random walk: no eight of its cycles are like eight others.
     walk = np.cumsum(np.random.default_rng(9).normal(0, 0.02, 30_000))
     force_N = 1.0 + np.abs((walk + 1) % 4 - 2)
@@ -457,9 +457,9 @@ def test_rows_are_unsettled_where_the_predicted_error_has_doubled_and_no_alarm_s
     shifted_V = drifted(output_V, 1.0, 0.15)
     promised = adapter.current.predicted_rmse
 
-    for k in range(0, len(t_s), UseMethod().intake.batch):
+    for k in range(0, len(t_s), DriftTracking().stream.batch):
         is_doubled = adapter.current.predicted_rmse > 2 * promised
-        piece = slice(k, k + UseMethod().intake.batch)
+        piece = slice(k, k + DriftTracking().stream.batch)
         seen.append((is_doubled, adapter.advance(t_s[piece], shifted_V[piece])))
 
     assert not any(update.alarm for update in adapter.take_updates())
@@ -501,11 +501,11 @@ def test_state_once_taken_does_not_change_while_the_stream_goes_on(make_adapter:
     adapter = make_adapter()
     adapter.advance(t_s[:1234], output_V[:1234])
     state = adapter.state()
-    taken = json.dumps(state)
+    batch_windows = json.dumps(state)
 
     adapter.advance(t_s[1234:], output_V[1234:])
 
-    assert json.dumps(state) == taken
+    assert json.dumps(state) == batch_windows
 
 
 def test_state_does_not_grow(make_adapter: Callable[..., Adapter]) -> None:

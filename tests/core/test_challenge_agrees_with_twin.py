@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from softcal.core.challenge.cases import EQUATIONS
+from softcal.core.challenge.explained_fraction import PARAMETERS, UNFITTED
 from softcal.core.challenge.protocols import one_rich_run
-from softcal.core.challenge.realised import PARAMETERS, UNFITTED
 from softcal.core.challenge.rig import Cause, Rack, Rig, record
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata

@@ -1,15 +1,16 @@
 """Drawing, sealing and opening cases."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
+import msgspec
 import numpy as np
 import pytest
 
+from softcal.core.challenge.case_generator import LINES, SIZES, draw_case, draw_challenge
 from softcal.core.challenge.cases import EXPERIMENTS, RunPlan, SealedCase, distance_sigma
-from softcal.core.challenge.draw import LINES, SIZES, draw_case, draw_challenge
 from softcal.core.challenge.equations import CATALOGUE, OUTSIDE
-from softcal.core.challenge.published import PUBLISHED_OUTSIDE
-from softcal.core.challenge.realised import BASE, realised_shrink, refitted_base
+from softcal.core.challenge.explained_fraction import BASE, explained_fraction, refitted_base
+from softcal.core.challenge.published_equations import PUBLISHED_OUTSIDE
 from softcal.core.challenge.rig import Cause
 from softcal.core.challenge.seal import open_seal, seal_labels
 from softcal.core.errors import InputError
@@ -17,7 +18,7 @@ from softcal.core.errors import InputError
 
 def test_the_same_seed_gives_the_same_case() -> None:
     first, again, other = (draw_case(seed, "case", "pair") for seed in (5, 5, 6))
-    assert first.to_record() == again.to_record() != other.to_record()
+    assert asdict(first) == asdict(again) != asdict(other)
     for plan in first.plans:
         got, same = first.measure(plan).columns, again.measure(plan).columns
         assert all(np.array_equal(got[name], same[name]) for name in got)
@@ -60,7 +61,7 @@ def test_a_challenge_mixes_all_lines_and_names_tell_nothing() -> None:
 
 def test_a_case_survives_its_record() -> None:
     case = draw_case(2, "case", "form")
-    assert SealedCase.from_record(case.to_record()).to_record() == case.to_record()
+    assert asdict(msgspec.convert(asdict(case), SealedCase)) == asdict(case)
 
 
 def test_distance_is_zero_without_a_cause_and_grows_with_its_size() -> None:
@@ -84,7 +85,7 @@ def test_a_seal_opens_with_its_commitment_only() -> None:
     contents = {case.name: "00" for case in cases}
     seal = seal_labels(cases, contents, seed=1, nonce="a")
     opened = open_seal(seal.text, seal.commitment)
-    assert [label.case.to_record() for label in opened] == [case.to_record() for case in cases]
+    assert [asdict(label.case) for label in opened] == [asdict(case) for case in cases]
     assert seal_labels(cases, contents, seed=1, nonce="b").commitment != seal.commitment
     with pytest.raises(InputError, match=seal.commitment):
         open_seal(seal.text.replace('"seed":1', '"seed":2'), seal.commitment)
@@ -103,7 +104,7 @@ def test_the_true_twin_realises_the_whole_shrink_of_large_and_small_causes() -> 
         case = replace(case, causes=(Cause(effect, "catalogue", {"share": share, "tau_s": 4.0}),))
         base = {name: getattr(case.rig, name) for name in BASE}
         values = {name: {"value": fitted}, "tau": {"value": 4.0}}
-        return realised_shrink(
+        return explained_fraction(
             case, {"base": base, "causes": [{"effect": effect, "probability": 1.0, "parameters": values}]}
         )
 

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from softcal.core.challenge.draw import draw_case, draw_challenge
+from softcal.core.challenge.case_generator import draw_case, draw_challenge
 from softcal.core.challenge.equations import CATALOGUE
-from softcal.core.challenge.mistakes import Mistake
-from softcal.core.challenge.score import FLOORS, score_reports, shortfalls
+from softcal.core.challenge.recording_mistakes import Mistake
+from softcal.core.challenge.score import MIN_SHARES, score_reports, shortfalls
 from softcal.core.challenge.seal import Label
 
 PER_LINE = 4
@@ -16,7 +16,7 @@ Mutant = Callable[[Label], dict[str, Any]]
 
 
 def labels(seed: int) -> list[Label]:
-    cases = [draw_case(seed + k, f"{line}-{k}", line) for line in FLOORS for k in range(PER_LINE)]
+    cases = [draw_case(seed + k, f"{line}-{k}", line) for line in MIN_SHARES for k in range(PER_LINE)]
     return [Label(case, "00", 100.0) for case in cases]
 
 
@@ -32,7 +32,7 @@ def said(verdict: str, named: dict[str, float], groups: tuple[tuple[str, ...], .
 
 def truth(label: Label) -> dict[str, Any]:
     if label.case.mistake:
-        told = Mistake.of(label.case.mistake)
+        told = Mistake.from_text(label.case.mistake)
         named = {"what": told.what, "channel": told.channel, "runs": list(told.runs) or "all"}
         return {**said("data", {}), "data": [named]}
     causes = {cause.effect for cause in label.case.causes}
@@ -65,7 +65,7 @@ def test_an_answer_that_does_not_look_falls_below_the_floors(mutant: str) -> Non
     for seed in (1, 1000, 2000):
         every = labels(seed)
         sheet = score_reports(every, {label.case.name: MUTANTS[mutant](label) for label in every})
-        assert len(shortfalls(sheet)) > len(FLOORS) / 2, shortfalls(sheet)
+        assert len(shortfalls(sheet)) > len(MIN_SHARES) / 2, shortfalls(sheet)
 
 
 def test_the_truth_stands_above_them() -> None:
@@ -75,7 +75,7 @@ def test_the_truth_stands_above_them() -> None:
 
 def test_a_diagnosis_that_fails_on_one_line_alone_is_seen() -> None:
     every = labels(1)
-    for line in FLOORS:
+    for line in MIN_SHARES:
         reports = {
             label.case.name: said("explained", {"dropped_samples": 1.0}) if label.case.line == line else truth(label)
             for label in every
@@ -93,7 +93,7 @@ def test_reports_of_a_line_that_are_left_out_are_a_shortfall() -> None:
 def test_forty_cases_of_the_mix_pass_with_the_truth_and_fall_without_looking() -> None:
     every = [Label(case, "00", 100.0) for case in draw_challenge(seed=5, count=40)]
     lines = [label.case.line for label in every]
-    assert min(lines.count(line) for line in FLOORS) >= PER_LINE
+    assert min(lines.count(line) for line in MIN_SHARES) >= PER_LINE
     assert shortfalls(score_reports(every, {label.case.name: truth(label) for label in every})) == []
     for mutant in MUTANTS.values():
         assert shortfalls(score_reports(every, {label.case.name: mutant(label) for label in every})) != []

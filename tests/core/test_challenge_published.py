@@ -1,15 +1,17 @@
 """The published equations against their own formulae, and the seeds against being found."""
 
 import json
+from dataclasses import asdict
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import erf
 
-from softcal.core.challenge import published
-from softcal.core.challenge.draw import LINES, SIZES, draw_case, draw_challenge
-from softcal.core.challenge.published import PUBLISHED_FORMS, PUBLISHED_OUTSIDE
+from softcal.core.challenge import published_equations
+from softcal.core.challenge.case_generator import LINES, SIZES, draw_case, draw_challenge
+from softcal.core.challenge.published_equations import PUBLISHED_FORMS, PUBLISHED_OUTSIDE
 from softcal.core.challenge.rig import Moment, Rig
 
 STEP_s = 0.002
@@ -61,7 +63,7 @@ def test_the_friction_state_solves_dahls_equation():
         lambda t, z: (0.4 if t < 10 else -0.25) * (1 - z * (1 if t < 10 else -1)) ** 2, (0, T[-1]), [0.0],
         t_eval=T, max_step=0.02, rtol=1e-8,
     ).y[0]  # fmt: skip
-    np.testing.assert_allclose(published._dahl_state(load, 1.0), expected, atol=5e-3)
+    np.testing.assert_allclose(published_equations._dahl_state(load, 1.0), expected, atol=5e-3)
 
 
 def test_the_low_pass_delays_a_ramp_by_its_tau_and_passes_a_constant():
@@ -113,7 +115,7 @@ def test_seeds_cannot_be_tried_one_by_one(line: str) -> None:
     drawn = draw_case(2**127 + 5, "case", line)
     for plan in (*case.plans, *drawn.plans, drawn.kept_back):
         assert plan.seed.bit_length() > 96, "31 bits were tried against a path in minutes"
-    again = type(drawn).from_record(json.loads(json.dumps(drawn.to_record())))
+    again = msgspec.convert(json.loads(json.dumps(asdict(drawn))), type(drawn))
     assert again.plans == drawn.plans
 
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
+from softcal.core.challenge.answers import CaseScore, read_answer
+from softcal.core.challenge.case_generator import draw_case
 from softcal.core.challenge.cases import SealedCase, distance_sigma
-from softcal.core.challenge.draw import draw_case
-from softcal.core.challenge.judge import Judged, read_answer
-from softcal.core.challenge.mistakes import Mistake
-from softcal.core.challenge.realised import BASE, PER_RUN, realised_shrink
+from softcal.core.challenge.explained_fraction import BASE, PER_RUN, explained_fraction
+from softcal.core.challenge.recording_mistakes import Mistake
 from softcal.core.challenge.rig import Cause
 from softcal.core.challenge.score import calibration_error, log_score, score_reports
 from softcal.core.challenge.seal import Label
@@ -41,7 +41,7 @@ def label(*effects: str, line: str = "usual", sigma: float = 100.0, name: str = 
 
 
 def outcome(truth: Label, said: dict[str, Any]) -> str:
-    return Judged(truth, read_answer("case-1", said)).outcome
+    return CaseScore(truth, read_answer("case-1", said)).outcome
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_an_answer_gets_one_word(truth: Label, said: dict[str, Any], expected: s
 def test_a_case_without_a_report_counts_as_wrong() -> None:
     sheet = score_reports([label("channel_creep")], {})
     assert sheet.rows[0].hits == 0 and sheet.rows[0].count == 1
-    assert sheet.judged[0].outcome == "no report"
+    assert sheet.case_scores[0].outcome == "no report"
 
 
 STRANGE: dict[str, dict[str, Any]] = {
@@ -100,8 +100,8 @@ def test_a_strange_report_counts_as_wrong_and_stops_nothing(strange: str) -> Non
     labels = [label("channel_creep", name="case-1"), label("channel_creep", name="case-2"), label(name="case-3")]
     sound = report("explained", {"channel_creep": 0.9})
     sheet = score_reports(labels, {"case-1": STRANGE[strange], "case-2": sound, "case-3": STRANGE[strange]})
-    assert [judged.outcome for judged in sheet.judged] == ["wrong", "right", "wrong"]
-    assert "case-1" in sheet.judged[0].unread
+    assert [judged.outcome for judged in sheet.case_scores] == ["wrong", "right", "wrong"]
+    assert "case-1" in sheet.case_scores[0].unread
     json.dumps(sheet.to_record(), allow_nan=False)
 
 
@@ -122,8 +122,10 @@ def test_numbers_that_make_no_twin_shrink_nothing(
     rig = {name: getattr(case.rig, name) for name in BASE}
     named = [{"effect": effect, "probability": 1.0, "parameters": parameters}]
     told = {**report("explained", {}), "causes": named, "base": {**rig, **base}}
-    sheet = score_reports([Label(case, "00", 100.0)], {"case-1": told}, lambda la, said: realised_shrink(la.case, said))
-    assert sheet.judged[0].realised_shrink == 0.0
+    sheet = score_reports(
+        [Label(case, "00", 100.0)], {"case-1": told}, lambda la, said: explained_fraction(la.case, said)
+    )
+    assert sheet.case_scores[0].explained_fraction == 0.0
 
 
 def _leaves_a_gap(case: SealedCase) -> bool:
@@ -135,9 +137,9 @@ def test_shrink_is_scored_on_the_run_kept_back() -> None:
     reports = {entry.case.name: report("explained", {"channel_creep": 0.9}) for entry in labels}
     realised = iter((0.98, 0.93, 0.80, float("nan")))
     sheet = score_reports(labels, reports, lambda label, report: next(realised))
-    assert sheet.shrink.count == 3
-    assert [row.hits for row in sheet.shrink.rows] == [1, 2, 2]
-    assert sheet.shrink.median_realised == pytest.approx(0.93)
+    assert sheet.fractions.count == 3
+    assert [row.hits for row in sheet.fractions.rows] == [1, 2, 2]
+    assert sheet.fractions.median_realised == pytest.approx(0.93)
 
 
 def test_the_record_of_a_score_is_plain_json() -> None:
@@ -198,8 +200,8 @@ def test_a_forecast_of_a_wrong_cause_is_scored_too() -> None:
     reports = {"case-1": report("explained", {"channel_creep": 0.9}), "case-2": report("explained", {"backlash": 0.9})}
     realised = iter((0.98, -0.5))
     sheet = score_reports(labels, reports, lambda label, report: next(realised))
-    assert [j.outcome for j in sheet.judged] == ["right", "wrong"] and sheet.shrink.count == 2
-    assert [row.hits for row in sheet.shrink.rows] == [1, 1, 1]
+    assert [j.outcome for j in sheet.case_scores] == ["right", "wrong"] and sheet.fractions.count == 2
+    assert [row.hits for row in sheet.fractions.rows] == [1, 1, 1]
 
 
 def test_the_log_score_is_that_of_what_is_stated_or_at_work() -> None:
@@ -214,4 +216,4 @@ def test_a_false_name_beside_a_rest_is_wrong(verdict: str) -> None:
     labels = [label("slip"), label("slip", name="case-2"), label("channel_creep", name="case-3")]
     told = [report(verdict, {"backlash": 0.6}), report(verdict, {"backlash": 0.4}), report(verdict, {"backlash": 0.6})]
     sheet = score_reports(labels, {f"case-{k}": one for k, one in enumerate(told, start=1)})
-    assert [j.outcome for j in sheet.judged] == ["wrong", "right", "wrong"]
+    assert [j.outcome for j in sheet.case_scores] == ["wrong", "right", "wrong"]

@@ -5,12 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from softcal.core.recording import Array, OutputRecording
-from softcal.core.use.activity import CalibratedUse, RestCurve, learn_use
-from softcal.core.use.cycles import MOST_KEPT, Cycle, CycleCutter
-from softcal.core.use.doubt import STRAY
-from softcal.core.use.method import UseMethod
-from softcal.core.use.observation import (
+from softcal.core.operation.activity import CalibratedOperation, RestCurve, learn_operation
+from softcal.core.operation.cycles import MAX_SAMPLES, Cycle, CycleSegmenter
+from softcal.core.operation.method import DriftTracking
+from softcal.core.operation.observation import (
     FOLLOWED,
     HELD,
     JUMPED,
@@ -20,11 +18,13 @@ from softcal.core.use.observation import (
     USE_OR_GAIN,
     Observation,
 )
-from softcal.core.use.tracker import DriftTracker
+from softcal.core.operation.tracker import DriftTracker
+from softcal.core.operation.uncertainty import REST_ELSEWHERE
+from softcal.core.recording import Array, OutputRecording
 
 RATE_HZ = 50.0
 PERIOD_S = 4.0
-CYCLE = UseMethod().cycle
+CYCLE = DriftTracking().cycle
 
 
 def presses(
@@ -47,33 +47,33 @@ def unlike_presses(seconds: float) -> Array:
     return np.concatenate([presses(PERIOD_S, seed=k, power=8.0 if k % 2 else 0.4) for k in range(count)])
 
 
-def calibrated_use(output: Array | None = None, zero_output: float | None = None) -> CalibratedUse:
+def calibrated_operation(output: Array | None = None, zero_output: float | None = None) -> CalibratedOperation:
     output = presses(120.0) if output is None else output
-    return learn_use(recorded(output), True, zero_output)
+    return learn_operation(recorded(output), True, zero_output)
 
 
 def recorded(output: Array) -> OutputRecording:
     return OutputRecording("A1", np.arange(len(output)) / RATE_HZ, output, RATE_HZ)
 
 
-def cycles_of(output: Array, use: CalibratedUse, start_s: float = 0.0) -> list[Cycle]:
-    cutter = CycleCutter(use.low, use.high, use.usual, use.longest, CYCLE)
+def cycles_of(output: Array, use: CalibratedOperation, start_s: float = 0.0) -> list[Cycle]:
+    segmenter = CycleSegmenter(use.low, use.high, use.cycle_samples, use.max_samples, CYCLE)
     t_s = start_s + np.arange(len(output)) / RATE_HZ
     found = []
     for k in range(0, len(output), 32):
-        found += cutter.advance(t_s[k : k + 32], output[k : k + 32])
+        found += segmenter.advance(t_s[k : k + 32], output[k : k + 32])
     return found
 
 
-def observe(tracker: DriftTracker, output: Array, use: CalibratedUse, start_s: float = 0.0) -> list[Observation]:
+def observe(tracker: DriftTracker, output: Array, use: CalibratedOperation, start_s: float = 0.0) -> list[Observation]:
     return [tracker.observe(cycle) for cycle in cycles_of(output, use, start_s)]
 
 
 def begun(
     calibration: Array | None = None, zero_output: float | None = None, used_s: float = 0.0
-) -> tuple[CalibratedUse, DriftTracker]:
+) -> tuple[CalibratedOperation, DriftTracker]:
     """A calibrated use and its tracker, after so many seconds of that use without drift."""
-    use = calibrated_use(calibration, zero_output)
+    use = calibrated_operation(calibration, zero_output)
     tracker = DriftTracker(use)
     if used_s:
         observe(tracker, presses(used_s, seed=3), use)
@@ -90,7 +90,7 @@ def error_of(tracker: DriftTracker, gain: float, offset: float) -> float:
 def test_cycle_of_a_sine_has_the_moments_of_a_sine() -> None:
     output = 3.0 + 0.5 * np.sin(2 * np.pi * np.arange(4000) / 200)
 
-    cycle = cycles_of(output, calibrated_use(output))[2]
+    cycle = cycles_of(output, calibrated_operation(output))[2]
 
     assert cycle.level == pytest.approx(3.0, abs=0.005)
     assert cycle.scale == pytest.approx(0.5 / np.sqrt(2), rel=0.01)
@@ -99,12 +99,12 @@ def test_cycle_of_a_sine_has_the_moments_of_a_sine() -> None:
 
 
 def test_memory_of_a_cycle_does_not_grow_with_its_length() -> None:
-    cutter = CycleCutter(0.0, 1.0, 100, 10**9, CYCLE)
+    segmenter = CycleSegmenter(0.0, 1.0, 100, 10**9, CYCLE)
 
     for k in range(0, 100_000, 1000):
-        cutter.advance(np.arange(k, k + 1000) / RATE_HZ, np.full(1000, 0.5) + 1e-6 * np.arange(1000))
+        segmenter.advance(np.arange(k, k + 1000) / RATE_HZ, np.full(1000, 0.5) + 1e-6 * np.arange(1000))
 
-    assert len(cutter.state()["kept"]) <= MOST_KEPT  # type: ignore[arg-type]
+    assert len(segmenter.state()["kept"]) <= MAX_SAMPLES  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("gain", "offset"), [(1.0, 0.08), (0.92, 0.0), (1.06, -0.1)])
@@ -131,7 +131,7 @@ def test_another_shape_of_use_moves_nothing() -> None:
 
     seen = observe(tracker, presses(400.0, seed=2, power=0.4), use)
 
-    assert {observation.verdict for observation in seen[: UseMethod().learning.cycles - 1]} == {HELD}
+    assert {observation.verdict for observation in seen[: DriftTracking().learning.cycles - 1]} == {HELD}
     assert tracker.correction() == pytest.approx((1.0, 0.0))
 
 
@@ -148,13 +148,13 @@ def test_presses_of_a_person_that_slowly_grow_harder_are_not_taken_for_gain() ->
     use, tracker = begun(presses(200.0, timing=0.04))
     output = presses(1200.0, seed=4, timing=0.04)
     grown = 1 + (output - 1) * np.linspace(1.0, 1.25, len(output))
-    start = tracker.doubt_at(0.0).growth
+    start = tracker.uncertainty_at(0.0).error_inflation
 
     seen = observe(tracker, grown, use)
 
     assert error_of(tracker, 1.0, 0.0) < 0.02
     assert seen[-1].reason == USE_OR_GAIN
-    assert tracker.doubt_at(1200.0).growth > start + 0.2
+    assert tracker.uncertainty_at(1200.0).error_inflation > start + 0.2
 
 
 def test_weaker_presses_of_a_harder_use_do_not_drag_the_gain_after_it() -> None:
@@ -219,7 +219,7 @@ def test_another_load_of_a_bent_sensor_that_turns_above_zero_load_is_use(
     levels = np.linspace(-0.5, 2.5, 300)
     curve = RestCurve(sensed(levels), levels)
     load = rest + (1 - rest) * (presses(400.0, timing=0.04) - 1.0)
-    use = learn_use(recorded(sensed(load)), True, 1.0, curve=curve)
+    use = learn_operation(recorded(sensed(load)), True, 1.0, curve=curve)
     tracker = DriftTracker(use)
     used = rest + (1 - rest) * (presses(1600.0, seed=2, timing=0.04) - 1.0)
 
@@ -249,12 +249,12 @@ def test_loads_that_grow_slowly_from_a_preload_are_use_although_a_filter_lags() 
 
     calibrated, used_load = strained(5000), strained(12_000) * np.linspace(1.0, 1.2, 12_000)
     levels = np.linspace(1.6, 0.0, 200)
-    use = learn_use(read(calibrated), False, 2.5, curve=RestCurve(sensed(levels), levels))
+    use = learn_operation(read(calibrated), False, 2.5, curve=RestCurve(sensed(levels), levels))
     used = read(used_load)
-    cutter, tracker = CycleCutter(use.low, use.high, use.usual, use.longest, CYCLE), DriftTracker(use)
+    segmenter, tracker = CycleSegmenter(use.low, use.high, use.cycle_samples, use.max_samples, CYCLE), DriftTracker(use)
     largest = 0.0
     for k in range(0, len(used), 32):
-        for cycle in cutter.advance(used.t_s[k : k + 32], used.output[k : k + 32]):
+        for cycle in segmenter.advance(used.t_s[k : k + 32], used.output[k : k + 32]):
             tracker.observe(cycle)
             gain, offset = tracker.correction()
             ends = np.array([use.low, use.high])
@@ -263,7 +263,7 @@ def test_loads_that_grow_slowly_from_a_preload_are_use_although_a_filter_lags() 
 
 
 def test_pause_keeps_the_swing_that_cycles_are_cut_with() -> None:
-    use = calibrated_use()
+    use = calibrated_operation()
     walk = presses(100.0, seed=2)
     pause = 1.0 + 0.002 * np.random.default_rng(3).normal(size=3000)
 
@@ -275,7 +275,7 @@ def test_pause_keeps_the_swing_that_cycles_are_cut_with() -> None:
 
 
 def test_cycles_are_found_again_after_values_far_beyond_them() -> None:
-    use = calibrated_use()
+    use = calibrated_operation()
     walk = presses(100.0, seed=2)
     fault = np.random.default_rng(3).choice([-20.0, 20.0], 1000)
 
@@ -290,7 +290,7 @@ def test_reseated_sensor_is_followed_after_the_stated_cycles() -> None:
     seen = observe(tracker, 0.95 * presses(200.0, seed=6) + 0.25, use, 200.0)
 
     first = next(k for k, observation in enumerate(seen) if observation.verdict == JUMPED)
-    assert first <= UseMethod().jump.cycles
+    assert first <= DriftTracking().jump.cycles
     assert error_of(tracker, 0.95, 0.25) < 0.02
 
 
@@ -351,9 +351,9 @@ def test_gain_known_before_a_reseating_is_known_after_it() -> None:
     output = presses(1200.0, seed=4, timing=0.04)
     share = np.minimum(1.0, np.arange(len(output)) / (0.7 * len(output)))
     drifted = output * (1 - 0.08 * share) + 0.25 * share
-    reseated = presses(40.0, seed=6, timing=0.04) * 0.92 + 0.45
+    after_reseating = presses(40.0, seed=6, timing=0.04) * 0.92 + 0.45
 
-    for cycle in cycles_of(np.concatenate([drifted, reseated]), use):
+    for cycle in cycles_of(np.concatenate([drifted, after_reseating]), use):
         if tracker.observe(cycle).verdict == JUMPED:
             break
 
@@ -435,15 +435,15 @@ def test_recording_without_cycles_says_so() -> None:
     ramp = np.concatenate([np.linspace(0, 1, 3000), np.linspace(1, 0, 3000)])
     ramp += 0.001 * np.random.default_rng(0).normal(size=6000)
 
-    lesson = calibrated_use(ramp).lesson
+    learning = calibrated_operation(ramp).learning
 
-    assert lesson.activity is None and lesson.reason
+    assert learning.activity is None and learning.reason
 
 
 def test_doubt_grows_while_nothing_is_seen() -> None:
     use, tracker = begun(used_s=200.0)
 
-    doubts = [tracker.doubt_at(t_s).widening for t_s in (200.0, 1000.0, 10_000.0)]
+    doubts = [tracker.uncertainty_at(t_s).interval_inflation for t_s in (200.0, 1000.0, 10_000.0)]
 
     assert doubts[0] < doubts[1] < doubts[2]
 
@@ -453,24 +453,24 @@ def test_a_drift_that_came_in_use_nobody_compared_is_not_sure() -> None:
     seen = observe(tracker, unlike_presses(300.0), use, 400.0)
     assert {one.verdict for one in seen[1:]} == {HELD}
     assert seen[0].shift_sd < 0.1
-    assert seen[-1].shift_sd > UseMethod().drift.unseen
+    assert seen[-1].shift_sd > DriftTracking().drift.unobserved
 
 
 def test_predicted_error_grows_with_use_that_says_nothing() -> None:
     use, tracker = begun(used_s=200.0)
-    doubts = [tracker.doubt_at(200.0).growth]
+    doubts = [tracker.uncertainty_at(200.0).error_inflation]
 
     for start_s in (200.0, 240.0):
         observe(tracker, unlike_presses(40.0), use, start_s)
-        doubts.append(tracker.doubt_at(start_s + 40.0).growth)
+        doubts.append(tracker.uncertainty_at(start_s + 40.0).error_inflation)
 
     assert doubts[0] < doubts[1] < doubts[2]
     observe(tracker, presses(40.0, seed=7), use, 280.0)
-    assert tracker.doubt_at(320.0).growth < doubts[1]
+    assert tracker.uncertainty_at(320.0).error_inflation < doubts[1]
 
 
 def test_state_goes_through_json_and_back() -> None:
-    use = calibrated_use()
+    use = calibrated_operation()
     tracker, other = DriftTracker(use), DriftTracker(use)
     observe(tracker, presses(300.0, seed=8, power=0.4), use)
 
@@ -482,7 +482,7 @@ def test_state_goes_through_json_and_back() -> None:
 
 def test_cycles_twice_as_long_as_the_usual_wait_are_found() -> None:
     """The swing was taken anew after each wait, and a cycle that lasts longer than one was never seen whole."""
-    use = calibrated_use()
+    use = calibrated_operation()
     slow = np.interp(np.arange(60_000) / 3.5, np.arange(60_000), 1.0 + 0.45 * (presses(1200.0, seed=2) - 1.0))
 
     found = cycles_of(slow, use)
@@ -492,7 +492,7 @@ def test_cycles_twice_as_long_as_the_usual_wait_are_found() -> None:
 
 def test_slow_drift_is_followed_no_further_behind_than_its_cycles_scatter() -> None:
     """A mean over ten cycles does not show it beyond chance, one over thirty does."""
-    use = calibrated_use(presses(400.0, scatter=0.08, timing=0.04))
+    use = calibrated_operation(presses(400.0, scatter=0.08, timing=0.04))
     behind = []
     for seed in range(3):
         tracker = DriftTracker(use)
@@ -511,9 +511,9 @@ def test_new_use_that_rests_elsewhere_counts_until_a_known_one_is_seen(lifted: f
     # A re-seating in the moment in which the use changes: taken for a part of the new use, it was never told.
     observe(tracker, presses(400.0, seed=8, power=6.0) + lifted, use, 200.0)
 
-    assert (tracker.doubt_at(600.0).of_use[STRAY] > 0) == is_told
+    assert (tracker.uncertainty_at(600.0).ambiguous[REST_ELSEWHERE] > 0) == is_told
     observe(tracker, presses(200.0, seed=9), use, 600.0)
-    assert tracker.doubt_at(800.0).of_use[STRAY] == 0.0
+    assert tracker.uncertainty_at(800.0).ambiguous[REST_ELSEWHERE] == 0.0
 
 
 @pytest.mark.parametrize(("zero_output", "is_said"), [(1.0, False), (0.8, True), (None, True)])

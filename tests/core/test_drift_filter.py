@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from softcal.core.use.filter import DriftFilter
-from softcal.core.use.state_json import restored, state_of
+from softcal.core.operation.drift_filter import DriftFilter
+from softcal.core.operation.stored_state import from_state, to_state
 
 NOISE = np.array([[0.04, -0.01], [-0.01, 0.02]])
 
@@ -17,32 +17,32 @@ def test_drift_that_stands_is_the_weighted_mean_of_what_was_measured(rng: np.ran
     state = DriftFilter.start(prior).with_independent(np.zeros((2, 2)))
 
     for value in values:
-        state = state.measured(0, value, NOISE)
+        state = state.update(0, value, NOISE)
 
     precision = np.diag(1 / prior**2) + 7 * np.linalg.inv(NOISE)
     expected = np.linalg.solve(precision, np.linalg.solve(NOISE, values.sum(axis=0)))
     np.testing.assert_allclose(state.drift, expected, atol=1e-12)
-    np.testing.assert_allclose(state.doubt(), np.linalg.inv(precision), atol=1e-12)
+    np.testing.assert_allclose(state.drift_covariance(), np.linalg.inv(precision), atol=1e-12)
 
 
 def test_witness_that_was_told_never_knows_the_drift_better_than_it_was_told() -> None:
     state = DriftFilter.start(np.array([0.1, 0.05])).with_learnt(np.zeros((2, 2)))
-    told = state.doubt()
+    told = state.drift_covariance()
 
     for _ in range(200):
-        state = state.measured(0, np.zeros(2), NOISE)
+        state = state.update(0, np.zeros(2), NOISE)
 
-    np.testing.assert_allclose(state.doubt(), told, rtol=1e-9)
-    assert np.trace(state.seen_by(0)[1]) < 1e-6
+    np.testing.assert_allclose(state.drift_covariance(), told, rtol=1e-9)
+    assert np.trace(state.predict_measurement(0)[1]) < 1e-6
 
 
 def test_witness_that_was_told_sees_what_moves_later() -> None:
     state = DriftFilter.start(np.array([0.1, 0.05])).with_learnt(np.zeros((2, 2)))
     moved = np.array([0.3, -0.1])
 
-    state = state.moved(np.eye(2))
+    state = state.predict(np.eye(2))
     for _ in range(400):
-        state = state.measured(0, moved, NOISE)
+        state = state.update(0, moved, NOISE)
 
     np.testing.assert_allclose(state.drift, moved, atol=0.01)
 
@@ -51,10 +51,10 @@ def test_calibrated_witness_corrects_what_others_were_told() -> None:
     state = DriftFilter.start(np.array([0.1, 0.1])).with_independent(np.zeros((2, 2))).with_learnt(np.zeros((2, 2)))
 
     for _ in range(400):
-        state = state.measured(0, np.array([0.08, -0.03]), NOISE)
+        state = state.update(0, np.array([0.08, -0.03]), NOISE)
 
     np.testing.assert_allclose(state.drift, [0.08, -0.03], atol=0.01)
-    np.testing.assert_allclose(state.seen_by(1)[0], [0.0, 0.0], atol=0.01)
+    np.testing.assert_allclose(state.predict_measurement(1)[0], [0.0, 0.0], atol=0.01)
 
 
 def test_forgetting_an_activity_leaves_the_others() -> None:
@@ -73,16 +73,16 @@ def test_covariance_stays_symmetric_and_positive(steps: int, rng: np.random.Gene
     state = DriftFilter.start(np.array([0.1, 0.05])).with_independent(NOISE).with_learnt(NOISE)
 
     for k in range(steps):
-        state = state.moved(1e-6 * np.eye(2)).measured(k % 2, rng.normal(0, 0.1, 2), NOISE)
+        state = state.predict(1e-6 * np.eye(2)).update(k % 2, rng.normal(0, 0.1, 2), NOISE)
 
     np.testing.assert_allclose(state.covariance, state.covariance.T, atol=1e-15)
     assert np.linalg.eigvalsh(state.covariance).min() > -1e-15
 
 
 def test_state_goes_through_json(rng: np.random.Generator) -> None:
-    state = DriftFilter.start(np.array([0.1, 0.05])).with_learnt(NOISE).measured(0, rng.normal(size=2), NOISE)
+    state = DriftFilter.start(np.array([0.1, 0.05])).with_learnt(NOISE).update(0, rng.normal(size=2), NOISE)
 
-    other = restored(DriftFilter, json.loads(json.dumps(state_of(state))))
+    other = from_state(DriftFilter, json.loads(json.dumps(to_state(state))))
 
     np.testing.assert_array_equal(other.mean, state.mean)
     np.testing.assert_array_equal(other.covariance, state.covariance)

@@ -140,15 +140,15 @@ def test_every_family_has_a_device_form_or_a_refusal(name: str, linear_network: 
 
 
 def test_a_converter_gives_back_its_own_codes() -> None:
-    scale = InputScale.of_converter(10, 5.0)
+    scale = InputScale.from_converter(10, 5.0)
     adc = np.arange(1024)
     assert np.array_equal(scale.codes(adc * 5 / 1023), adc * 64)
 
 
 def test_the_default_scale_covers_source_and_unit(linear_network: Network) -> None:
-    scale = InputScale.covering(linear_network, np.array([0.2, 3.1]))
+    scale = InputScale.cover_range(linear_network, np.array([0.2, 3.1]))
     assert (scale.zero, scale.outputs(np.array([65_535]))[0]) == (0.0, pytest.approx(5.0))
-    signed = InputScale.covering(linear_network, np.array([-0.2, 0.4]))
+    signed = InputScale.cover_range(linear_network, np.array([-0.2, 0.4]))
     assert signed.zero == -2.0
 
 

@@ -17,7 +17,7 @@ from softcal.core.export.blob import MINOR, FileRefused, NetworkFile, RefusalCau
 from softcal.core.export.blob_reader import read_network, read_unit
 from softcal.core.export.c_text import intel_hex
 from softcal.core.export.compile_map import Curve, InputScale, MapForm
-from softcal.core.export.device import DeviceOptions, UnitFacts, build_network_file, build_unit_file
+from softcal.core.export.device import DeviceOptions, DeviceRecord, build_network_file, build_unit_file
 from softcal.core.export.integer_network import DeviceMap, IntegerMix, PiecewiseMap
 from softcal.core.export.json_text import (
     json_text,
@@ -26,13 +26,14 @@ from softcal.core.export.json_text import (
     unit_from_values,
     unit_values,
 )
-from softcal.core.export.loader import open_sensor, run_self_test
+from softcal.core.export.loader import run_self_test
 from softcal.core.export.quantise import quantise_map
 from softcal.core.export.shape_mix import Mix
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.config import AnchorConfig
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording
+from tests.device_sensor import estimate_output, open_sensor
 
 Press = Callable[..., LabelledRecording]
 CONFORMANCE = Path(__file__).parents[2] / "firmware" / "conformance"
@@ -48,7 +49,7 @@ def unit_file(linear_network: Network, press: Press, network_file: NetworkFile) 
     recording = press(2, gain=1.1).unlabelled
     unit_map = AffineMap(1 / 1.1, 0.0)
     estimate = linear_network.evaluate(unit_map.apply(recording.windows))
-    facts = UnitFacts("A1", 3, "pass", 1_700_000_000, unit_map, recording, estimate - 0.1, estimate + 0.2, 0.05)
+    facts = DeviceRecord("A1", 3, "pass", 1_700_000_000, unit_map, recording, estimate - 0.1, estimate + 0.2, 0.05)
     return build_unit_file(facts, linear_network, network_file, DeviceOptions()).file
 
 
@@ -200,7 +201,7 @@ def test_estimates_read_back_are_close_to_the_float_ones(
 ) -> None:
     labelled = press(5, gain=1.1)
     sensor = open_sensor(network_file.to_bytes(), unit_file.to_bytes())
-    estimate, lower, upper, flags = sensor.estimate_output(labelled.windows)
+    estimate, lower, upper, flags = estimate_output(sensor, labelled.windows)
     exact = linear_network.evaluate(labelled.windows / 1.1)
     inside = flags == 0
     assert inside.mean() > 0.9
@@ -234,7 +235,7 @@ def test_a_file_with_a_mix_beside_the_largest_curve_fits_into_two_flash_rows(
     assert file.to_bytes()[5:7] == b"\1\0"
     sensor = open_sensor(network_file.to_bytes(), file.to_bytes())
     unit_windows = press(2, gain=1.1).windows
-    estimate, *_ = sensor.estimate_output(unit_windows)
+    estimate, *_ = estimate_output(sensor, unit_windows)
     exact = np.clip(linear_network.evaluate(form.apply(unit_windows)), file.out_min / 1000, file.out_max / 1000)
     assert np.abs(estimate - exact).max() < 0.01
     assert unit_from_values(json.loads(json_text(unit_values(file)))).to_bytes() == file.to_bytes()

@@ -46,7 +46,7 @@ from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Flow
 from softcal.core.twin.empirical_terms import VARIABLES, EmpiricalTerm
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
-from softcal.core.twin.probes import Extent
+from softcal.core.twin.probes import ExcitationRange
 from softcal.core.twin.signals import low_pass
 from softcal.core.words.reason import Reason
 
@@ -823,7 +823,7 @@ def test_a_lead_of_the_twin_ends_at_the_truth():
 
 
 def test_a_menu_has_what_the_rig_can_record():
-    at = Extent(2.5, 6.0, 1.0, 2.0, 8.0, 0.02)
+    at = ExcitationRange(2.5, 6.0, 1.0, 2.0, 8.0, 0.02)
     every = {e.name for e in menu(CASE, at)}
     assert {"rate_sweep", "rest", "dummy_resistor", "dead_weights", "rigid_block", "small_reversals"} <= every
     no_stage = {e.name for e in menu(case_of(run_of(stage_mm=None)), at)}

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from softcal.core.challenge.draw import LINES, SIZES
+from softcal.core.challenge.case_generator import LINES, SIZES
 from softcal.core.challenge.rig import Cause
 from softcal.core.gap.case import Case
 from softcal.core.gap.diagnosis import Diagnosis, diagnose

@@ -1,6 +1,6 @@
 """Units of one lot diagnosed together: shared causes, own sizes, outliers, and units that are left out."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import pytest
@@ -137,7 +137,7 @@ def test_a_drawn_lot_shares_its_cause_and_has_own_sizes():
     lot = draw_lot(11, "usual", 4)
     assert len({tuple(c.effect for c in unit.causes) for unit in lot}) == 1
     assert len({unit.rig.noise_V for unit in lot}) == 4 and len({unit.kept_back.seed for unit in lot}) == 4
-    assert [u.to_record() for u in lot] == [u.to_record() for u in draw_lot(11, "usual", 4)]
+    assert [asdict(u) for u in lot] == [asdict(u) for u in draw_lot(11, "usual", 4)]
 
 
 def as_case(sealed):

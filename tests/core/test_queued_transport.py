@@ -14,12 +14,12 @@ from softcal.core.errors import InputError
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.anchors import AnchoredMap
 from softcal.core.network.network import Network
+from softcal.core.operation.adapter import AdaptConfig, Adapter
+from softcal.core.operation.method import DriftTracking, OnlineConfig
+from softcal.core.operation.queued_transport import QueuedTransport
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import STUCK
-from softcal.core.use.adapter import AdaptConfig, Adapter
-from softcal.core.use.method import OnlineConfig, UseMethod
-from softcal.core.use.queued import QueuedTransport
 from softcal.core.windows import TAPS, windows
 from tests.layers import layered
 
@@ -54,7 +54,7 @@ def bench() -> Bench:
 
 def make(bench: Bench, mode: str, queue: int = QUEUE, pool: Executor | None = None) -> QueuedTransport:
     network, calibration, source = bench
-    config = AdaptConfig(mode, UseMethod(online=OnlineConfig(queue)))
+    config = AdaptConfig(mode, DriftTracking(online=OnlineConfig(queue)))
     return QueuedTransport(network, calibration, source.unlabelled, source, config, pool)
 
 
@@ -123,7 +123,7 @@ def test_improved_the_source_is_the_last_queue_with_its_best_estimates(bench: Be
     assert improved.source is not None and plain.source is not None
     np.testing.assert_array_equal(improved.source.windows, second)
     best = network.evaluate(improved.unit_map.apply(second))
-    np.testing.assert_allclose(network.evaluate(improved.source.placed), best, atol=1e-6)
+    np.testing.assert_allclose(network.evaluate(improved.source.mapped), best, atol=1e-6)
     np.testing.assert_array_equal(plain.source.windows, source.windows)
 
 
@@ -141,14 +141,14 @@ def test_pieces_a_pool_and_a_restart_give_the_same_rows(bench: Bench, mode: str)
     t_s, output_V, _ = stream()
     whole = make(bench, mode).advance(t_s, output_V).estimate
     pool = Prompt()
-    follower, parts = make(bench, mode, pool=pool), []
+    follower, nested_list = make(bench, mode, pool=pool), []
     for k in range(0, len(t_s), 777):
-        parts.append(follower.advance(t_s[k : k + 777], output_V[k : k + 777]).estimate)
+        nested_list.append(follower.advance(t_s[k : k + 777], output_V[k : k + 777]).estimate)
         state = json.loads(json.dumps(follower.state()))
         follower = make(bench, mode, pool=pool)
         assert follower.restore(state) == []
 
-    np.testing.assert_array_equal(np.concatenate(parts), whole)
+    np.testing.assert_array_equal(np.concatenate(nested_list), whole)
 
 
 def test_rows_that_are_no_evidence_enter_no_queue(bench: Bench) -> None:
@@ -206,7 +206,7 @@ def test_queues_that_differ_by_chance_are_said_to_be_unwatched_and_their_error_i
     recording = replace(source.unlabelled, output=read_V(mixed(len(source.reference), 7), 8))
     labelled = LabelledRecording(recording, mixed(len(source.reference), 7))
     follower = QueuedTransport(
-        network, calibration, recording, labelled, AdaptConfig("ot", UseMethod(online=OnlineConfig(QUEUE)))
+        network, calibration, recording, labelled, AdaptConfig("ot", DriftTracking(online=OnlineConfig(QUEUE)))
     )
     force_N = mixed(6000, 9)
 
@@ -239,7 +239,7 @@ def test_known_loads_outlast_every_swap(bench: Bench, mode: str) -> None:
     anchored = replace(calibration, unit_map=AnchoredMap(wrong, 1 / 0.9, REST_V - REST_V / 0.9))
     t_s, _, force_N = stream()
     used_N = 0.6 * force_N
-    config = AdaptConfig(mode, UseMethod(online=OnlineConfig(QUEUE)))
+    config = AdaptConfig(mode, DriftTracking(online=OnlineConfig(QUEUE)))
 
     rows = QueuedTransport(network, anchored, source.unlabelled, source, config).advance(t_s, read_V(used_N, 5))
 

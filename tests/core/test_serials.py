@@ -135,7 +135,7 @@ def test_the_field_of_a_device_turns_back_where_it_is_whole(serial: str) -> None
     serial = check_serial(serial)
     field = blob.serial_field(serial)
     assert len(field) == 20 and field.isascii()
-    shown = blob.serial_of(field)
+    shown = blob.decode_serial(field)
     # What was shortened keeps its own field: both name the same unit.
     assert blob.serial_field(shown) == field
     if len(escape_serial(serial)) <= 20:

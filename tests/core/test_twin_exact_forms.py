@@ -10,14 +10,26 @@ from scipy.optimize import brentq
 from softcal.core.errors import InputError
 from softcal.core.twin import properties
 from softcal.core.twin.catalogue import EFFECTS
-from softcal.core.twin.effects import Effect, Extent, Flow, Hook, Parameter, Placing, Signs, adds, grows, hands_on, sets
+from softcal.core.twin.effects import (
+    Effect,
+    ExcitationRange,
+    Flow,
+    Hook,
+    Parameter,
+    Placing,
+    Signs,
+    adds,
+    grows,
+    hands_on,
+    sets,
+)
 from softcal.core.twin.electronics import CLIPPED_BELOW, digitise
 from softcal.core.twin.empirical_terms import VARIABLES, EmpiricalTerm, MEMORY_s
 from softcal.core.twin.forms import STOPS
 from softcal.core.twin.mechanics import elastic_force, elastic_force_at, soft_contact
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.probes import Shapes, Sizes, TAU_s, Times
-from softcal.core.twin.properties import PROPERTIES, Broken
+from softcal.core.twin.properties import PROPERTIES, Violation
 from softcal.core.twin.signals import completed_presses, direction_state, largest_so_far, low_pass, play, read_at
 from softcal.core.twin.simulate import Chain, EffectSetting, Twin, TwinStream, simulate, twin_from_record, twin_record
 from softcal.core.twin.transduction import COLLAPSED, channel_resistance
@@ -465,7 +477,9 @@ def test_a_term_that_cannot_be_is_refused():
 # Where a search begins.
 
 
-EXTENT = Extent(depth_mm=3.0, force_N=6.0, lowest_V=1.0, highest_V=2.0, duration_s=10.0, period_s=0.02, series_ohm=20.0)
+RANGE = ExcitationRange(
+    depth_mm=3.0, force_N=6.0, lowest_V=1.0, highest_V=2.0, duration_s=10.0, period_s=0.02, series_ohm=20.0
+)
 
 
 def test_natural_units_of_a_case_are_its_ratios():
@@ -473,14 +487,14 @@ def test_natural_units_of_a_case_are_its_ratios():
                 "softness_mm_N": 0.5, "rate_per_s": 0.1, "force_rate_N_s": 0.6, "period_per_duration": 0.002,
                 "per_force2": 1 / 36}  # fmt: skip
     for name, value in expected.items():
-        assert EXTENT.measure(name) == pytest.approx(value)
+        assert RANGE.measure(name) == pytest.approx(value)
 
 
 def test_probes_are_multiples_of_natural_units():
-    assert Sizes((0.5, 2.0), "force_N")(EXTENT) == [(3.0,), (12.0,)]
-    np.testing.assert_allclose(Shapes(0.1, (0.5, 2.0), "depth_mm", "force_N")(EXTENT), [(0.6, 1.5), (0.6, 6.0)])
-    assert Times(0.02)(EXTENT) == [(0.02, tau) for tau in TAU_s if tau < 10.0]
-    assert Times(0.02, without=2)(EXTENT) == [(0.02, tau) for tau in TAU_s if tau < 10.0][2:]
+    assert Sizes((0.5, 2.0), "force_N")(RANGE) == [(3.0,), (12.0,)]
+    np.testing.assert_allclose(Shapes(0.1, (0.5, 2.0), "depth_mm", "force_N")(RANGE), [(0.6, 1.5), (0.6, 6.0)])
+    assert Times(0.02)(RANGE) == [(0.02, tau) for tau in TAU_s if tau < 10.0]
+    assert Times(0.02, without=2)(RANGE) == [(0.02, tau) for tau in TAU_s if tau < 10.0][2:]
     assert list(TAU_s) == sorted(TAU_s)
     ratios = np.diff(np.log(TAU_s))
     assert np.all((ratios > np.log(2.5)) & (ratios < np.log(4.5)))
@@ -494,14 +508,14 @@ def bare(*parameters, **more):
 
 
 def test_without_probes_of_its_own_a_search_begins_at_a_fifth_of_the_usual_size():
-    assert bare(SIZE).probes(EXTENT) == [(pytest.approx(0.1),)]
-    assert bare(SIZE, SHAPE).probes(EXTENT) == [(pytest.approx(0.1), b) for b in (1.0, 4.0, 8.0)]
+    assert bare(SIZE).probes(RANGE) == [(pytest.approx(0.1),)]
+    assert bare(SIZE, SHAPE).probes(RANGE) == [(pytest.approx(0.1), b) for b in (1.0, 4.0, 8.0)]
     wide = bare(SIZE, replace(SHAPE, high=100.0))
-    assert [row[1] for row in wide.probes(EXTENT)] == [1.0, 4.0, 16.0]
-    assert bare(SIZE, signs=Signs(placing=Placing.LINE)).probes(EXTENT) == []
-    assert bare(SIZE, signs=Signs(placing=Placing.LOSSES)).probes(EXTENT) == []
-    assert len(bare(SIZE, signs=Signs(placing=Placing.CEILING)).probes(EXTENT)) == 1
-    doubled = bare(SIZE, SHAPE).probes(EXTENT, lambda p: replace(p, usual=2 * p.usual, high=2 * p.high))
+    assert [row[1] for row in wide.probes(RANGE)] == [1.0, 4.0, 16.0]
+    assert bare(SIZE, signs=Signs(placing=Placing.LINE)).probes(RANGE) == []
+    assert bare(SIZE, signs=Signs(placing=Placing.LOSSES)).probes(RANGE) == []
+    assert len(bare(SIZE, signs=Signs(placing=Placing.CEILING)).probes(RANGE)) == 1
+    doubled = bare(SIZE, SHAPE).probes(RANGE, lambda p: replace(p, usual=2 * p.usual, high=2 * p.high))
     assert doubled == [(pytest.approx(0.2), b) for b in (2.0, 8.0, 16.0)]
 
 
@@ -755,7 +769,7 @@ BROKEN = [
 
 @pytest.mark.parametrize(("holds", "broken"), BROKEN, ids=lambda x: getattr(x, "__name__", ""))
 def test_a_broken_effect_is_told(holds, broken):
-    with pytest.raises(Broken, match="wear"):
+    with pytest.raises(Violation, match="wear"):
         holds(broken)
 
 

@@ -10,10 +10,10 @@ from softcal.core.errors import InputError
 from softcal.core.gap.case import KINDS, Case, Run
 from softcal.core.gap.twin_reach import menu
 from softcal.core.twin import properties
-from softcal.core.twin.catalogue import EFFECTS, OWN_EFFECTS, PLUGINS
+from softcal.core.twin.catalogue import BUILTIN_EFFECTS, EFFECTS, PLUGINS
 from softcal.core.twin.effects import Effect, Hook, Parameter
 from softcal.core.twin.parameters import ReadoutMetadata
-from softcal.core.twin.properties import PROPERTIES, Broken
+from softcal.core.twin.properties import PROPERTIES, Violation
 
 SIDES = [side for effect in EFFECTS.values() for side in (effect, *effect.sides)]
 
@@ -27,7 +27,7 @@ def test_effects_satisfy_the_properties(effect, holds):
 def test_rivals_and_runs_that_an_entry_names_exist():
     t_s = np.arange(200) / 50.0
     run = Run("1", t_s, ReadoutMetadata(), stage_mm=t_s, force_N=t_s, output_V=t_s)
-    known = {entry.name for entry in menu(Case("A", (run,)), properties.EXTENT)}
+    known = {entry.name for entry in menu(Case("A", (run,)), properties.RANGE)}
     for effect in EFFECTS.values():
         assert set(effect.signs.hides_behind) <= set(EFFECTS) - {effect.id}
         assert set(effect.signs.shown_by) <= known, effect.id
@@ -71,14 +71,14 @@ def in_pieces(flow, values, memory):
     ],
 )
 def test_a_broken_effect_is_told(holds, broken):
-    with pytest.raises(Broken, match="wear"):
+    with pytest.raises(Violation, match="wear"):
         holds(broken)
 
 
 def test_plug_ins_stand_behind_the_own_effects(monkeypatch):
     monkeypatch.setattr("softcal.core.twin.properties.GOOD_FOR_TEST", GOOD, raising=False)
     point = EntryPoint("wear", "softcal.core.twin.properties:GOOD_FOR_TEST", "softcal.effects")
-    assert list(PLUGINS.beside(OWN_EFFECTS, [point]))[-1] == "wear"
+    assert list(PLUGINS.beside(BUILTIN_EFFECTS, [point]))[-1] == "wear"
     with pytest.raises(InputError, match="wear"):
         PLUGINS.beside({"wear": GOOD}, [point])
 
@@ -86,4 +86,4 @@ def test_plug_ins_stand_behind_the_own_effects(monkeypatch):
 @pytest.mark.parametrize("value", ["no_such_module:EFFECT", "softcal.core.twin.properties:RATE_Hz"])
 def test_a_plug_in_that_is_none_is_refused_in_one_line(value):
     with pytest.raises(InputError, match="'wear'"):
-        PLUGINS.beside(OWN_EFFECTS, [EntryPoint("wear", value, "softcal.effects")])
+        PLUGINS.beside(BUILTIN_EFFECTS, [EntryPoint("wear", value, "softcal.effects")])

@@ -12,7 +12,7 @@ import pytest
 
 from softcal.core.export.blob import NetworkFile, UnitFile
 from softcal.core.export.compile_map import InputScale
-from softcal.core.export.device import DeviceOptions, UnitFacts, build_network_file, build_unit_file
+from softcal.core.export.device import DeviceOptions, DeviceRecord, build_network_file, build_unit_file
 from softcal.core.maps.affine_map import AffineMap, fit_affine
 from softcal.core.maps.config import AnchorConfig
 from softcal.core.maps.interface import FitProblem
@@ -57,8 +57,8 @@ def real_case(measured_data: Path) -> DeviceCase:
     unit_map = fit_affine(FitProblem(source, network, target.unlabelled))
     network_file = build_network_file(network, source, AnchorConfig())
     estimate = network.evaluate(unit_map.apply(target.windows))
-    facts = UnitFacts("S2", 1, "pass", 0, unit_map, target.unlabelled, estimate - 0.4, estimate + 0.5, 0.3)
-    options = DeviceOptions(InputScale.of_converter(10, 5.0))
+    facts = DeviceRecord("S2", 1, "pass", 0, unit_map, target.unlabelled, estimate - 0.4, estimate + 0.5, 0.3)
+    options = DeviceOptions(InputScale.from_converter(10, 5.0))
     unit_file = build_unit_file(facts, network, network_file, options).file
     return DeviceCase(network, unit_map, network_file, unit_file, target.unlabelled)
 

@@ -140,7 +140,7 @@ class DeviceStream:
         flags |= STALE * ((now_ms - self._last_ms) % 2**32 > self._plan.gap)
         flags |= WRONG_RATE * (not self._plan.is_kept(self._steps[1:]))
         value, reach = int(found.value[0]), self._trim.reach_at(int(found.value[0]))
-        minus, plus = (int(side[0]) for side in self._sensor.reach(found.value))
+        minus, plus = (int(side[0]) for side in self._sensor.half_widths(found.value))
         lower, upper = value - joined(minus, reach), value + joined(plus, reach)
         return value, max(-ACTIVATION_MAX, lower), min(ACTIVATION_MAX, upper), flags
 
@@ -218,7 +218,7 @@ def _load_reach(sensor: DeviceSensor, load: int, spread: int, error: int, misrea
     """
     # 122 / 256 is 1.645 / sqrt(12), 422 / 256 is 1.645, both rounded up.
     read = joined(joined(-(-122 * spread // 256), -(-422 * error // 256)), misread)
-    return joined(read, max(int(side[0]) for side in sensor.reach(np.array([load]))))
+    return joined(read, max(int(side[0]) for side in sensor.half_widths(np.array([load]))))
 
 
 def _at_rest(sensor: DeviceSensor, y: int) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from softcal.core.export.blob import FileRefused
-from softcal.core.export.loader import open_sensor
+from tests.device_sensor import open_sensor
 from tests.firmware.device_stream import DeviceStream
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"

@@ -15,7 +15,8 @@ from softcal.core.export.blob_reader import read_network, read_unit
 from softcal.core.export.c_text import network_header, unit_header
 from softcal.core.export.device import device_cost
 from softcal.core.export.integer_network import IntegerMix
-from softcal.core.export.loader import open_sensor, run_self_test
+from softcal.core.export.loader import run_self_test
+from tests.device_sensor import open_sensor
 from tests.firmware.device_stream import DeviceStream, Trim, TrimResult, find_trim
 
 SAMPLES = 250

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from softcal.core.export.c_text import network_header, unit_header
-from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE, STUCK, WARM_UP, WRONG_RATE, open_sensor
+from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE, STUCK, WARM_UP, WRONG_RATE
 from softcal.core.export.quantise import evaluate_float64
+from tests.device_sensor import estimate_output, open_sensor
 from tests.firmware.device_stream import DeviceStream
 
 Build = Callable[..., Path]
@@ -55,7 +56,7 @@ def test_every_sample_of_a_real_recording_gives_the_integers_of_numpy(
 def test_integers_are_within_3_mN_of_float64_on_the_real_recording(real_case: Any) -> None:
     sensor = open_sensor(real_case.network_file.to_bytes(), real_case.unit_file.to_bytes())
     windows = real_case.recording.windows
-    estimate, *_ = sensor.estimate_output(windows)
+    estimate, *_ = estimate_output(sensor, windows)
     exact = evaluate_float64(real_case.network, real_case.unit_map.apply(windows))
     assert np.abs(estimate - exact).max() <= 0.003
     assert np.sqrt(np.mean((estimate - exact) ** 2)) <= 0.001

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from softcal.core.export.blob import UnitFile
-from softcal.core.export.loader import DeviceSensor, open_sensor
+from softcal.core.export.loader import DeviceSensor
+from tests.device_sensor import open_sensor
 from tests.firmware.device_stream import DeviceStream, Shift, Trim, TrimResult, find_trim, joined
 
 SLOT_BYTES = 256

@@ -10,9 +10,9 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.export.blob import NetworkFile, UnitFile
-from softcal.core.export.device import UnitFacts, build_network_file, build_unit_file
+from softcal.core.export.device import DeviceRecord, build_network_file, build_unit_file
 from softcal.core.export.integer_network import DeviceMap, IntegerMix
-from softcal.core.export.loader import OUT_OF_RANGE, open_sensor, run_self_test
+from softcal.core.export.loader import OUT_OF_RANGE, run_self_test
 from softcal.core.export.quantise import quantise_layer
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.anchors import AnchoredMap
@@ -26,6 +26,7 @@ from softcal.core.unit.state import Trim as UnitTrim
 from softcal.core.unit.trim import trim
 from softcal.core.unit.uncertainty import NORMAL_90, Interval
 from softcal.core.windows import TAPS
+from tests.device_sensor import open_sensor
 from tests.firmware.device_stream import Shift, Trim, TrimResult, find_trim
 
 BAND_N, RANGE_N = 0.08, 3.0
@@ -126,7 +127,7 @@ def both(bridge: ctypes.CDLL) -> Both:
     unit_map = AffineMap(1 / GAIN, -OFFSET_V / GAIN)
     network_file = build_network_file(network, source, AnchorConfig())
     exact = network.evaluate(unit_map.apply(unit.windows))
-    facts = UnitFacts("U1", 1, "pass", 0, unit_map, unit, exact - BAND_N, exact + BAND_N, BAND_N)
+    facts = DeviceRecord("U1", 1, "pass", 0, unit_map, unit, exact - BAND_N, exact + BAND_N, BAND_N)
     unit_file = build_unit_file(facts, network, network_file).file
     return Both(FitProblem(source, network, unit), unit_map, network_file, unit_file, bridge)
 

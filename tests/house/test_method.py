@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from softcal.core.gap.method import GapMethod
+from softcal.core.operation.method import DriftTracking
 from softcal.core.settings import origins
 from softcal.core.unit.method import Method
-from softcal.core.use.method import UseMethod
 
 CORE = Path(__file__).parents[2] / "core"
-ROOMS = ("unit", "maps", "use")
+ROOMS = ("unit", "maps", "operation")
 NO_DECISION = {
     "core/unit/method.py": {"CONFIDENCE", "LEVELS"},  # parts of the file formats, and fields of `Method`
     "core/unit/audit.py": {"INSTANTS"},  # instants of the stored reading
@@ -28,8 +28,8 @@ NO_DECISION = {
     "core/maps/readout_lag.py": {"AVERAGED"},  # noise is averaged away
     "core/maps/crossing.py": {"CACHED"},  # entries of a cache
     "core/maps/synchrony.py": {"NONE", "LONGEST_LAG_s"},  # zeros, and where a search ends
-    "core/use/adapter.py": {"STATE_FORMAT"},  # of the stored state
-    "core/use/batches.py": {"MOST_UPDATES"},  # length of a queue for the caller
+    "core/operation/adapter.py": {"STATE_FORMAT"},  # of the stored state
+    "core/operation/stream_estimator.py": {"MAX_UPDATES"},  # length of a queue for the caller
     "core/gap/case.py": {"SHORTEST", "HALF_WIDTH", "SHIFTED"},  # what is refused, a smoother, and units
     "core/gap/episodes.py": {"SKEW_STEPS", "ACROSS", "MAINS_Hz", "PLACEMENTS"},  # of a solver, and of power lines
     "core/gap/fit.py": {"TOLERANCE", "TRIES", "DIFFERENCE"},  # of a solver
@@ -52,7 +52,7 @@ NO_DECISION = {
     | {"INVERSE_STEPS", "SHARPEST", "RETRACTED_mm", "HARMONICS", "SMOOTH"},
     "core/lot_diagnosis.py": {"FEWEST_UNITS"},  # what is refused
     "core/transfer.py": {"NETWORK"},  # the same network for rig and twins
-    "core/use/cycles.py": {"MOST_KEPT"},  # samples of a buffer; a longer cycle is thinned
+    "core/operation/cycles.py": {"MAX_SAMPLES"},  # samples of a buffer; a longer cycle is thinned
 }
 """Numbers outside the method that cannot change a map, an interval, a forecast or a verdict."""
 
@@ -92,8 +92,8 @@ EXPLAINED = {
         "3": "a third of a window",
         "10": "windows that a press takes",
     },
-    "core/use/activity.py": {"12": "one over the variance of a uniform index from -1/2 to 1/2"},
-    "core/use/adapter.py": {"300": "places of a table over three swings"},
+    "core/operation/activity.py": {"12": "one over the variance of a uniform index from -1/2 to 1/2"},
+    "core/operation/adapter.py": {"300": "places of a table over three swings"},
     "core/maps/anchors.py": {"30": "samples of a straight line", "0.01": "one load stated twice"},
     "core/maps/choose.py": {"5": "a third of a window", "20": "levels of a histogram"},
     "core/maps/paired.py": {
@@ -234,13 +234,13 @@ def test_numbers_of_the_file_formats_cannot_be_changed() -> None:
             Method(**{name: getattr(Method(), name) + 1})
 
 
-@pytest.mark.parametrize("method", [Method(), UseMethod(), GapMethod()], ids=["calibration", "use", "gap"])
+@pytest.mark.parametrize("method", [Method(), DriftTracking(), GapMethod()], ids=["calibration", "use", "gap"])
 def test_every_number_says_where_it_comes_from(method: object) -> None:
     assert [name for name, _, origin in origins(method) if not origin.strip()] == []
 
 
 def test_every_number_of_use_is_part_of_its_identity() -> None:
-    method = UseMethod()
+    method = DriftTracking()
     changes = dict(changed(method))
     assert set(changes) == {name for name, _, _ in method.numbers()}
     for name, config in changes.items():
@@ -281,7 +281,7 @@ FIELDS = {
 
 def test_no_number_is_read_from_the_class_of_a_configuration() -> None:
     """A class has this version's numbers; what is hashed is the method that a unit was calibrated with."""
-    assert {"Method", "ReleaseConfig", "MapConfig", "UseMethod", "GapMethod", "ProofMethod"} <= NUMBERED
+    assert {"Method", "ReleaseConfig", "MapConfig", "DriftTracking", "GapMethod", "ProofMethod"} <= NUMBERED
     read = [
         f"{path.relative_to(ROOT)}:{node.lineno}: {node.value.id}.{node.attr}"
         for path in PRODUCT

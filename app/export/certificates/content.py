@@ -1,15 +1,16 @@
 """The facts of one certificate, gathered once; `pdf.py` and `dcc.py` are two forms of them."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime
+from itertools import pairwise
 
 import numpy as np
 
 from softcal.app.export.calibrated_unit import CalibratedUnit
+from softcal.app.export.certificates import statements
 from softcal.app.export.certificates.laboratory import NOT_STATED, Laboratory
 from softcal.core.errors import InputError
-from softcal.core.lot import escape_serial
+from softcal.core.lot import Lot, escape_serial
 from softcal.core.maps.anchors import AnchoredMap
 from softcal.core.recording import Array
 from softcal.core.unit.budget import COVERAGE, Budget, Reference, Standing, forecast_budget, measured_budget
@@ -17,90 +18,12 @@ from softcal.core.unit.estimate import Estimate, estimate
 from softcal.core.unit.state import Correction, UnitState
 from softcal.core.unit.uncertainty import NORMAL_90, ErrorForecast
 from softcal.core.unit.verdict import Limit, Verdict
+from softcal.core.windows import resting
 from softcal.core.words.figures import decimals_of, telling_decimals, written_value
 from softcal.db.provenance import Provenance
 
 BANDS = 4
-"""The calibrated range is told in this many equal bands."""
-
-PAPER = "Kim, Kwon, Jeon and Park, 2020, Advanced Intelligent Systems, 1900178"
-
-METHODS: Mapping[str, tuple[str, str]] = {
-    "identity": ("the source's network unchanged", "The unit's windows were taken as the source's, unchanged"),
-    "affine": ("one gain and offset", "A gain and an offset were found from the distributions of both outputs"),
-    "two_point": (
-        "rest and peak matched by a line",
-        "A gain and an offset were found from rest and peak of the unit's output, blind to how long and how fast it "
-        "was pressed",
-    ),
-    "monotone": (
-        "one-dimensional optimal transport",
-        "Equal quantiles of both outputs were matched (one-dimensional optimal transport)",
-    ),
-    "averaged": (
-        "half way between rest and peak, and equal quantiles",
-        "The line through rest and peak of both outputs was averaged with the curve through their equal quantiles",
-    ),
-    "synchronous": (
-        "pairs at equal time",
-        "Unit and source were pressed by one load at once; the map was fitted to the pairs of their windows",
-    ),
-    "stage_matched": (
-        "pairs at equal stage position",
-        "The map was fitted to pairs of windows at equal stage positions of unit and source",
-    ),
-    "shared_load": (
-        "pairs with the common load of the lot",
-        "Units of the lot were pressed by one load at once; the map was fitted to pairs with what the others read",
-    ),
-    "exact": (
-        "exact discrete optimal transport",
-        f"Windows were matched by exact discrete optimal transport ({PAPER}, eq. 3)",
-    ),
-    "joint": (
-        "joint transport of windows and labels",
-        "Windows and estimates were matched together by joint optimal transport (Courty et al. 2017)",
-    ),
-}
-"""By family of the map: its name, and how it was found."""
-
-DECISION_RULE = (
-    "E is the error that decides: the measured one where the unit was measured, else the predicted one. E_lower to "
-    "E_upper is its 95 % interval; where audits of other units decide, E_upper is the most that they leave open. TL is "
-    "the limit. U_ref is the expanded uncertainty (k = 2) of the source's reference. AL = sqrt(TL^2 - U_ref^2). Pass: "
-    "E_upper <= AL, and an audit of the unit or of its lot stands behind E. Conditional pass: E <= TL. Fail: E > TL. "
-    "What was found against the unit makes the word worse, never better, and stands beside the verdict. U_est, the "
-    "expanded uncertainty of one estimate, decides nothing. The guard band is E_upper - E (ILAC-G8:09/2019, 4.2.3)."
-)
-
-WITHHELD: Mapping[str, str] = {
-    "simulated": "no real unit was calibrated",
-    "no_limit": "no limit was stated",
-    "no_reference": "nobody stated what the source was compared with",
-    "reference": "the reference cannot be relied on",
-    "known_loads": "the map was set by known loads, nobody stated what these are traced to, and no audit followed",
-    "no_interval": "the interval of the error is not known",
-    "retest": "nothing can be said about the unit yet",
-}
-"""Why no statement of conformity is made, by code."""
-
-NOT_COMPARED = (
-    "The error of this unit is predicted from unlabelled data; the unit itself was not compared with a load cell."
-)
-SAMPLED = "Audits of other units of the lot stand behind the interval of the predicted error."
-COMPARED = (
-    "The unit was also compared with a reference on an audit recording; the measured error is stated. What the lot "
-    "states of its reference is said of the source's recording."
-)
-TRIMMED = "The errors stated are those of the map before its trim; the unit was not compared with a reference since."
-ONLY_THIS = (
-    "The results relate only to the item named above, in the condition it was in. This certificate may be reproduced "
-    "in full only."
-)
-SIMULATED = (
-    "SIMULATED: the recordings come from a simulated station. No instrument was used, no real unit was calibrated, and "
-    "nothing is metrologically traceable."
-)
+"""The calibrated range is divided into this many equal bands."""
 
 
 @dataclass(frozen=True)
@@ -114,11 +37,11 @@ class Uncertainty:
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """What is certified and what it rests on. Errors and ranges are in `reference_unit`.
+    """What is certified and what it rests on. Errors and ranges are in `lot.reference_unit`.
 
     Args:
         identifier: unique over all certificates of a registry.
-        made_on: UTC date the calibration was calculated.
+        calculated_on: UTC date the calibration was calculated.
         in_registry_since, source_since: UTC dates recordings of unit and source came in.
         low, high: range that both the source's reference and the unit's own recording cover.
         forecast, measured: predicted RMSE, and that on an audit recording, if any.
@@ -126,32 +49,27 @@ class Certificate:
         is_sampled: whether audits of other units decided.
         is_trimmed: whether its map was trimmed since it was judged by its recording and its audit.
         reference: what the source was compared with; None where nobody said.
-        bars: why the reference lets no unit pass; empty where it does.
+        blocking_reasons: why the reference lets no unit pass; empty where it does.
         budget: at the source's RMS load; None after a trim.
         by_loads: what known loads did to the map; empty where there were none.
         by_audits: what was taken off the map as audited units misread alike, if any.
-        rows: how many rows of its audit have an estimate, and how many have none.
-        made_because: why this revision was made, in the registry's words.
+        audit_rows: how many rows of its audit have an estimate, and how many have none.
+        revision_reason: why this revision was made, in the registry's words.
         bands: U_est by range; none where no estimate lies in the source's range.
         output, mapped: (k,) output levels of this unit and the source output each stands for.
         estimated: the unit's own recording as estimated, with U_est around it.
     """
 
     identifier: str
-    made_on: date
+    calculated_on: date
     in_registry_since: date
     source_since: date | None
     issued_on: date
     laboratory: Laboratory
     serial: str
     revision: int
-    lot: str
-    sensor_model: str
+    lot: Lot
     source: str
-    quantity: str
-    output_unit: str
-    reference_unit: str
-    sample_rate_Hz: float
     samples: int
     low: float
     high: float
@@ -164,11 +82,11 @@ class Certificate:
     is_sampled: bool
     is_trimmed: bool
     reference: Reference | None
-    bars: tuple[str, ...]
+    blocking_reasons: tuple[str, ...]
     budget: Budget | None
     map_family: str
     by_loads: str
-    made_because: str
+    revision_reason: str
     map_sha256: str
     provenance: Provenance
     bands: tuple[Uncertainty, ...]
@@ -176,23 +94,23 @@ class Certificate:
     mapped: Array
     estimated: Estimate
     by_audits: str = ""
-    left_out: int = 0
-    rows: str = ""
+    excluded_samples: int = 0
+    audit_rows: str = ""
 
     @property
     def recorded(self) -> str:
         """How many samples it rests on, and how many of its file were left out."""
-        left_out = f" (invalid samples left out: {self.left_out})" if self.left_out else ""
-        return f"{self.samples} samples at {self.sample_rate_Hz:g} Hz{left_out}"
+        left_out = f" (invalid samples left out: {self.excluded_samples})" if self.excluded_samples else ""
+        return f"{self.samples} samples at {self.lot.sample_rate_Hz:g} Hz{left_out}"
 
     @property
     def basis(self) -> str:
         """Whether the error was predicted or measured."""
         if self.is_trimmed:
-            return TRIMMED
+            return statements.TRIMMED
         if self.measured is not None:
-            return f"{COMPARED} {self.rows}".strip()
-        return f"{NOT_COMPARED} {SAMPLED}" if self.is_sampled else NOT_COMPARED
+            return f"{statements.COMPARED} {self.audit_rows}".strip()
+        return f"{statements.NOT_COMPARED} {statements.SAMPLED}" if self.is_sampled else statements.NOT_COMPARED
 
     @property
     def error(self) -> ErrorForecast | None:
@@ -237,16 +155,16 @@ class Certificate:
     @property
     def withheld(self) -> tuple[str, ...]:
         """Codes of `WITHHELD`: why no statement of conformity is made; empty where one is."""
-        found = {
+        is_withheld = {
             "simulated": self.is_simulated,
             "no_limit": self.limit is None or not self.limit.is_stated,
             "no_reference": self.reference is None,
-            "reference": bool(self.bars),
+            "reference": bool(self.blocking_reasons),
             "known_loads": self.is_by_loads_alone,
             "no_interval": self.error is None or not np.isfinite(self.error.upper),
             "retest": not Verdict(self.verdict).conformity,
         }
-        return tuple(code for code, is_so in found.items() if is_so)
+        return tuple(code for code, is_so in is_withheld.items() if is_so)
 
     @property
     def conformity(self) -> str:
@@ -256,7 +174,7 @@ class Certificate:
     @property
     def no_statement(self) -> str:
         """Why no statement of conformity is made, in a sentence; empty where one is."""
-        why = "; ".join(WITHHELD[code] for code in self.withheld)
+        why = "; ".join(statements.WITHHELD[code] for code in self.withheld)
         return f"No statement of conformity is made: {why}." if why else ""
 
     @property
@@ -273,39 +191,38 @@ class Certificate:
     def is_traceable(self) -> bool:
         """Whether the results are traced to a certificate that held when the reference was used."""
         is_valid = self.reference is not None and self.reference.standing is Standing.VALID
-        return is_valid and not self.bars and not self.is_by_loads_alone
+        return is_valid and not self.blocking_reasons and not self.is_by_loads_alone
 
     @property
     def method_name(self) -> str:
         """The method in a few words, as it was."""
-        return METHODS.get(self.map_family, (self.map_family, ""))[0]
+        return statements.METHODS.get(self.map_family, (self.map_family, ""))[0]
 
     @property
     def method(self) -> str:
-        found = METHODS.get(self.map_family, ("", f"A map of the family {self.map_family} was found"))[1]
+        fit = statements.METHODS.get(self.map_family, ("", f"A map of the family {self.map_family} was found"))[1]
         return (
             "A time-delay network f (15 output samples to one estimate) was trained on the source unit against its "
-            f"reference ({PAPER}). The unit's own output was recorded without a reference. {found}; the unit's "
-            f"estimate is f of the mapped window. Deviations from the method: {self.deviations}."
+            f"reference ({statements.PAPER}). The unit's own output was recorded without a reference. {fit}; the "
+            f"unit's estimate is f of the mapped window. Deviations from the method: {self.deviations}."
         )
 
     @property
     def deviations(self) -> str:
         """What the registry knows and what the laboratory states of deviations from the method."""
         stated = self.laboratory.performance.deviations
-        known = [text for text in (self.by_loads, self.by_audits) if text]
-        return "; ".join([*known, f"others: {stated}"]) if known else stated
+        corrections = [text for text in (self.by_loads, self.by_audits) if text]
+        return "; ".join([*corrections, f"others: {stated}"]) if corrections else stated
 
     @property
-    def place(self) -> str:
+    def location(self) -> str:
         """Where the calibration was performed, as far as somebody stated it."""
         performance = self.laboratory.performance
         if performance.place != NOT_STATED or performance.at == NOT_STATED:
             return performance.place
         address = {"laboratory": self.laboratory.laboratory, "customer": self.laboratory.customer}.get(performance.at)
         parts = () if address is None else (address.street, address.post_code, address.city)
-        told = ", ".join(part for part in parts if part != NOT_STATED)
-        return f"{performance.at}: {told or NOT_STATED}"
+        return f"{performance.at}: {', '.join(part for part in parts if part != NOT_STATED) or NOT_STATED}"
 
     @property
     def began_on(self) -> date:
@@ -316,7 +233,7 @@ class Certificate:
     def ended_on(self) -> date:
         """Last day of performance: as stated, else as the registry knows it."""
         stated = self.laboratory.performance
-        return stated.ended_on or max(self.made_on, stated.began_on or self.made_on)
+        return stated.ended_on or max(self.calculated_on, stated.began_on or self.calculated_on)
 
     @property
     def performed(self) -> str:
@@ -324,7 +241,7 @@ class Certificate:
         stated = self.laboratory.performance
         return (
             f"first day: {stated.began_on or NOT_STATED}; last day: {stated.ended_on or NOT_STATED}; "
-            f"recording in the registry since {self.in_registry_since}; calculated on {self.made_on}"
+            f"recording in the registry since {self.in_registry_since}; calculated on {self.calculated_on}"
         )
 
     @property
@@ -335,8 +252,8 @@ class Certificate:
     @property
     def traceability(self) -> str:
         if self.is_simulated:
-            return SIMULATED
-        cell, chain = self.reference, f"Traced through source unit {self.source} of lot {self.lot}"
+            return statements.SIMULATED
+        cell, chain = self.reference, f"Traced through source unit {self.source} of lot {self.lot.id}"
         if cell is None:
             named = self.laboratory.load_cell.certificate
             remark = "" if named == NOT_STATED else f" (the laboratory names {named}; the verdict was made without it)"
@@ -345,7 +262,7 @@ class Certificate:
                 "metrologically traceable."
             )
         if not self.is_traceable:
-            why = self.bars or (WITHHELD["known_loads"],)
+            why = self.blocking_reasons or (statements.WITHHELD["known_loads"],)
             return f"Not metrologically traceable: {'; '.join(why)}."
         by = f" of {cell.laboratory}" if cell.laboratory else ""
         day = (
@@ -356,23 +273,23 @@ class Certificate:
         return f"{chain} to instrument {cell.cell or NOT_STATED}, certificate {cell.certificate}{by}, which held {day}."
 
 
-def certificate_of(unit: CalibratedUnit) -> Certificate:
+def build_certificate(unit: CalibratedUnit) -> Certificate:
     """Gather the facts (`InputError`: the laboratory names another instrument)."""
     state, lot = unit.state, unit.lot
     fit, scores = state.fit, state.scores
-    found, share = estimate(unit.network, unit.calibration, unit.recording), COVERAGE / NORMAL_90
+    # After a trim the budget of the map before says nothing of this one.
+    is_trimmed = any(why.code == "trimmed" for why in state.blocking_reasons)
+    with_90, share = estimate(unit.network, unit.calibration, unit.recording), COVERAGE / NORMAL_90
     # U_est (k = 2) in place of the 90 % interval.
-    lower = found.estimate - share * (found.estimate - found.lower)
-    estimates = replace(found, lower=lower, upper=found.estimate + share * (found.upper - found.estimate))
+    lower, upper = (with_90.estimate + share * (end - with_90.estimate) for end in (with_90.lower, with_90.upper))
+    estimates = replace(with_90, lower=lower, upper=upper)
     # The map at steady outputs, over the range of the unit's recording.
     output = np.linspace(float(unit.recording.output.min()), float(unit.recording.output.max()), 60)
-    windows = np.repeat(output[:, None], unit.recording.windows.shape[1], axis=1)
-    source, reference = unit.shared.source.reference, fit.reference
-    laboratory = unit.laboratory
-    _check_cell(laboratory, reference)
+    source, reference, laboratory = unit.shared.source.reference, fit.reference, unit.laboratory
+    _check_load_cell(laboratory, reference)
     # The part of the source's range that the unit's recording reaches; all where none.
     low, high = float(source.min()), float(source.max())
-    inside = found.estimate[(found.estimate >= low) & (found.estimate <= high)]
+    inside = estimates.estimate[(estimates.estimate >= low) & (estimates.estimate <= high)]
     if len(inside):
         low, high = float(inside.min()), float(inside.max())
     by_audits = ""
@@ -384,22 +301,17 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
         )
     return Certificate(
         identifier=f"softcal-{escape_serial(unit.serial)}-r{unit.stored.revision}-{state.map_sha256[:8]}",
-        made_on=unit.stored.made_at.date(),
+        calculated_on=unit.stored.made_at.date(),
         in_registry_since=unit.in_registry_since,
         source_since=unit.shared.source_since,
         issued_on=unit.options.issued_on or laboratory.performance.issued_on or datetime.now(UTC).date(),
         laboratory=laboratory,
         serial=unit.serial,
         revision=unit.stored.revision,
-        lot=lot.id,
-        sensor_model=lot.sensor_model,
+        lot=lot,
         source=unit.shared.source.unlabelled.serial,
-        quantity=lot.reference_quantity,
-        output_unit=lot.output_unit,
-        reference_unit=lot.reference_unit,
-        sample_rate_Hz=lot.sample_rate_Hz,
         samples=len(unit.recording),
-        left_out=len(unit.recording.masked),
+        excluded_samples=len(unit.recording.masked),
         low=low,
         high=high,
         forecast=state.forecast,
@@ -408,36 +320,36 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
         reasons=tuple(map(str, unit.reasons)),
         before=None if scores is None else scores.before.rmse,
         measured=None if scores is None else scores.after.interval,
-        rows=_rows(state),
+        audit_rows=_rows(state),
         is_sampled=state.release_in_force is not None,
-        is_trimmed=_is_trimmed(state),
+        is_trimmed=is_trimmed,
         reference=reference,
-        bars=() if reference is None else tuple(map(str, reference.bars(float(source.max())))),
-        budget=_budget(unit, float(np.sqrt(np.mean(source**2)))),
+        blocking_reasons=() if reference is None else tuple(map(str, reference.bars(float(source.max())))),
+        budget=None if is_trimmed else _budget(state, float(np.sqrt(np.mean(source**2)))),
         map_family=fit.family,
         by_loads=_by_loads(state, lot.output_unit),
         by_audits=by_audits,
-        made_because=unit.stored.reason,
+        revision_reason=unit.stored.reason,
         map_sha256=state.map_sha256,
         provenance=unit.provenance,
         bands=_bands(estimates, low, high),
         output=output,
-        mapped=unit.calibration.unit_map.apply(windows)[:, -1],
+        mapped=unit.calibration.unit_map.apply(resting(output))[:, -1],
         estimated=estimates,
     )
 
 
-def _check_cell(laboratory: Laboratory, reference: Reference | None) -> None:
+def _check_load_cell(laboratory: Laboratory, reference: Reference | None) -> None:
     """Refuse a certificate about another instrument than the verdict was made with."""
     if reference is None or reference.is_simulated:
         return
     named = laboratory.load_cell
     # A lot may state a certificate and leave the serial to the laboratory.
     serials = ("serial", named.serial, reference.cell or named.serial)
-    for what, said, stated in (("certificate", named.certificate, reference.certificate), serials):
-        if said not in (NOT_STATED, stated):
+    for what, message, stated in (("certificate", named.certificate, reference.certificate), serials):
+        if message not in (NOT_STATED, stated):
             raise InputError(
-                f"laboratory file: load cell {what} {said}, but the lot states {stated or 'none'}; correct the one "
+                f"laboratory file: load cell {what} {message}, but the lot states {stated or 'none'}; correct the one "
                 "that is wrong; no certificate was written"
             )
 
@@ -448,11 +360,6 @@ def _rows(state: UnitState) -> str:
         return ""
     left_out = ", ".join(f"{flag} {count}" for flag, count in state.scores.unscored.items() if count)
     return f"Rows of the audit that have an estimate: {state.scores.after.rows}; without one: {left_out or 'none'}."
-
-
-def _is_trimmed(state: UnitState) -> bool:
-    """Return whether the map was trimmed and not measured since."""
-    return any(why.code == "trimmed" for why in state.blocking_reasons)
 
 
 def _by_loads(state: UnitState, unit: str) -> str:
@@ -467,11 +374,8 @@ def _by_loads(state: UnitState, unit: str) -> str:
     )
 
 
-def _budget(unit: CalibratedUnit, load: float) -> Budget | None:
-    state, fit = unit.state, unit.state.fit
-    # What is known of the map before a trim says nothing of this one.
-    if _is_trimmed(state):
-        return None
+def _budget(state: UnitState, load: float) -> Budget | None:
+    fit = state.fit
     if state.scores is not None:
         return measured_budget(state.scores.after.rmse, fit.reference, load)
     if "model" not in fit.budget:
@@ -486,11 +390,9 @@ def band_range(band: Uncertainty) -> str:
 
 def _bands(estimates: Estimate, low: float, high: float) -> tuple[Uncertainty, ...]:
     """Mean U_est in equal bands of a range; empty bands are left out."""
-    edges = np.linspace(low, high, BANDS + 1)
     half = (estimates.upper - estimates.lower) / 2
-    bands = []
-    for k in range(BANDS):
-        inside = (estimates.estimate >= edges[k]) & (estimates.estimate <= edges[k + 1])
-        if inside.any():
-            bands.append(Uncertainty(float(edges[k]), float(edges[k + 1]), float(half[inside].mean())))
-    return tuple(bands)
+    return tuple(
+        Uncertainty(start, end, float(half[inside].mean()))
+        for start, end in pairwise(np.linspace(low, high, BANDS + 1).tolist())
+        if (inside := (estimates.estimate >= start) & (estimates.estimate <= end)).any()
+    )

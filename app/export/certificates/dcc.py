@@ -1,9 +1,11 @@
 """The certificate as a Digital Calibration Certificate (PTB, XML, schema 3.1.2) with D-SI units."""
 
 import xml.etree.ElementTree as ET
+from functools import partial
 
-from softcal.app.export.certificates.content import DECISION_RULE, ONLY_THIS, SIMULATED, Certificate, band_range
+from softcal.app.export.certificates.content import Certificate, band_range
 from softcal.app.export.certificates.laboratory import NOT_STATED, Party
+from softcal.app.export.certificates.statements import DECISION_RULE, ONLY_THIS, SIMULATED
 from softcal.core.errors import printable
 from softcal.core.words.figures import written_uncertainty
 
@@ -28,12 +30,12 @@ SI_UNITS = {
 CONFORMITY = {"pass": "pass", "conditional pass": "conditionalPass", "fail": "fail"}
 
 
-def certificate_xml(facts: Certificate) -> bytes:
+def certificate_xml(certificate: Certificate) -> bytes:
     """Return the document, indented, UTF-8; the same facts give the same bytes."""
     ET.register_namespace("dcc", DCC)
     ET.register_namespace("si", SI)
-    results = _node("measurementResults", _result(facts))
-    root = _node("digitalCalibrationCertificate", _administrative(facts), results, schemaVersion=SCHEMA_VERSION)
+    results = _node("measurementResults", _result(certificate))
+    root = _node("digitalCalibrationCertificate", _administrative(certificate), results, schemaVersion=SCHEMA_VERSION)
     ET.indent(root, "  ")
     content: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
     return content + b"\n"
@@ -56,63 +58,63 @@ def _text(name: str, content: str) -> ET.Element:
     return _node(name, _node("content", content, lang="en"))
 
 
-def _stated(name: str, value: str) -> ET.Element | None:
+def _optional_node(name: str, value: str) -> ET.Element | None:
     return None if value == NOT_STATED else _node(name, value)
 
 
-def _administrative(facts: Certificate) -> ET.Element:
-    laboratory, performance = facts.laboratory.laboratory, facts.laboratory.performance
-    person, customer = facts.laboratory.person, facts.laboratory.customer
+def _administrative(certificate: Certificate) -> ET.Element:
+    laboratory, performance = certificate.laboratory.laboratory, certificate.laboratory.performance
+    person, customer = certificate.laboratory.person, certificate.laboratory.customer
     received = performance.received_on
     core = _node(
         "coreData",
         _node("countryCodeISO3166_1", laboratory.country),
         _node("usedLangCodeISO639_1", "en"),
         _node("mandatoryLangCodeISO639_1", "en"),
-        _node("uniqueIdentifier", facts.identifier),
+        _node("uniqueIdentifier", certificate.identifier),
         None if received is None else _node("receiptDate", received.isoformat()),
-        _node("beginPerformanceDate", facts.began_on.isoformat()),
-        _node("endPerformanceDate", facts.ended_on.isoformat()),
+        _node("beginPerformanceDate", certificate.began_on.isoformat()),
+        _node("endPerformanceDate", certificate.ended_on.isoformat()),
         # The schema wants one of five places; the scope says where nobody stated it.
         _node("performanceLocation", "other" if performance.at == NOT_STATED else performance.at),
     )
     item = _node(
         "item",
-        _text("name", f"{_simulated(facts)}Soft sensor {facts.serial}"),
+        _text("name", f"{_simulated(certificate)}Soft sensor {certificate.serial}"),
         _text("description", f"Condition: {performance.condition}"),
         _node("manufacturer", _text("name", NOT_STATED)),
-        _node("model", facts.sensor_model) if facts.sensor_model.strip() else None,
+        _node("model", certificate.lot.sensor_model) if certificate.lot.sensor_model.strip() else None,
         _node(
             "identifications",
-            _identification("other", facts.serial, "Serial number"),
-            _identification("other", facts.lot, "Lot"),
-            _identification("calibrationLaboratory", str(facts.revision), "Revision of the calibration"),
+            _identification("other", certificate.serial, "Serial number"),
+            _identification("other", certificate.lot.id, "Lot"),
+            _identification("calibrationLaboratory", str(certificate.revision), "Revision of the calibration"),
         ),
     )
     responsible = _node(
         "respPerson",
         _node("person", _text("name", person.name)),
-        _stated("role", person.role),
+        _optional_node("role", person.role),
         None if person.name == NOT_STATED else _node("mainSigner", "true"),
     )
     return _node(
         "administrativeData",
-        _node("dccSoftware", _software(facts)),
+        _node("dccSoftware", _software(certificate)),
         core,
         _node("items", item),
         _node("calibrationLaboratory", _contact("contact", laboratory)),
         _node("respPersons", responsible),
         _contact("customer", customer),
-        _statements(facts),
+        _statements(certificate),
     )
 
 
-def _simulated(facts: Certificate) -> str:
-    return "SIMULATED: " if facts.is_simulated else ""
+def _simulated(certificate: Certificate) -> str:
+    return "SIMULATED: " if certificate.is_simulated else ""
 
 
-def _software(facts: Certificate) -> ET.Element:
-    name, release = facts.provenance.software.split(" ", 1)
+def _software(certificate: Certificate) -> ET.Element:
+    name, release = certificate.provenance.software.split(" ", 1)
     return _node("software", _text("name", name), _node("release", release), _node("type", "application"))
 
 
@@ -122,82 +124,87 @@ def _identification(issuer: str, value: str, name: str) -> ET.Element:
 
 def _contact(name: str, party: Party) -> ET.Element:
     city, country = _node("city", party.city), _node("countryCode", party.country)
-    location = _node("location", city, country, _stated("postCode", party.post_code), _stated("street", party.street))
+    location = _node(
+        "location", city, country, _optional_node("postCode", party.post_code), _optional_node("street", party.street)
+    )
     return _node(name, _text("name", party.name), _node("eMail", party.email), location)
 
 
-def _statements(facts: Certificate) -> ET.Element:
-    verdict = f"Verdict of the line: {facts.verdict}; {'; '.join(facts.reasons)}."
-    performed = f"{ONLY_THIS} Place: {facts.place}. Performance: {facts.performed}."
+def _statements(certificate: Certificate) -> ET.Element:
+    verdict = f"Verdict of the line: {certificate.verdict}; {'; '.join(certificate.reasons)}."
+    performed = f"{ONLY_THIS} Place: {certificate.location}. Performance: {certificate.performed}."
     return _node(
         "statements",
-        _node("statement", _text("declaration", SIMULATED)) if facts.is_simulated else None,
+        _node("statement", _text("declaration", SIMULATED)) if certificate.is_simulated else None,
         _node(
             "statement",
             _node("norm", "ILAC-G8:09/2019"),
-            _text("declaration", " ".join((facts.no_statement, DECISION_RULE, verdict))),
-            _node("conformity", CONFORMITY[facts.conformity]) if facts.conformity else None,
+            _text("declaration", " ".join((certificate.no_statement, DECISION_RULE, verdict))),
+            _node("conformity", CONFORMITY[certificate.conformity]) if certificate.conformity else None,
             refType="basic_conformity",
         ),
         _node(
             "statement",
-            _node("traceable", "true" if facts.is_traceable else "false"),
-            _text("declaration", f"{facts.traceability} {facts.basis}"),
+            _node("traceable", "true" if certificate.is_traceable else "false"),
+            _text("declaration", f"{certificate.traceability} {certificate.basis}"),
         ),
         _node("statement", _node("norm", "ISO/IEC 17025:2017"), _text("declaration", performed)),
-        _node("statement", _text("declaration", "Date of issue"), _node("date", facts.issued_on.isoformat())),
+        _node("statement", _text("declaration", "Date of issue"), _node("date", certificate.issued_on.isoformat())),
     )
 
 
-def _result(facts: Certificate) -> ET.Element:
-    because = f" Revision {facts.revision}: {facts.made_because}." if facts.made_because else ""
-    title = f"{_simulated(facts)}Calibration of {facts.quantity}, transferred from source unit {facts.source}"
+def _result(certificate: Certificate) -> ET.Element:
+    because = f" Revision {certificate.revision}: {certificate.revision_reason}." if certificate.revision_reason else ""
+    title = f"{_simulated(certificate)}Calibration of {certificate.lot.reference_quantity}, "
     method = _node(
         "usedMethod",
-        _text("name", f"Transfer calibration: {facts.method_name}"),
-        _text("description", facts.method + because),
+        _text("name", f"Transfer calibration: {certificate.method_name}"),
+        _text("description", certificate.method + because),
     )
-    given, conditions = facts.laboratory.conditions, []
+    ambient, conditions = certificate.laboratory.conditions, []
     for name, kind, value, shift, factor, unit in (
-        ("Temperature", "basic_temperature", given.temperature_C, 273.15, 1.0, r"\kelvin"),
-        ("Relative humidity", "basic_humidityRelative", given.humidity_pct, 0.0, 0.01, r"\one"),
+        ("Temperature", "basic_temperature", ambient.temperature_C, 273.15, 1.0, r"\kelvin"),
+        ("Relative humidity", "basic_humidityRelative", ambient.humidity_pct, 0.0, 0.01, r"\one"),
     ):
         if value is not None:
             quantity = _node("quantity", _text("name", name), _real(value * factor + shift, unit), refType=kind)
             condition = _node("influenceCondition", _text("name", name), _node("data", quantity), refType=kind)
             conditions.append(condition)
-    recorded = f"{facts.recorded}, output in {facts.output_unit}"
-    provenance = [f"Map of family {facts.map_family}, from {recorded}."]
-    provenance += [f"{name}: {value}" for name, value in facts.provenance_rows]
+    recorded = f"{certificate.recorded}, output in {certificate.lot.output_unit}"
+    quantity_of = partial(_quantity, certificate.lot.reference_unit)
+    provenance = [f"Map of family {certificate.map_family}, from {recorded}."]
+    provenance += [f"{name}: {value}" for name, value in certificate.provenance_rows]
     errors = [
-        _quantity(facts, f"{told} root mean square error", error.rmse, facts.interval_of(error))
-        for told, error in (("Predicted", facts.forecast), ("Measured", facts.measured))
+        quantity_of(f"{kind} root mean square error", error.rmse, certificate.interval_of(error))
+        for kind, error in (("Predicted", certificate.forecast), ("Measured", certificate.measured))
         if error is not None
     ]
-    for name, value, note in facts.deciding:
-        errors.append(_quantity(facts, f"{name} ({note})" if note else name, value))
-    if facts.bands:
-        errors.append(_quantity(facts, "Lower end of the calibrated range", facts.low, kind="basic_validityRangeMin"))
-        errors.append(_quantity(facts, "Upper end of the calibrated range", facts.high, kind="basic_validityRangeMax"))
+    for name, value, note in certificate.deciding:
+        errors.append(quantity_of(f"{name} ({note})" if note else name, value))
+    if certificate.bands:
+        errors.append(quantity_of("Lower end of the calibrated range", certificate.low, kind="basic_validityRangeMin"))
+        errors.append(quantity_of("Upper end of the calibrated range", certificate.high, kind="basic_validityRangeMax"))
     budget = None
-    if (of := facts.budget) is not None:
-        what = f"Uncertainty budget of an estimate at {of.load:.4g} {facts.reference_unit} (GUM, JCGM 100:2008)"
+    if (of := certificate.budget) is not None:
+        what = (
+            f"Uncertainty budget of an estimate at {of.load:.4g} {certificate.lot.reference_unit} (GUM, JCGM 100:2008)"
+        )
         values = [(f"Standard uncertainty: {c.name} ({c.distribution})", c.standard) for c in of.contributions]
         values.append(("Combined standard uncertainty", of.standard))
         values.append(("U_est: expanded uncertainty, k = 2", of.expanded))
-        budget = _listed(what, *(_quantity(facts, name, value) for name, value in values))
+        budget = _listed(what, *(quantity_of(name, value) for name, value in values))
     results = (
         _listed("Error of the unit", *errors),
-        _listed("U_est: expanded uncertainty of an estimate, k = 2, by range of the estimate", _expanded(facts)),
+        _listed("U_est: expanded uncertainty of an estimate, k = 2, by range of the estimate", _expanded(certificate)),
         budget,
-        _listed("Provenance", *(_text("text", said) for said in provenance)),
+        _listed("Provenance", *(_text("text", message) for message in provenance)),
     )
     return _node(
         "measurementResult",
-        _text("name", title),
+        _text("name", f"{title}transferred from source unit {certificate.source}"),
         _node("usedMethods", method),
-        _node("usedSoftware", _software(facts)),
-        _load_cell(facts),
+        _node("usedSoftware", _software(certificate)),
+        _load_cell(certificate),
         _node("influenceConditions", *conditions) if conditions else None,
         _node("results", *results),
     )
@@ -207,14 +214,14 @@ def _listed(name: str, *data: ET.Element) -> ET.Element:
     return _node("result", _text("name", name), _node("data", *data))
 
 
-def _load_cell(facts: Certificate) -> ET.Element | None:
-    cell, reference = facts.laboratory.load_cell, facts.reference
-    if reference is None or not reference.certificate or facts.is_simulated:
+def _load_cell(certificate: Certificate) -> ET.Element | None:
+    cell, reference = certificate.laboratory.load_cell, certificate.reference
+    if reference is None or not reference.certificate or certificate.is_simulated:
         return None
     issuer, serial = reference.laboratory or cell.laboratory, reference.cell or cell.serial
-    certificate = quantities = None
+    issued = quantities = None
     if cell.certificate_sha256:
-        certificate = _node(
+        issued = _node(
             "certificate",
             _text("referral", f"Calibration certificate by {issuer}"),
             _node("referralID", reference.certificate),
@@ -224,7 +231,11 @@ def _load_cell(facts: Certificate) -> ET.Element | None:
     if reference.uncertainty is not None:
         name = f"U_cell: expanded uncertainty of its certificate, k = {reference.coverage_factor:g}"
         quantity = _quantity(
-            facts, name, reference.uncertainty, kind="basic_uncertainty", element="measuringEquipmentQuantity"
+            certificate.lot.reference_unit,
+            name,
+            reference.uncertainty,
+            kind="basic_uncertainty",
+            element="measuringEquipmentQuantity",
         )
         quantities = _node("measuringEquipmentQuantities", quantity)
     identifications = _node(
@@ -235,9 +246,9 @@ def _load_cell(facts: Certificate) -> ET.Element | None:
     equipment = _node(
         "measuringEquipment",
         _text("name", "Reference of the source's calibration"),
-        certificate,
+        issued,
         None if cell.manufacturer == NOT_STATED else _node("manufacturer", _text("name", cell.manufacturer)),
-        _stated("model", cell.model),
+        _optional_node("model", cell.model),
         identifications,
         quantities,
         refType="basic_normalUsed",
@@ -246,7 +257,7 @@ def _load_cell(facts: Certificate) -> ET.Element | None:
 
 
 def _quantity(
-    facts: Certificate,
+    reference_unit: str,
     name: str,
     value: float | None,
     interval: tuple[float, float] | None = None,
@@ -254,11 +265,11 @@ def _quantity(
     element: str = "quantity",
 ) -> ET.Element:
     if value is None:
-        said = _text("noQuantity", NOT_STATED)
-    elif facts.reference_unit not in SI_UNITS:
-        said = _text("noQuantity", f"{value:.6g} {facts.reference_unit}")
+        message = _text("noQuantity", NOT_STATED)
+    elif reference_unit not in SI_UNITS:
+        message = _text("noQuantity", f"{value:.6g} {reference_unit}")
     else:
-        factor, unit = SI_UNITS[facts.reference_unit]
+        factor, unit = SI_UNITS[reference_unit]
         coverage = None
         if interval is not None:
             low, high = (end * factor for end in interval)
@@ -269,20 +280,22 @@ def _quantity(
                 _node("si:intervalMax", _number(high)),
                 _node("si:coverageProbability", "0.95"),
             )
-        said = _real(value * factor, unit, coverage)
-    return _node(element, _text("name", name), said, **({"refType": kind} if kind else {}))
+        message = _real(value * factor, unit, coverage)
+    return _node(element, _text("name", name), message, **({"refType": kind} if kind else {}))
 
 
-def _expanded(facts: Certificate) -> ET.Element:
-    if facts.reference_unit not in SI_UNITS or not facts.bands:
-        bands = "; ".join(f"{band_range(b)}: U_est = {written_uncertainty(b.expanded)}" for b in facts.bands)
-        return _text("text", f"{bands} {facts.reference_unit}" if bands else "no estimate lies in the calibrated range")
-    factor, unit = SI_UNITS[facts.reference_unit]
+def _expanded(certificate: Certificate) -> ET.Element:
+    if certificate.lot.reference_unit not in SI_UNITS or not certificate.bands:
+        bands = "; ".join(f"{band_range(b)}: U_est = {written_uncertainty(b.expanded)}" for b in certificate.bands)
+        return _text(
+            "text", f"{bands} {certificate.lot.reference_unit}" if bands else "no estimate lies in the calibrated range"
+        )
+    factor, unit = SI_UNITS[certificate.lot.reference_unit]
     quantities = []
     for name, values in (
-        ("Lower end of the range", [band.low for band in facts.bands]),
-        ("Upper end of the range", [band.high for band in facts.bands]),
-        ("U_est: expanded uncertainty, k = 2", [band.expanded for band in facts.bands]),
+        ("Lower end of the range", [band.low for band in certificate.bands]),
+        ("Upper end of the range", [band.high for band in certificate.bands]),
+        ("U_est: expanded uncertainty, k = 2", [band.expanded for band in certificate.bands]),
     ):
         numbers = _node("si:valueXMLList", " ".join(_number(value * factor) for value in values))
         real = _node("si:realListXMLList", numbers, _node("si:unitXMLList", unit))

@@ -131,8 +131,8 @@ def registry_laboratory(registry: Registry) -> Laboratory:
     return msgspec.convert({row["section"]: row["statements"] for row in rows}, Laboratory)
 
 
-def keep_laboratory(registry: Registry, stated: Laboratory, actor: str | None = None) -> None:
+def store_laboratory(registry: Registry, laboratory: Laboratory, actor: str | None = None) -> None:
     """Keep what every later certificate is to say."""
     with registry.transaction():
-        for section, values in msgspec.to_builtins(stated).items():
+        for section, values in msgspec.to_builtins(laboratory).items():
             registry.declarations.declare("laboratories", {"section": section, "statements": values}, actor=actor)

@@ -40,7 +40,7 @@ class Document:
     author: str
     software: str
     footer: str
-    made_on: date
+    created_on: date
     across: str = ""
     numbering: str = "Page {number} of {count}"
 
@@ -92,10 +92,10 @@ class _NumberedCanvas(Canvas):  # type: ignore[misc]
         pages = self._pages
         for number, page in enumerate(pages, 1):
             self.__dict__.update(page)
-            said = self._page.numbering.format(number=number, count=len(pages))
+            numbering_text = self._page.numbering.format(number=number, count=len(pages))
             self.setFillColor(QUIET)
             self._write(MARGIN, 12 * mm, runs_of(self._page.footer), 7)
-            numbering = runs_of(said)
+            numbering = runs_of(numbering_text)
             self._write(A4[0] - MARGIN - width_of(numbering, 7), 12 * mm, numbering, 7)
             super().showPage()
         super().save()
@@ -126,7 +126,7 @@ def section(title: str, body: Flowable) -> list[Flowable]:
     return [Spacer(1, 4.5 * mm), KeepTogether([heading, Spacer(1, 1.5 * mm), body])]
 
 
-def facts_table(rows: Sequence[tuple[str, str]], size: float = 8) -> Flowable:
+def property_table(rows: Sequence[tuple[str, str]], size: float = 8) -> Flowable:
     """Return a table of names and what is to be said of them."""
     cells = [[paragraph(name, size, QUIET), paragraph(value, size)] for name, value in rows]
     return Table(cells, colWidths=[38 * mm, WIDTH - 38 * mm], style=grid(size))
@@ -193,8 +193,8 @@ class Attachment:
 
 def archival(content: bytes, page: Document, attached: Attachment | None = None) -> bytes:
     """Return a PDF as PDF/A-3, with a file inside where one is given."""
-    made_at = datetime.combine(page.made_on, time(), UTC)
-    stamp = f"D:{made_at:%Y%m%d%H%M%S}+00'00'"
+    created_at = datetime.combine(page.created_on, time(), UTC)
+    stamp = f"D:{created_at:%Y%m%d%H%M%S}+00'00'"
     information = {"/Title": page.title, "/Author": page.author, "/Creator": page.software, "/Producer": page.software}
     result = io.BytesIO()
     with pikepdf.open(io.BytesIO(content)) as pdf:
@@ -202,7 +202,7 @@ def archival(content: bytes, page: Document, attached: Attachment | None = None)
         with pdf.open_metadata(set_pikepdf_as_editor=False, update_docinfo=False) as metadata:
             metadata["dc:title"], metadata["dc:creator"] = page.title, [page.author]
             metadata["xmp:CreatorTool"] = metadata["pdf:Producer"] = page.software
-            metadata["xmp:CreateDate"] = metadata["xmp:ModifyDate"] = made_at.isoformat()
+            metadata["xmp:CreateDate"] = metadata["xmp:ModifyDate"] = created_at.isoformat()
             metadata["pdfaid:part"], metadata["pdfaid:conformance"] = "3", "B"
         for key in list(pdf.docinfo.keys()):
             del pdf.docinfo[key]

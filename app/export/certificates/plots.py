@@ -22,8 +22,8 @@ HEIGHT = 112.0
 SHOWN_S = 20.0
 """So much of a recording is shown: several presses, and the interval can be seen."""
 
-MOST_TICKS = 7
-MOST_POINTS = 1200
+MAX_TICKS = 7
+MAX_POINTS = 1200
 """A curve is thinned to this many points: more cannot be told apart on paper."""
 
 
@@ -34,14 +34,14 @@ class Level(NamedTuple):
     name: str
 
 
-def estimate_plot(facts: Certificate, width: float) -> Drawing:
+def estimate_plot(certificate: Certificate, width: float) -> Drawing:
     """Draw the estimates of the unit's own recording over time, with U_est around them."""
-    estimated = facts.estimated
+    estimated = certificate.estimated
     rows = np.flatnonzero(np.isfinite(estimated.estimate))
     rows = rows[estimated.t_s[rows] <= estimated.t_s[rows[0]] + SHOWN_S]
-    rows = rows[:: max(1, math.ceil(len(rows) / MOST_POINTS))]
+    rows = rows[:: max(1, math.ceil(len(rows) / MAX_POINTS))]
     t_s, lower, upper = estimated.t_s[rows], estimated.lower[rows], estimated.upper[rows]
-    labels = "t, s", f"{facts.quantity}, {facts.reference_unit}"
+    labels = "t, s", f"{certificate.lot.reference_quantity}, {certificate.lot.reference_unit}"
     axes = _Axes.around(t_s, np.concatenate([lower, upper]), width, labels)
     drawing = axes.drawing
     edge = axes.points(np.concatenate([t_s, t_s[::-1]]), np.concatenate([lower, upper[::-1]]))
@@ -50,12 +50,15 @@ def estimate_plot(facts: Certificate, width: float) -> Drawing:
     return drawing
 
 
-def map_plot(facts: Certificate, width: float) -> Drawing:
+def map_plot(certificate: Certificate, width: float) -> Drawing:
     """Draw which source output each steady output of the unit stands for."""
-    labels = f"output of unit {facts.serial}, {facts.output_unit}", f"source output, {facts.output_unit}"
-    axes = _Axes.around(facts.output, facts.mapped, width / 2, labels)
+    labels = (
+        f"output of unit {certificate.serial}, {certificate.lot.output_unit}",
+        f"source output, {certificate.lot.output_unit}",
+    )
+    axes = _Axes.around(certificate.output, certificate.mapped, width / 2, labels)
     drawing = axes.drawing
-    drawing.add(PolyLine(axes.points(facts.output, facts.mapped), strokeColor=CURVE, strokeWidth=1.2))
+    drawing.add(PolyLine(axes.points(certificate.output, certificate.mapped), strokeColor=CURVE, strokeWidth=1.2))
     return drawing
 
 
@@ -120,11 +123,11 @@ class _Axes:
             low, high = float(values.min()), float(values.max())
             margin = share * (high - low) or (abs(high) * 1e-3 or 1.0) * (high == low)
             axis.valueMin, axis.valueMax = (0.0 if is_count and axis is up else low - margin), high + margin
-            axis.maximumTicks, axis.labelTextFormat = MOST_TICKS, "%g"
+            axis.maximumTicks, axis.labelTextFormat = MAX_TICKS, "%g"
             axis.strokeColor, axis.strokeWidth = AXIS, 0.5
             axis.labels.fontName, axis.labels.fontSize, axis.labels.fillColor = PLAIN, SIZE, AXIS
             if is_count and axis is up:
-                axis.valueStep = max(1, math.ceil(axis.valueMax / MOST_TICKS))
+                axis.valueStep = max(1, math.ceil(axis.valueMax / MAX_TICKS))
             axis.setPosition(LEFT, BOTTOM, length)
             axis.configure([(axis.valueMin, axis.valueMax)])
             drawing.add(axis)

@@ -7,7 +7,7 @@ import streamlit as st
 
 from softcal.app.batch.changes import Changes, VerdictChange, reached_lots
 from softcal.app.batch.release import decide_lot
-from softcal.app.export.certificates.lot_statement import lot_statement_facts, lot_statement_pdf
+from softcal.app.export.certificates.lot_statement import build_lot_statement, lot_statement_pdf
 from softcal.app.export.export import withdraw_given
 from softcal.app.export.names import FORMATS
 from softcal.app.jobs.jobs import archive_path
@@ -115,7 +115,7 @@ def _statement(standing: LotStanding) -> None:
                 }
                 for audit in sorted(audits, key=lambda audit: -audit.ratio)[:10]
             )
-    make = partial(lot_statement_pdf, lot_statement_facts(registry(), standing, decided), words())
+    make = partial(lot_statement_pdf, build_lot_statement(registry(), standing, decided), words())
     exported = ("lots", (lot_id,), {"file": "statement.pdf"})
     download(say("release.pdf"), f"{lot_id}-statement.pdf", make, "release-pdf", exported=exported)
 

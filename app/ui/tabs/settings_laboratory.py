@@ -62,5 +62,5 @@ def draw() -> None:
             same = ("laboratory", "issued_on", "due_on", "uncertainty_N")
             facts = {name: getattr(entry, name) for name in same}
             changed["load_cell"] = laboratory.LoadCell(serial=entry.cell_serial, certificate=entry.number, **facts)
-        laboratory.keep_laboratory(registry(), replace(kept, **changed), actor())
+        laboratory.store_laboratory(registry(), replace(kept, **changed), actor())
         finish("laboratory", say("laboratory.saved"))

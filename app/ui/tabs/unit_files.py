@@ -3,7 +3,7 @@
 import streamlit as st
 
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
-from softcal.app.export.export import given_facts
+from softcal.app.export.export import exported_file_record
 from softcal.app.export.formats import writer_of
 from softcal.app.export.names import FORMATS
 from softcal.app.ui.actions import download
@@ -31,6 +31,6 @@ def draw(key: UnitKey, stored: StoredCalibration) -> None:
     with st.container(horizontal=True):
         for name, content in files.items():
             size = f"{len(content)} B" if len(content) < 4096 else f"{len(content) / 1024:.0f} KiB"
-            exported = ("units", (key.lot_id, key.serial), {**given_facts(unit), "file": name})
+            exported = ("units", (key.lot_id, key.serial), {**exported_file_record(unit), "file": name})
             label = f"{name}  ({size})"
             download(label, name, content, f"file-{key}-{stored.revision}-{name}", exported=exported)
