@@ -4,7 +4,7 @@ A sample release and a correction are decisions of the lot, numbered and stored.
 whatever else happens, to the lot or to one of its units, can only withdraw units that they released.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 from typing import Any
@@ -30,6 +30,8 @@ from softcal.db.provenance import Provenance, record_provenance
 from softcal.db.registry import Registry
 
 WHY = "decided on the audits of the lot"
+FEW = 20
+"""So many units are read to learn the method of a lot."""
 
 
 def decide_lot(
@@ -163,6 +165,32 @@ def lot_standing(registry: Registry, lot_id: str) -> LotStanding:
     units, limit = registry.pages.standings(lot_id, serials), limit_or_none(registry, lot_id)
     lot = _Lot(registry, lot_id, _states(units), len(units))
     decided = lot.decided(lot.evidence(), decision_in_force(registry, lot_id).correction) if lot.states else None
+    return LotStanding(lot_id, _rows(registry, lot_id, serials, units), limit, decided)
+
+
+def outline_lot(registry: Registry, lot_id: str) -> LotStanding:
+    """Return where a lot stands without what a release would be decided on: forecasts of audited units alone are read.
+
+    Where the audits of a lot may release other units, those are decided on: then as `lot_standing`.
+    """
+    targets = [unit for unit in registry.lots.units(lot_id) if unit.role == "target"]
+    serials = [unit.serial for unit in targets]
+    some = _states(registry.pages.standings(lot_id, [unit.serial for unit in targets if unit.revision][:FEW]))
+    lot = _Lot(registry, lot_id, some, len(targets))
+    if some and lot.evidence().qualification.is_given:
+        return lot_standing(registry, lot_id)
+    units = {
+        unit.serial: UnitStanding(unit.serial, unit.verdict, unit.reasons, unit.made_at, None)
+        for unit in targets
+        if unit.verdict is not None and unit.made_at is not None
+    }
+    units |= registry.pages.standings(lot_id, sorted(newest_audits(registry, lot_id)))
+    return LotStanding(lot_id, _rows(registry, lot_id, serials, units), limit_or_none(registry, lot_id), None)
+
+
+def _rows(
+    registry: Registry, lot_id: str, serials: Sequence[str], units: Mapping[str, UnitStanding]
+) -> list[UnitInLot]:
     audits, passed = newest_audits(registry, lot_id), registry.calibrations.passed_once(lot_id)
     rows = []
     for serial in serials:
@@ -176,7 +204,7 @@ def lot_standing(registry: Registry, lot_id: str) -> LotStanding:
         forecast = None if state is None else state.fit.forecast.rmse
         is_measured = state is not None and state.decision.is_audited
         rows.append(UnitInLot(serial, unit.verdict, unit.reasons, is_measured, had_passed, at, forecast, measured))
-    return LotStanding(lot_id, rows, limit, decided)
+    return rows
 
 
 def statement_provenance(registry: Registry, lot_id: str) -> Provenance:

@@ -10,7 +10,7 @@ from softcal.app.charts.palette import Palette
 from softcal.app.charts.style import dots, level_line, styled
 from softcal.app.texts.reasons import Words
 from softcal.app.views.audited import AuditedView
-from softcal.app.views.common import thinned
+from softcal.app.views.common import number, thinned
 
 POINTS = 400
 """Dots of one unit; more cost the browser and show nothing."""
@@ -28,7 +28,7 @@ def estimate_over_reference(view: AuditedView, colours: Palette, words: Words) -
     line = {"color": colours.text, "width": 1.5}
     figure.add_scatter(x=ends, y=ends, mode="lines", line=line, name=words("chart.equal"))
     if limit := view.limit_rmse:
-        named = {"name": words("chart.limit.both", limit=f"{limit:.3g} {unit}"), "legendgroup": "l"}
+        named = {"name": words("chart.limit.both", limit=number(limit, unit, limit)), "legendgroup": "l"}
         dashed = {"color": colours.limit, "width": 1.5, "dash": "dash"}
         for shift in (limit, -limit):
             figure.add_scatter(x=ends, y=ends + shift, mode="lines", line=dashed, showlegend=shift > 0, **named)
@@ -55,7 +55,7 @@ def error_over_load(view: AuditedView, colours: Palette, words: Words) -> go.Fig
             hovertemplate=f"{one.serial}: %{{y:.3g}} {unit}<extra></extra>",
         )
     if view.limit_rmse is not None:
-        named = words("chart.limit.named", limit=f"{view.limit_rmse:.3g} {unit}")
+        named = words("chart.limit.named", limit=number(view.limit_rmse, unit, view.limit_rmse))
         level_line(figure, view.limit_rmse, colours.limit, named, dash="dash")
     figure.update_yaxes(rangemode="tozero")
     return styled(figure, colours, f"{view.lot.reference_quantity} [{unit}]", f"RMSE [{unit}]")

@@ -1,7 +1,6 @@
-"""What is compared in one picture: two units, lots, networks and map families."""
+"""What is compared in one picture: two units, and lots."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import plotly.graph_objects as go
@@ -68,23 +67,3 @@ def errors_of_lots(views: Sequence[LotView], colours: Palette, words: Words) -> 
     figure.update_xaxes(type="category").update_yaxes(range=[0.0, 1.1 * max(ends) or 1.0])
     units = sorted({view.lot.reference_unit for view in views})
     return styled(figure, colours, words("choose.lot"), f"{words('column.predicted')} [{', '.join(units)}]")
-
-
-def comparison(rows: Sequence[Mapping[str, Any]], unit: str, colours: Palette, words: Words) -> go.Figure:
-    """Draw the median error of every family with every network, measured and forecast."""
-    networks = list(dict.fromkeys(row["network"] for row in rows))
-    figure = go.Figure()
-    series = (("after", colours.mapped), ("predicted", colours.source))
-    for name, colour in series:
-        for k, network in enumerate(networks):
-            mine = [row for row in rows if row["network"] == network and row[name] is not None]
-            if not mine:
-                continue
-            figure.add_bar(
-                x=[row["family"] for row in mine],
-                y=[row[name] for row in mine],
-                name=f"{words(f'column.{name}')}, {network[:8]}",
-                marker={"color": colour, "opacity": 1.0 - 0.45 * (k / max(1, len(networks) - 1))},
-            )
-    figure.update_yaxes(rangemode="tozero").update_layout(barmode="group", bargroupgap=0.1)
-    return styled(figure, colours, words("column.family"), f"{words('networks.median')} [{unit}]")

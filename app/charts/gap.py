@@ -11,13 +11,15 @@ from plotly.subplots import make_subplots
 from softcal.app.charts.palette import FONTS, LIGHT, Palette
 from softcal.app.charts.style import LEVEL_BARS
 from softcal.app.texts.reasons import Words, said
-from softcal.app.views.gap import channel_name, effect_name, pressed_name, ranked
+from softcal.app.views.common import percent
+from softcal.app.views.gap import channel_name, effect_name, pressed_name, ranked, stage_name
 from softcal.core.recording import Array, Indices
 from softcal.core.words.reason import Reason
 
 CHANNELS = {"output_V": "output", "force_N": "force"}
 """Columns that are drawn, with the name a report has for them."""
 
+CHAIN = ("motion", "mechanics", "transduction", "electronics", "acquisition", "load_cell")
 CHANNEL_UNITS = {"output_V": "mV", "force_N": "mN"}
 
 
@@ -148,6 +150,25 @@ def map_figure(runs: Sequence[RunView], channel: str, say: Words) -> go.Figure |
         figure.add_trace(heat, row=1, col=column)
     scale = {"colorscale": "OrRd", "cmin": 1.0, "cmax": top, "colorbar": {"title": say("gap.figure.scale")}}
     return _styled(figure, 320, coloraxis=scale)
+
+
+def chain_figure(report: Mapping[str, Any], say: Words, colours: Palette = LIGHT) -> go.Figure | None:
+    """Draw the share of the gap by stage of the twin's chain; None for another simulator, whose chain is its own."""
+    if report.get("simulator"):
+        return None
+    shares: dict[str, float] = {}
+    for place in report["where"]:
+        # Stages come first; the rows after them tell the regime, whose share is one of energy.
+        shares.setdefault(place["stage"], min(1.0, max(0.0, float(place["share"]))))
+    unseen, labels = report.get("unseen_stages", ()), []
+    for stage in CHAIN:
+        share = shares.get(stage, 0.0)
+        labels.append(percent(share) if share else say("gap.chain.unjudged" if stage in unseen else "gap.chain.none"))
+    names, x = [stage_name(stage, say) for stage in CHAIN], [shares.get(stage, 0.0) for stage in CHAIN]
+    figure = go.Figure(go.Bar(x=x, y=names, text=labels, marker_color=colours.raw, hoverinfo="skip", **LEVEL_BARS))
+    figure.update_xaxes(range=[0.0, 1.12], tickformat=".0%", title=say("gap.chain.label"))
+    figure.update_yaxes(autorange="reversed")
+    return _styled(figure, 90 + 28 * len(CHAIN), left=150, showlegend=False)
 
 
 def ranking_figure(report: Mapping[str, Any], shown: int, say: Words, colours: Palette = LIGHT) -> go.Figure:

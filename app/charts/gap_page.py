@@ -14,7 +14,6 @@ from softcal.app.charts.page import document, section, table
 from softcal.app.texts.reasons import Words
 from softcal.app.views import gap
 
-CHAIN = ("motion", "mechanics", "transduction", "electronics", "acquisition")
 SHOWN_CAUSES = 10
 OWN_KINDS = {"zero", "gain", "delay", "drift"}
 BOLD = re.compile(r"\*\*(.+?)\*\*")
@@ -28,7 +27,6 @@ h1.ambiguous, h1.explained_in_part { border-color: #b06f00; } h1.unknown { borde
 .note { background: #fff6e0; border: 1px solid #ecd9a6; border-radius: 6px; padding: 8px 12px; }
 .next { background: #eaf3fb; border: 1px solid #bcd7ee; border-radius: 6px; padding: 12px 16px; font-size: 16px; }
 .next p { margin: 4px 0 0; }
-.chain { width: 100%; height: auto; font-size: 14px; }
 .bar { position: relative; background: #eef1f4; border-radius: 4px; min-width: 110px; height: 22px; }
 .bar i { position: absolute; inset: 0 auto 0 0; background: #eab69f; border-radius: 4px; }
 .drawing { width: 100%; height: auto; }
@@ -60,7 +58,7 @@ def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str, sa
         maps = drawings(*(figures.map_figure(runs, channel, say) for channel in figures.channels_of(runs)))
         parts += [
             *([section(say("gap.data.asked"), _rows(asked, "", say))] if asked else []),
-            section(say("gap.where"), "" if report.get("simulator") else chain_svg(report, say), places, maps),
+            section(say("gap.where"), drawings(figures.chain_figure(report, say)), places, maps),
             section(say("gap.why"), ranking, causes, ambiguous),
             section(say("gap.gain"), _gain_words(report, say), _gain_rows(report, runs, say), drawings(gain)),
             *([section(say("gap.told"), f"<ul>{untold}</ul>")] if untold else []),
@@ -195,39 +193,6 @@ def _own_offsets(offsets: Sequence[Mapping[str, Any]], say: Words) -> list[str]:
 
 def _percent(share: float | None) -> str:
     return "–" if share is None else f"{100 * share:.0f} %"
-
-
-def chain_svg(report: Mapping[str, Any], say: Words) -> str:
-    """Return the chain as SVG; the darker a stage, the more of the gap sits there."""
-    shares: dict[str, float] = {}
-    for place in report["where"]:
-        # Stages come first; the rows after them tell the regime, whose share is one of energy.
-        shares.setdefault(place["stage"], float(place["share"]))
-    unseen = report.get("unseen_stages", ())
-    boxes = [_box(stage, 10 + 172 * k, 14, shares.get(stage, 0.0), unseen, say) for k, stage in enumerate(CHAIN)]
-    arrows = [f"<path d='M{156 + 172 * k} 44 h22' marker-end='url(#tip)'/>" for k in range(len(CHAIN) - 1)]
-    cell = _box("load_cell", 354, 108, shares.get("load_cell", 0.0), unseen, say)
-    return (
-        f"<svg class='chain' viewBox='0 0 868 180' role='img' aria-label='{escape(say('gap.chain.label'))}'>"
-        "<defs><marker id='tip' viewBox='0 0 8 8' refX='7' refY='4' markerWidth='7' markerHeight='7' orient='auto'>"
-        "<path d='M0 0L8 4L0 8z' fill='#5b6573' stroke='none'/></marker></defs>"
-        f"<g stroke='#5b6573' stroke-width='1.6' fill='none'>{''.join(arrows)}"
-        f"<path d='M255 74 V138 H348' marker-end='url(#tip)'/></g>{''.join(boxes)}{cell}</svg>"
-    )
-
-
-def _box(stage: str, x: int, y: int, share: float, unseen: Sequence[str], say: Words) -> str:
-    share = min(1.0, max(0.0, share))
-    # No darker than dark letters can be read on.
-    fill = f"rgba(196,68,28,{0.06 + 0.69 * share:.2f})" if share > 0 else "#f3f5f7"
-    ink = "#1c2733"
-    label = _percent(share) if share > 0 else say("gap.chain.unjudged" if stage in unseen else "gap.chain.none")
-    name = escape(gap.stage_name(stage, say))
-    return (
-        f"<g><rect x='{x}' y='{y}' width='146' height='60' rx='8' fill='{fill}' stroke='#aab3bd'/>"
-        f"<text x='{x + 73}' y='{y + 26}' text-anchor='middle' fill='{ink}' font-weight='600'>{name}</text>"
-        f"<text x='{x + 73}' y='{y + 46}' text-anchor='middle' fill='{ink}'>{escape(label)}</text></g>"
-    )
 
 
 def _gain_words(report: Mapping[str, Any], say: Words) -> str:

@@ -24,11 +24,22 @@ def live_signal(signal: Signal, colours: Palette, words: Words, has_force: bool 
         "animation": False,
         "backgroundColor": "transparent",
         "dataset": {"source": table},
-        "grid": {"left": 70, "right": 64, "top": 34, "bottom": 24},
-        "legend": {"top": 0, "left": 0, "textStyle": {"color": colours.text, "fontSize": 14}},
+        "grid": {"left": 70, "right": 64, "top": 34, "bottom": 44},
         "tooltip": {"trigger": "axis"},
-        "xAxis": _axis(colours, type="value", min="dataMin", max="dataMax", name="s", nameGap=6),
-        "yAxis": [_axis(colours, scale=True), _axis(colours, scale=True, splitLine={"show": False})],
+        "xAxis": _axis(
+            colours.text,
+            colours,
+            min="dataMin",
+            max="dataMax",
+            name=words("chart.time"),
+            nameLocation="middle",
+            nameGap=26,
+        ),
+        # Each in the colour of its line, so that the figure needs no legend.
+        "yAxis": [
+            _axis(colours.mapped, colours, scale=True, name=output),
+            _axis(colours.source, colours, scale=True, name=stage, splitLine={"show": False}),
+        ],
         "series": [
             _line("t_s", stage, colours.source, 1.2, yAxisIndex=1, areaStyle={"opacity": 0.1}, z=1),
             _line("t_s", output, colours.mapped, 2.5, yAxisIndex=0, z=2),
@@ -36,8 +47,8 @@ def live_signal(signal: Signal, colours: Palette, words: Words, has_force: bool 
     }
 
 
-def _axis(colours: Palette, **more: Any) -> dict[str, Any]:
-    label = {"color": colours.text, "fontSize": 13, "hideOverlap": True, "showMaxLabel": False, "showMinLabel": False}
+def _axis(ink: str, colours: Palette, **more: Any) -> dict[str, Any]:
+    label = {"color": ink, "fontSize": 13, "hideOverlap": True, "showMaxLabel": False, "showMinLabel": False}
     line = {"lineStyle": {"color": colours.grid}}
     return {"type": "value", "axisLabel": label, "axisLine": line, "splitLine": line, "nameTextStyle": label} | more
 

@@ -1,12 +1,12 @@
-"""A lot into figures: predicted errors, audited scores, control chart, reasons, yields."""
+"""A lot into figures: predicted errors, control chart, reasons, yields."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 from unicodedata import east_asian_width
 
 import numpy as np
 import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from softcal.app.charts import style
 from softcal.app.charts.palette import VERDICT_HATCH, VERDICT_INK, VERDICT_MARK, Palette
@@ -14,16 +14,13 @@ from softcal.app.texts.reasons import Words, plainly
 from softcal.app.views.common import far_end
 from softcal.app.views.lot import LotView, ProcessView
 from softcal.app.views.lot_runs import DESK, YieldAt
-from softcal.core.quality.control_chart import FORBIDDING
 
 BINS = 48
 SHOWN_VALUES = 300
 """So many of the newest values are shown; limits and rules come from all."""
 
-MOST_BARS = 24
-"""Up to so many audited units have bars with their serials; more are ranked."""
-
 MOST_REASONS = 8
+LEVEL_COLOURS = ("limit", "text", "limit")
 
 
 def predicted_errors(view: LotView, colours: Palette, words: Words) -> go.Figure:
@@ -57,59 +54,33 @@ def predicted_errors(view: LotView, colours: Palette, words: Words) -> go.Figure
     return style.styled(figure, colours, title, words("chart.count"))
 
 
-def audit_scores(view: LotView, colours: Palette, words: Words) -> go.Figure:
-    """Draw before, after and own of every audited unit; of many in the order of their error."""
-    audited = sorted(view.audited, key=lambda row: row.after_rmse or 0.0) if _is_many(view) else view.audited
-    figure = go.Figure()
-    series = (("before", colours.raw), ("after", colours.mapped), ("own", colours.source))
-    for name, colour in series:
-        values = [getattr(row, f"{name}_rmse") for row in audited]
-        if not any(value is not None for value in values):
-            continue
-        if _is_many(view):
-            style.dots(figure, None, values, colour, words(f"chart.{name}"))
-        else:
-            bars = [row.serial for row in audited]
-            figure.add_bar(x=bars, y=values, name=words(f"chart.{name}"), marker_color=colour)
-    title = words("chart.rank") if _is_many(view) else words("column.serial")
-    figure.update_xaxes(type="linear" if _is_many(view) else "category").update_yaxes(rangemode="tozero")
-    return style.styled(figure, colours, title, f"RMSE [{view.lot.reference_unit}]")
-
-
-def _is_many(view: LotView) -> bool:
-    return len(view.audited) > MOST_BARS
-
-
 def control_chart_figure(process: ProcessView, unit: str, colours: Palette, words: Words) -> go.Figure:
-    """Draw values and moving ranges of the newest units; broken rules stand out."""
-    chart = process.chart
-    if chart is None:
-        raise ValueError("no control chart without values")
-    first = max(0, len(chart.values) - SHOWN_VALUES)
-    at = np.arange(first, len(chart.values)) + 1
-    figure = make_subplots(rows=2, shared_xaxes=True, vertical_spacing=0.06, row_heights=[0.66, 0.34])
-    names = list(process.serials[first:])
+    """Draw the errors of the newest accepted units on a log scale; where a rule is broken first stands out."""
+    first = max(0, len(process.errors) - SHOWN_VALUES)
+    at, values, names = np.arange(len(process.errors)) + 1, process.errors, process.serials
+    figure = go.Figure()
     line, marker = {"color": colours.source, "width": 1}, {"color": colours.source, "size": 5}
-    ranges = np.concatenate([[np.nan], chart.moving_ranges])
-    for row, (values, digits) in enumerate(((chart.values, 4), (ranges, 3)), 1):
-        hover = f"%{{text}}: %{{y:.{digits}g}} {unit}<extra></extra>"
-        shown = {"text": names, "mode": "lines+markers", "line": line, "marker": marker, "hovertemplate": hover}
-        figure.add_scatter(x=at, y=values[first:], **shown, row=row, col=1)
-    rules: dict[int, list[int]] = {}
-    for signal in chart.signals:
-        if signal.index >= first and signal.rule in FORBIDDING:
-            rules.setdefault(signal.index, []).append(signal.rule)
-    text = [f"{names[k - first]}: {', '.join(words(f'rule.{n}') for n in broken)}" for k, broken in rules.items()]
+    hover = f"%{{text}}: %{{y:.3g}} {unit}<extra></extra>"
+    shown = {"text": names[first:], "mode": "lines+markers", "line": line, "marker": marker, "hovertemplate": hover}
+    figure.add_scatter(x=at[first:], y=values[first:], **shown)
+    rules: dict[int, list[str]] = {}
+    for broken in process.broken:
+        for k in broken.starts:
+            if broken.forbids and k >= first:
+                rules.setdefault(k, []).append(words(f"rule.{broken.rule}"))
+    text = [f"{names[k]}: {', '.join(said)}" for k, said in rules.items()]
     look: dict[str, Any] = {"symbol": "diamond", "text": text, "hovertemplate": "%{text}<extra></extra>"}
-    style.dots(figure, [k + 1 for k in rules], [chart.values[k] for k in rules], colours.limit, None, 10, 1, **look)
-    style.level_line(figure, chart.centre, colours.text, f"{chart.centre:.3g}")
-    for limit in (chart.lower, chart.upper):
-        style.level_line(figure, limit, colours.limit, f"{limit:.3g}", dash="dash")
-    style.level_line(figure, chart.range_upper, colours.limit, f"{chart.range_upper:.3g}", row=2, dash="dash")
-    style.axis_titles(figure, 1, f"{words('column.predicted')} [{unit}]")
-    style.axis_titles(figure, 2, f"{words('chart.range')} [{unit}]", words("chart.order"))
-    figure.update_yaxes(rangemode="tozero", row=2, col=1)
-    return style.coloured(figure, colours, 420).update_layout(showlegend=False, margin_t=20)
+    style.dots(figure, [k + 1 for k in rules], [values[k] for k in rules], colours.limit, None, 10, **look)
+    for level, colour, dash in zip(process.levels, LEVEL_COLOURS, ("dash", "solid", "dash"), strict=True):
+        ink = getattr(colours, colour)
+        figure.add_hline(level, line={"color": ink, "width": 1.5, "dash": dash})
+        # Plotly takes a note's height on such an axis as its logarithm.
+        place = {"x": 1.0, "xref": "paper", "xanchor": "right", "y": math.log10(level), "yanchor": "bottom"}
+        figure.add_annotation(text=f"{level:.3g}", font={"color": ink, "size": 12}, showarrow=False, **place)
+    style.styled(figure, colours, words("chart.order"), f"{words('column.predicted')} [{unit}]")
+    # Of one decade and less the ticks between its ends are written too.
+    figure.update_yaxes(type="log", dtick="D1", exponentformat="none")
+    return figure.update_layout(showlegend=False, margin_t=20)
 
 
 def reasons_pareto(view: LotView, colours: Palette, words: Words) -> go.Figure:

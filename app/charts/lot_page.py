@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from html import escape
 
-from softcal.app.charts.lot import audit_scores, control_chart_figure, predicted_errors, reasons_pareto
+from softcal.app.charts.lot import control_chart_figure, predicted_errors, reasons_pareto
 from softcal.app.charts.page import document, figures, section, table
 from softcal.app.charts.palette import palette
 from softcal.app.texts.reasons import Words
@@ -23,7 +23,7 @@ def lot_page(view: LotView, units: Sequence[UnitEntry], words: Words, made: str)
     listed = "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in facts.items())
     head = f"<header><h1>{escape(view.lot.id)}</h1><dl>{listed}</dl><p>{escape(made)}</p></header>"
     colours, sections = palette(None), [head]
-    drawers = {"errors": predicted_errors, "reasons": reasons_pareto, "scores": audit_scores}
+    drawers = {"errors": predicted_errors, "reasons": reasons_pareto}
     for part in report_parts(view, units, words("lot.table"), words):
         if part.picture == "process":
             shown = figures(control_chart_figure(view.process, view.lot.reference_unit, colours, words))

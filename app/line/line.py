@@ -25,6 +25,9 @@ MOST_CONFLICTS = 5
 START_S = 2.5
 """A start that could not be ordered for so long moves nothing: nobody expects it then."""
 
+NOBODY = "operator"
+"""Who presses where nobody has signed in or scanned a badge."""
+
 BADGE_MARK = " (badge)"
 """Behind a name that a badge gave: nobody has shown that it is theirs."""
 
@@ -133,7 +136,7 @@ def _running(facts: LineFacts) -> dict[str, str]:
 
 
 def _badged(operator: str) -> str:
-    return f"{operator}{BADGE_MARK}" if operator else "operator"
+    return f"{operator}{BADGE_MARK}" if operator else NOBODY
 
 
 def _unit(registry: Registry, facts: LineFacts, scan: Scan) -> Place | Note:
@@ -179,6 +182,8 @@ def _unit(registry: Registry, facts: LineFacts, scan: Scan) -> Place | Note:
 def _start(facts: LineFacts, screen: Screen, who: str) -> Step:
     """Press the unit that waits, or read the load that is asked for; the only way to either."""
     refusal = _start_refusal(facts, screen)
+    if refusal is None and who == NOBODY and facts.lot is not None and facts.lot.rules.is_badge_needed:
+        refusal = Note("badge_first", {"lot": facts.lot.id})
     if refusal is not None:
         return Step(_told(facts, refusal))
     if facts.load is not None and facts.newest is not None:

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import streamlit as st
 
-from softcal.app.files.spreadsheet import csv_text, excel_bytes
+from softcal.app.files.spreadsheet import csv_text
 from softcal.app.registry.given_files import remember_files
 from softcal.app.ui.account import actor, allows, permit, person
 from softcal.app.ui.callbacks import in_one_piece
@@ -22,7 +22,6 @@ MIMES = {
     "html": "text/html",
     "json": "application/json",
     "pdf": "application/pdf",
-    "xlsx": "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet",
     "xml": "application/xml",
     "zip": "application/zip",
 }
@@ -112,11 +111,6 @@ def download(
 def csv_of(rows: Sequence[Mapping[str, object]]) -> bytes:
     """Return rows as CSV; the mark at its beginning tells Excel that these bytes are UTF-8."""
     return csv_text(list(rows[0]) if rows else [], [tuple(row.values()) for row in rows]).encode("utf-8-sig")
-
-
-def excel_of(rows: Sequence[Mapping[str, object]]) -> bytes:
-    """Return rows as a workbook of one sheet."""
-    return excel_bytes(list(rows[0]) if rows else [], [tuple(row.values()) for row in rows])
 
 
 @in_one_piece

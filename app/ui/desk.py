@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from datetime import datetime, tzinfo
 from html import escape
+from typing import Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import streamlit as st
@@ -162,13 +163,13 @@ def verdict_badge(verdict: str | None, beside: str = "") -> None:
     )
 
 
-def choose(label: str, options: list[str], parameter: str) -> str | None:
+def choose(label: str, options: list[str], parameter: str, **look: Any) -> str | None:
     """Let a person choose a name; the choice stays in the address, so that a link keeps it."""
     if not options:
         return None
     wanted = st.query_params.get(parameter)
     index = options.index(wanted) if wanted in options else 0
-    chosen = str(st.selectbox(label, options, index=index, key=f"choose-{parameter}"))
+    chosen = str(st.selectbox(label, options, index=index, key=f"choose-{parameter}", **look))
     if chosen != wanted:
         st.query_params[parameter] = chosen
     in_full(chosen)

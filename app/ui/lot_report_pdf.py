@@ -45,7 +45,7 @@ def lot_report_pdf(registry: Registry, view: LotView, language: str, made: datet
         parts.property_table(list(report_facts(view, say).items())),
     ]
     listed = say("report.bad", shown=len(bad.units), of=bad.total)
-    unit, chart = view.lot.reference_unit, view.process.chart
+    unit, process = view.lot.reference_unit, view.process
     predicted = f"{say('column.predicted')}, {unit}"
     for part in report_parts(view, bad.units, listed, say):
         drawn: Flowable
@@ -55,11 +55,13 @@ def lot_report_pdf(registry: Registry, view: LotView, language: str, made: datet
             if len(values):
                 top = far_end(values, limit)
                 counts, edges = np.histogram(np.minimum(values, top), BINS, (0.0, top))
-                level = None if limit is None else Level(limit, say("chart.limit.named", limit=number(limit, unit)))
+                level = (
+                    None if limit is None else Level(limit, say("chart.limit.named", limit=number(limit, unit, limit)))
+                )
                 drawn = bars_plot(edges, counts.astype(float), level, (predicted, say("chart.count")), parts.WIDTH)
-        elif part.picture == "process" and chart is not None:
-            levels = [Level(limit, number(limit)) for limit in (chart.upper, chart.lower)]
-            drawn = course_plot(chart.values, levels, (say("chart.order"), predicted), parts.WIDTH)
+        elif part.picture == "process":
+            levels = [Level(limit, number(limit)) for limit in (process.levels[0], process.levels[-1])]
+            drawn = course_plot(process.errors, levels, (say("chart.order"), predicted), parts.WIDTH)
         else:
             cells = [[parts.paragraph(cell, 7) for cell in row] for row in (part.header, *part.rows)]
             widths = [parts.WIDTH * share for share in part.shares]

@@ -9,6 +9,7 @@ from urllib.parse import quote, urlencode
 import pandas as pd
 import streamlit as st
 
+from softcal.app.charts.palette import VERDICT, VERDICT_INK, VERDICT_MARK
 from softcal.app.ui.account import person
 from softcal.app.ui.browser_memory import HAS_DRAWN, IS_AWAITED, PLACE
 from softcal.app.ui.callbacks import in_one_piece
@@ -19,6 +20,9 @@ from softcal.app.ui.server_memory import registry
 from softcal.core.lot import UnitKey
 
 NARROWEST_NUMBER_PX = 150
+VERDICT_STYLE = {
+    f"{mark} ": f"background-color: {VERDICT[name]}; color: {VERDICT_INK}" for name, mark in VERDICT_MARK.items()
+}
 NOTHING = "–"
 LONG: Any = {"width": "stretch", "hide_index": True, "placeholder": NOTHING}
 """How a table is drawn that is scrolled in."""
@@ -28,8 +32,8 @@ MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#$:~|!])")
 QUANTITY = re.compile(r"([-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?) ([^\s\d]\S*)")
 LINK_TEXT = "#(.*)$"
 NO_BREAK = "\u00a0"
-CLOSER = "[data-testid=stMainBlockContainer] { padding-top: 1.2rem }"
-"""The bar of pages needs less room above the title than Streamlit leaves."""
+CLOSER = "[data-testid=stMainBlockContainer] { padding-top: 1.2rem; padding-bottom: 1rem }"
+"""The bar of pages needs less room above the title than Streamlit leaves, and nothing stands below a page."""
 
 
 def heading(page: str, title: str = "") -> Any:
@@ -79,7 +83,7 @@ def chosen_lot(page: str) -> str | None:
         empty("empty.lots")
         return None
     with beside:
-        return choose(say("choose.lot"), lots, "lot")
+        return choose(say("choose.lot"), lots, "lot", label_visibility="collapsed")
 
 
 def step(page: str, number: int) -> st.delta_generator.DeltaGenerator:
@@ -193,10 +197,19 @@ def table(listed: Iterable[Mapping[str, object]], otherwise: str = "") -> None:
         return
     if len(rows) > MOST_IN_FULL:
         shown, columns = with_addresses(rows)
-        st.dataframe(pd.DataFrame(shown), column_config=columns, **LONG)
+        st.dataframe(_coloured(shown, shown), column_config=columns, **LONG)
         return
     plain = [{_as_it_is(name): _as_it_is(value) for name, value in row.items()} for row in rows]
-    st.table(pd.DataFrame(plain), border="horizontal", hide_index=True)
+    st.table(_coloured(plain, rows), border="horizontal", hide_index=True)
+
+
+def _coloured(shown: Sequence[Mapping[Any, object]], rows: Sequence[Mapping[str, object]]) -> Any:
+    """Return what is shown as a table in which every verdict has its colour beside its mark."""
+    frame = pd.DataFrame(shown).convert_dtypes()
+    styles = [[VERDICT_STYLE.get(str(value)[:2], "") for value in row.values()] for row in rows]
+    if not any(map(any, styles)):
+        return frame
+    return frame.style.apply(lambda _: pd.DataFrame(styles, frame.index, frame.columns), axis=None)
 
 
 def with_addresses(rows: Sequence[Mapping[str, object]]) -> tuple[list[dict[str, object]], dict[str, Any]]:
@@ -231,8 +244,8 @@ def table_to_choose(
 ) -> int | None:
     """Draw a table to select a row of; return its number, None while none is selected."""
     addressed, links = with_addresses(rows)
-    frame, shown = pd.DataFrame(addressed), {"column_config": {**links, **(columns or {})}, **LONG}
-    event = st.dataframe(frame, key=key, on_select="rerun", selection_mode="single-row", **shown)
+    shown = {"column_config": {**links, **(columns or {})}, **LONG}
+    event = st.dataframe(_coloured(addressed, rows), key=key, on_select="rerun", selection_mode="single-row", **shown)
     chosen = event.selection.rows
     # A selection outlives a filter that leaves fewer rows.
     return int(chosen[0]) if chosen and chosen[0] < len(rows) else None

@@ -1,13 +1,16 @@
 """The registry of this server, and lots as it remembers them until something changes."""
 
-from functools import partial
+from collections.abc import Callable
+from functools import partial, wraps
+from typing import Any, TypeVar, cast
 
 import streamlit as st
 
 from softcal.app.batch.audit import lot_audit
 from softcal.app.batch.changes import Changes, preview, preview_limit
-from softcal.app.batch.release import decide_lot, lot_standing
+from softcal.app.batch.release import decide_lot, lot_standing, outline_lot
 from softcal.app.bootstrap import open_chosen_registry
+from softcal.app.views.audited import AuditedView, audited_view
 from softcal.app.views.lot import EVERY_RUN, LotView, lot_view
 from softcal.app.views.lot_runs import LotFilter
 from softcal.app.views.next_step import NextStep, next_step
@@ -21,51 +24,67 @@ def registry() -> Registry:
     return open_chosen_registry(None)
 
 
-LOTS = 16
+REMEMBERED = 96
+"""Answers about lots, each as it was after one change."""
+
+Reader = TypeVar("Reader", bound=Callable[..., Any])
 
 
+# Not cache_data: it would copy ten thousand rows at every look.
+@st.cache_resource(max_entries=REMEMBERED, show_spinner=False)
+def _remembered(_read: Callable[..., Any], name: str, registry_name: str, lot_id: str, marker: str, *more: Any) -> Any:
+    return _read(lot_id, *more)
+
+
+def remembered(read: Reader) -> Reader:
+    """Return a reader of a lot that reads once per change; every page gets the same, to read only."""
+
+    @wraps(read)
+    def look(lot_id: str, *more: Any) -> Any:
+        marker = registry().pages.change_marker(lot_id)
+        return _remembered(read, read.__name__, str(registry().database.name), lot_id, marker, *more)
+
+    return cast(Reader, look)
+
+
+@remembered
 def remembered_lot_view(lot_id: str, wanted: LotFilter = EVERY_RUN) -> LotView:
-    """Return a lot at a glance, read once per change; every page gets the same, to read only."""
-    return _view(str(registry().database.name), lot_id, registry().pages.change_marker(lot_id), wanted)
+    """Return a lot at a glance."""
+    return lot_view(registry(), lot_id, wanted)
 
 
+@remembered
 def remembered_limit_changes(lot_id: str, rmse: float | None) -> Changes:
-    """Return what another limit would change, decided once per change of the lot."""
-    return _limit_changes(str(registry().database.name), lot_id, registry().pages.change_marker(lot_id), rmse)
-
-
-@st.cache_resource(max_entries=LOTS, show_spinner=False)
-def _limit_changes(registry_name: str, lot_id: str, marker: str, rmse: float | None) -> Changes:
+    """Return what another limit would change."""
     return preview_limit(registry(), lot_id, rmse)
 
 
+@remembered
 def remembered_standing(lot_id: str) -> LotStanding:
-    """Return where a lot stands, read once per change."""
-    return _standing(str(registry().database.name), lot_id, registry().pages.change_marker(lot_id))
+    """Return where a lot stands, and what a release would be decided on."""
+    return lot_standing(registry(), lot_id)
+
+
+@remembered
+def remembered_outline(lot_id: str) -> LotStanding:
+    """Return where the units of a lot stand."""
+    return outline_lot(registry(), lot_id)
+
+
+@remembered
+def remembered_release_changes(lot_id: str) -> Changes:
+    """Return what a release of a lot would change."""
+    return preview(registry(), lot_id, partial(decide_lot, registry(), lot_id))
+
+
+@remembered
+def remembered_audited(lot_id: str) -> AuditedView | None:
+    """Return the audited units of a lot estimated anew; None where there are none."""
+    view = remembered_lot_view(lot_id)
+    return audited_view(registry(), view.lot, view.audited, view.limit_rmse)
 
 
 def remembered_step(lot_id: str) -> NextStep:
     """Return what is to be done next with a lot."""
     audit = lot_audit(registry(), lot_id)
-    return next_step(registry(), remembered_standing(lot_id), None if audit is None else audit.missing)
-
-
-def remembered_release_changes(lot_id: str) -> Changes:
-    """Return what a release of a lot would change, decided once per change of the lot."""
-    return _release_changes(str(registry().database.name), lot_id, registry().pages.change_marker(lot_id))
-
-
-@st.cache_resource(max_entries=LOTS, show_spinner=False)
-def _standing(registry_name: str, lot_id: str, marker: str) -> LotStanding:
-    return lot_standing(registry(), lot_id)
-
-
-@st.cache_resource(max_entries=LOTS, show_spinner=False)
-def _release_changes(registry_name: str, lot_id: str, marker: str) -> Changes:
-    return preview(registry(), lot_id, partial(decide_lot, registry(), lot_id))
-
-
-# Not cache_data: it would copy ten thousand rows at every look.
-@st.cache_resource(max_entries=LOTS, show_spinner=False)
-def _view(registry_name: str, lot_id: str, marker: str, wanted: LotFilter) -> LotView:
-    return lot_view(registry(), lot_id, wanted)
+    return next_step(registry(), remembered_outline(lot_id), None if audit is None else audit.missing)

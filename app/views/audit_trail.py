@@ -27,8 +27,8 @@ SECTIONS = {entity: heading for heading, entities in _ENTITIES.items() for entit
 HEADINGS = tuple(_ENTITIES)
 FIELDS = (
     "rmse limit_rmse verdict revision rolled_back_to predicted_rmse after_rmse family state role is_active "
-    "serial_pattern letters target retests loads kind passed file formats units number due_on decided_by sensor_model "
-    "source rig account purpose ends_at is_withdrawn"
+    "serial_pattern letters target is_badge_needed retests loads kind passed file formats units number due_on "
+    "decided_by sensor_model source rig account purpose ends_at is_withdrawn"
 ).split()
 """What of a row is said; everything else is for who asks for the row itself."""
 

@@ -336,10 +336,8 @@ def _say_error(card: _Card) -> tuple[str, ...]:
     if facts.lot is None or rmse is None:
         return card.changed
     unit, limit = facts.lot.lot.reference_unit, facts.lot.lot.limit_rmse
-    if limit is None:
-        return (card.words(f"line.result{kind}", rmse=number(rmse, unit)), *card.changed)
-    limited = card.words(f"line.result{kind}.limit", rmse=number(rmse, unit), limit=number(limit, unit))
-    return (limited, *card.changed)
+    key = f"line.result{kind}" if limit is None else f"line.result{kind}.limit"
+    return (card.words(key, rmse=number(rmse, unit, limit), limit=number(limit, unit, limit)), *card.changed)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from softcal.app.registry.limit import limit_or_none
 from softcal.app.views.lot_runs import LotFilter, YieldAt, lot_runs, yield_over
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
-from softcal.core.quality.control_chart import Capability, ControlChart, capability, control_chart
+from softcal.core.quality.control_chart import FORBIDDING, Capability, ControlChart, capability, control_chart
 from softcal.core.quality.yields import UnitRun, Yields, yields
 from softcal.core.recording import Array
 from softcal.core.unit.verdict import VERDICTS, Limit
@@ -28,30 +28,38 @@ DROP_CHANCE = 0.005
 """A drop that chance shows more often is none; set, not fitted: looked at after every unit."""
 
 EVERY_RUN = LotFilter()
+ACCEPTED = ("pass", "conditional")
 NEEDS_A_LOOK = ("fail", "retest", "conditional")
 
 
 @dataclass(frozen=True)
 class RuleBroken:
-    """One rule of the chart (Nelson 1984) that `count` points break, `last` the newest of them.
+    """One rule of the chart (Nelson 1984) that is broken `count` times, the newest of them at `last`.
 
-    It may forbid to state a capability.
+    Points that follow one another break it once. It may forbid to state a capability.
+
+    Args:
+        starts: (count,) indices of the first points.
     """
 
     rule: int
     count: int
     last: str
     forbids: bool
+    starts: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class ProcessView:
-    """The predicted errors in the order the units were calibrated.
+    """The predicted errors of accepted units in the order they were calibrated.
+
+    An error is above zero and its spread grows with it: the chart is of log10 of the errors in the reference unit, so
+    that its limits are errors that a unit can have. A unit that failed is no part of the process that is charted.
 
     Args:
         serials: (n,) one per value of the chart.
         broken: rules that points break, the forbidding ones first.
-        capability: against the lot's limit.
+        capability: of the errors of all units against the lot's limit.
         refusal: why there is no chart or no capability.
     """
 
@@ -60,6 +68,18 @@ class ProcessView:
     broken: tuple[RuleBroken, ...]
     capability: Capability | None
     refusal: Reason | None
+
+    @property
+    def errors(self) -> Array:
+        """(n,) errors of the chart in the reference unit; empty without one."""
+        return np.zeros(0) if self.chart is None else 10**self.chart.values
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """Lower limit, centre and upper limit of the errors in the reference unit; empty without a chart."""
+        return (
+            () if self.chart is None else tuple(10**x for x in (self.chart.lower, self.chart.centre, self.chart.upper))
+        )
 
 
 @dataclass(frozen=True)
@@ -210,20 +230,23 @@ def yield_drop(runs: Sequence[RunEntry]) -> YieldDrop | None:
 
 
 def process_view(runs: Sequence[RunEntry], limit_rmse: float | None) -> ProcessView:
-    """Return control chart and capability of the predicted errors of runs in time order."""
-    known = [(run.serial, run.predicted_rmse) for run in runs if run.predicted_rmse is not None]
-    serials = tuple(serial for serial, _ in known)
+    """Return the control chart of accepted units and the capability of all, of runs in time order."""
+    every = [run for run in runs if run.predicted_rmse]
+    accepted = [run for run in every if run.verdict in ACCEPTED]
+    serials = tuple(run.serial for run in accepted)
     try:
-        chart = control_chart(np.array([value for _, value in known]))
+        chart = control_chart(np.log10([run.predicted_rmse or 0.0 for run in accepted]))
     except InputError as error:
         return ProcessView(serials, None, (), None, error.reason)
-    forbidding = {signal.rule for signal in chart.instabilities}
     by_rule: dict[int, list[int]] = {}
     for signal in chart.signals:
         by_rule.setdefault(signal.rule, []).append(signal.index)
-    rules = [RuleBroken(rule, len(at), serials[max(at)], rule in forbidding) for rule, at in by_rule.items()]
-    broken = tuple(sorted(rules, key=lambda broken: (not broken.forbids, broken.rule)))
+    broken = []
+    for rule, at in sorted(by_rule.items()):
+        starts = tuple(k for k in at if k - 1 not in at)
+        broken.append(RuleBroken(rule, len(starts), serials[max(at)], rule in FORBIDDING, starts))
     try:
-        return ProcessView(serials, chart, broken, capability(chart, None, limit_rmse), None)
+        errors = control_chart(np.array([run.predicted_rmse for run in every]))
+        return ProcessView(serials, chart, tuple(broken), capability(errors, None, limit_rmse), None)
     except InputError as error:
-        return ProcessView(serials, chart, broken, None, error.reason)
+        return ProcessView(serials, chart, tuple(broken), None, error.reason)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from softcal.app.texts.reasons import Words, all_said, plainly
 from softcal.app.views.common import limit_said, number, percent
@@ -23,7 +24,7 @@ class ReportPart:
     """A section of the report: a table, and the picture that says the same or alone.
 
     Args:
-        picture: errors, process, reasons or scores; "" for none.
+        picture: errors, process or reasons; "" for none.
         shares: of the page's width, by column.
     """
 
@@ -67,7 +68,7 @@ def lot_rows(views: Sequence[LotView], words: Words) -> list[dict[str, str]]:
 
 def report_parts(view: LotView, units: Sequence[UnitEntry], title: str, words: Words) -> Iterator[ReportPart]:
     """Give the sections from top to bottom; `units` are listed one by one under `title`."""
-    count, unit = words("chart.count"), view.lot.reference_unit
+    count, unit, error = words("chart.count"), view.lot.reference_unit, partial(number, limit=view.limit_rmse)
     named = [words("column.serial"), words("column.verdict")]
     errors = [f"{words(f'column.{name}')}, {unit}" for name in ("predicted", "before", "after", "own")]
     yield ReportPart(words("lot.distribution"), "errors")
@@ -91,14 +92,14 @@ def report_parts(view: LotView, units: Sequence[UnitEntry], title: str, words: W
         yield ReportPart(words("lot.reasons"), "reasons", (words("column.reasons"), count), why, (0.86, 0.14))
     if view.audited:
         worst = sorted(view.audited, key=lambda row: -(row.after_rmse or 0.0))[:MOST_ROWS]
-        scored = [(row.serial, words(f"verdict.{row.verdict}"), *(number(value) for value in row[2:])) for row in worst]
-        yield ReportPart(words("lot.scores"), "scores", [*named, *errors], scored, (0.2, *[0.16] * 5))
+        scored = [(row.serial, words(f"verdict.{row.verdict}"), *map(error, row[2:])) for row in worst]
+        yield ReportPart(words("lot.scores"), "", [*named, *errors], scored, (0.2, *[0.16] * 5))
     if units:
         titles = [*named, *errors, words("column.family"), words("column.reasons")]
         shares = (0.12, 0.12, *[0.08] * 4, 0.1, 0.34)
         listed = []
         for one in units:
-            measured = map(number, (one.predicted_rmse, one.before_rmse, one.after_rmse, one.own_rmse))
+            measured = map(error, (one.predicted_rmse, one.before_rmse, one.after_rmse, one.own_rmse))
             verdict = words(f"verdict.{one.verdict or 'none'}")
             listed.append([one.serial, verdict, *measured, one.family or "–", all_said(one.reasons, words)])
         yield ReportPart(title, "", titles, listed, shares)

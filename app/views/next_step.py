@@ -9,6 +9,7 @@ from softcal.app.texts.reasons import Words, said
 from softcal.core.quality.lot_standing import LotStanding, UnitInLot, Way
 from softcal.core.words.reason import Reason
 from softcal.db.registry import Registry
+from softcal.db.truth.in_use import STALE
 
 SHOWN_SERIALS = 8
 """So many serials are named in a sentence; the tab it leads to has all."""
@@ -87,6 +88,8 @@ def next_step(registry: Registry, standing: LotStanding, unmeasured: Sequence[st
         return NextStep("measure", "audit", _listed(unmeasured))
     if becoming := releasable(standing):
         return NextStep("release", "release", _listed(becoming))
+    if waiting and all(unit.reasons[:1] and unit.reasons[0].code in STALE for unit in waiting):
+        return NextStep("again", values={"count": len(waiting)})
     if (retests := [unit for unit in waiting if unit.verdict == "retest"]) and len(retests) == len(waiting):
         return NextStep("retest", "units", _named(retests))
     if waiting and unmeasured is None:

@@ -14,9 +14,6 @@ from softcal.core.words.reason import Reason, reason
 D2 = 1.128
 """Mean range of two normal values in standard deviations."""
 
-D4 = 3.267
-"""Upper limit of moving ranges of two in mean ranges."""
-
 FEWEST_FOR_CAPABILITY = 25
 
 FORBIDDING = (1, 2, 3)
@@ -35,7 +32,7 @@ class ChartSignal:
 
 @dataclass(frozen=True, eq=False)
 class ControlChart:
-    """An individuals and moving range chart (I-MR).
+    """A chart of individuals, its spread from their moving ranges.
 
     Args:
         values: (n,) in time order.
@@ -54,15 +51,6 @@ class ControlChart:
     @property
     def upper(self) -> float:
         return self.centre + 3.0 * self.sigma
-
-    @property
-    def moving_ranges(self) -> Array:
-        """(n - 1,) distance from each value to the next."""
-        return np.abs(np.diff(self.values))
-
-    @property
-    def range_upper(self) -> float:
-        return D4 * D2 * self.sigma
 
     @cached_property
     def signals(self) -> tuple[ChartSignal, ...]:
@@ -88,7 +76,7 @@ class ControlChart:
 
 
 def control_chart(values: Array, baseline: int | None = None) -> ControlChart:
-    """Make an I-MR chart.
+    """Make a chart of individuals.
 
     Args:
         baseline: the limits come from the first `baseline` values; None takes all of them.

@@ -24,6 +24,7 @@ class LineRules:
         target: units that are planned; None: nobody said.
         retests: verdict → how often a unit may be pressed again after it, over its whole life in this lot.
         loads: known loads that are read on each unit after its run, in this order; given as kept, pairs of numbers.
+        is_badge_needed: whether nothing is pressed until somebody has scanned a badge or signed in.
     """
 
     serial_pattern: str = ""
@@ -31,6 +32,7 @@ class LineRules:
     target: int | None = None
     retests: Mapping[str, int] = field(default_factory=lambda: dict(RETESTS))
     loads: tuple[KnownLoad, ...] = ()
+    is_badge_needed: bool = False
 
     def __post_init__(self) -> None:
         loads = tuple(load if isinstance(load, KnownLoad) else KnownLoad(*load) for load in self.loads)

@@ -82,7 +82,12 @@ class CanonicalJson(TypeDecorator[Any]):
         return None if value is None else canonical_json(value)
 
     def process_result_value(self, value: str | None, dialect: sa.Dialect) -> Any:
-        return None if value is None else json.loads(value)
+        if value is None:
+            return None
+        # Beside `json` it takes a fourth of the time, over the results of a large lot seconds.
+        from msgspec.json import decode
+
+        return decode(value)
 
     def result_processor(self, dialect: sa.Dialect, coltype: object) -> Any:
         return _read_or_damaged(super().result_processor(dialect, coltype))

@@ -1,7 +1,6 @@
 """Lots, their units, and in versions their limits and rules: who set them, when and why."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 from sqlalchemy import RowMapping, Table, select
@@ -89,17 +88,15 @@ class LotTables(RegistryBase):
             self._lot_row(lot_id)
             rows = [dict(row) for query in (made, refused) for row in self.database.rows(query)]
             stands = {unit.serial: unit for unit, _ in standing_units(self.database, lot_id, serials)}
-        presses: dict[object, RunEntry] = {}
+        presses: dict[object, dict[str, Any]] = {}
         for number, row in enumerate(sorted(rows, key=lambda row: (row["made_at"], row["serial"]))):
             press = (row["serial"], row.pop("recording_sha256", number))
-            run = RunEntry(**row | {"reasons": tuple(map(Reason.of, row["reasons"]))})
-            first = presses.get(press)
-            presses[press] = run if first is None else replace(run, made_at=first.made_at)
-        last = {run.serial: key for key, run in presses.items()}
+            presses[press] = row | {"made_at": presses.get(press, row)["made_at"]}
+        last = {row["serial"]: key for key, row in presses.items()}
         for name, key in last.items():
             if (verdict := stands[name].verdict) is not None:
-                presses[key] = replace(presses[key], verdict=verdict, reasons=stands[name].reasons)
-        return list(presses.values())
+                presses[key] |= {"verdict": verdict, "reasons": stands[name].reasons}
+        return [RunEntry(**row | {"reasons": tuple(map(Reason.of, row["reasons"]))}) for row in presses.values()]
 
     def limit(self, lot_id: str) -> LimitEntry | None:
         """Return the newest version of a lot's limit, or None where none was ever stated."""

@@ -38,12 +38,12 @@ def fits_of(database: Database, rows: Sequence[sa.RowMapping]) -> FitRows:
     found: list[sa.RowMapping] = []
     for part in parts(wanted):
         found += database.rows(select(fits).where(sa.tuple_(fits.c.lot_id, fits.c.sha256).in_(part)))
-    numbers = dict(database.tuples(select(methods.c.id, methods.c.numbers)))
+    of_method = {id_: canonical_json(kept) for id_, kept in database.tuples(select(methods.c.id, methods.c.numbers))}
     read = {}
     for row in found:
         if content_sha256({}, {"content": row["content"], "blob": row["blob_sha256"]}) != row["sha256"]:
             raise damaged(f"unit {row['serial']} of lot {row['lot_id']}: its fit is not what was stored")
-        method = _method(row["method_id"], canonical_json(numbers.get(row["method_id"])))
+        method = _method(row["method_id"], of_method.get(row["method_id"], "null"))
         read[(row["lot_id"], row["sha256"])] = (row, method)
     return read
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from softcal.app.charts import palette
+from softcal.app.charts.live import live_signal
 from softcal.app.line.facts import LineFacts, LotAtLine, Note, Place
 from softcal.app.texts import catalogue as texts
 from softcal.app.texts.reasons import plainly
@@ -42,6 +43,12 @@ def run(progress: Progress = UNIT_DONE, kind: OrderKind = OrderKind.UNIT, serial
 
 def facts(**changes) -> LineFacts:
     return replace(LineFacts(NOW, ("line-1",), heartbeat(), lots=("L1",), lot=LOT), **changes)
+
+
+def test_the_figure_of_a_run_has_units_on_its_axes() -> None:
+    option = live_signal(Signal((0.0, 1.0), (2.0, 3.0), (0.0, 0.1), (), "V"), palette.LIGHT, SAY)
+    named = [axis["name"] for axis in (option["xAxis"], *option["yAxis"])]
+    assert [name[name.index("[") :] for name in named] == ["[s]", "[V]", "[mm]"]
 
 
 def waits(serial: str = "A1", run: str = "", **more) -> Place:
@@ -180,7 +187,7 @@ def test_a_good_unit_shows_its_error_and_nothing_of_how_the_limit_was_found():
     assert shown(runs=runs, results=results).details == (SAY("line.result", rmse="0.0712 N"),)
     limited = replace(LOT, lot=replace(LOT.lot, limit_rmse=0.2))
     assert shown(runs=runs, results=results, lot=limited).details == (
-        SAY("line.result.limit", rmse="0.0712 N", limit="0.2 N"),
+        SAY("line.result.limit", rmse="0.071 N", limit="0.200 N"),
     )
 
 

@@ -65,6 +65,17 @@ class Line:
         return read_line(self.registry, HERE)
 
 
+def test_nobody_presses_without_a_badge_where_the_lot_wants_one(line) -> None:
+    line.registry.lots.set_line_rules("L1", LineRules(is_badge_needed=True), reason="customer")
+    register(line.registry, "L1", "A1")
+    for text in ("A1", "CMD:START"):
+        note = take_scan(line.registry, HERE, text).note
+    assert note is not None and (note.key, note.is_refusal) == ("badge_first", True) and line.orders() == []
+    for text in ("BADGE:kim", "CMD:START"):
+        take_scan(line.registry, HERE, text)
+    assert [serial for _, serial, _ in line.orders()] == ["A1"]
+
+
 def register(registry, lot_id: str, serial: str) -> None:
     """Put a unit into a lot by its name alone."""
     with registry.database.writing():

@@ -6,7 +6,7 @@ from datetime import UTC, date, datetime
 import pytest
 
 from softcal.app.batch.audit import draw_plan, lot_audit
-from softcal.app.batch.release import lot_standing
+from softcal.app.batch.release import lot_standing, outline_lot
 from softcal.app.texts.catalogue import catalogue, text
 from softcal.app.ui.pages import MOVED, PAGES, moved, page_of
 from softcal.app.views.common import number
@@ -89,7 +89,11 @@ def test_the_search_finds_units_lots_stations_and_certificates(calibrated: str) 
 def step_of(url: str):
     with open_registry(url) as registry:
         audit = lot_audit(registry, "small")
-        return next_step(registry, lot_standing(registry, "small"), None if audit is None else audit.missing)
+        missing = None if audit is None else audit.missing
+        steps = [next_step(registry, read(registry, "small"), missing) for read in (outline_lot, lot_standing)]
+    # What is read of every unit of a large lot suffices for the same sentence.
+    assert steps[0] == steps[1]
+    return steps[0]
 
 
 def test_the_next_step_follows_from_where_the_lot_stands(calibrated: str) -> None:
@@ -107,6 +111,12 @@ def test_the_next_step_follows_from_where_the_lot_stands(calibrated: str) -> Non
     assert step.kind != "measure" or missing
     sentence = step.render(lambda key, **values: text("en", key, **values))
     assert sentence and "{" not in sentence
+
+
+def test_units_judged_against_another_limit_ask_for_a_calibration_not_a_press(calibrated: str) -> None:
+    with open_registry(calibrated) as registry:
+        registry.lots.set_limit("small", 0.5, reason="another drawing")
+    assert step_of(calibrated).kind == "again"
 
 
 def test_the_list_of_lots_says_how_far_each_is(calibrated: str, show) -> None:

@@ -1,5 +1,6 @@
 """What the lot page says of a process: rules in words, capability refused or given, reasons counted by kind."""
 
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from types import SimpleNamespace
@@ -42,6 +43,23 @@ def test_an_unstable_process_has_none_and_names_the_rule_and_the_unit(rng) -> No
     assert process.capability is None and process.refusal is not None and process.refusal.code == "chart.unstable"
     beyond = next(broken for broken in process.broken if broken.rule == 1)
     assert (beyond.last, beyond.forbids) == ("U040", True)
+
+
+def test_the_limits_are_errors_that_a_unit_can_have_and_one_that_failed_is_not_charted(rng) -> None:
+    """Errors that lie near zero, and one unit that failed with hundred times as much."""
+    good = runs_of(0.06 * np.exp(0.4 * rng.normal(size=60)))
+    failed = replace(runs_of([9.0])[0], serial="bad", verdict="fail")
+    process, alone = (process_view(runs, 0.12) for runs in ([*good[:30], failed, *good[30:]], good))
+    lower, centre, upper = process.levels
+    assert 0.0 < lower < centre < upper < 1.0 and process.levels == alone.levels
+    assert "bad" not in process.serials and process.errors == pytest.approx([run.predicted_rmse for run in good])
+
+
+def test_points_that_follow_one_another_break_a_rule_once() -> None:
+    """Thirty units after a step: one side of the centre for two long runs is one break each, not one per point."""
+    values = np.where(np.arange(60) < 30, 0.06, 0.07) * (1.0 + 0.01 * np.tile([-1.0, 1.0], 30))
+    broken = {one.rule: one for one in process_view(runs_of(values), 0.12).broken}
+    assert broken[2].count == 2 and broken[2].starts == (8, 38)
 
 
 def test_too_few_units_make_no_chart() -> None:

@@ -6,7 +6,7 @@ import plotly.graph_objects as go
 import streamlit as st
 
 from softcal.app.charts import gap as gap_figures
-from softcal.app.charts.gap_page import chain_svg, gap_page
+from softcal.app.charts.gap_page import gap_page
 from softcal.app.charts.style import coloured
 from softcal.app.gap.desk import cases, cases_folder, has_sealed_rig, practise, run_views_of, store_upload, truth
 from softcal.app.ui.account import allows, permit
@@ -183,10 +183,8 @@ def gap_report(job: Job, case: Path) -> None:
         return
     runs = run_views_of(report, board.arrays(job))
     st.header(say("gap.where"))
-    # The picture has a light ground of its own: its shades of red would not be read on a dark one.
-    drawn = '<svg xmlns="http://www.w3.org/2000/svg" style="background:#fff" '
-    picture = chain_svg(report, say).replace("<svg ", drawn, 1)
-    st.image(picture, width="stretch", alt=say("gap.chain"))
+    if (figure := gap_figures.chain_figure(report, say, colours())) is not None:
+        _figure(figure, "chain")
     _rows(gap.place_rows(report, say), say("gap.where.none"))
     for channel in gap_figures.CHANNELS:
         figure = gap_figures.map_figure(runs, channel, say)

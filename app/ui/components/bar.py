@@ -17,6 +17,10 @@ STYLE = f"""<style>
 [data-testid=stHeader] {{ padding-right: {WIDTH_PX + 40}px }}
 @media (max-width: 900px) {{ .st-key-bar {{ width: 250px }} [data-testid=stHeader] {{ padding-right: 300px }} }}
 </style>"""
+BELOW = {"lot": "lots", "unit": "lots"}
+"""Pages without a place in the bar → the one of the bar that they belong to."""
+
+OPEN = '<style>[data-testid=stTopNavLink][href$="/{page}"] {{ background: rgba(127, 140, 153, 0.22) }}</style>'
 WITHOUT_SEARCH = ("line",)
 """Pages whose own field takes what is typed."""
 
@@ -25,7 +29,7 @@ def draw_bar(page: str) -> None:
     """Draw the search and the person in the bar, and what the search found above the page."""
     text, asked = "", st.session_state.pop(f"{KEY}-asked", "")
     with st.container(key="bar", horizontal=True, horizontal_alignment="right", vertical_alignment="center"):
-        st.html(STYLE)
+        st.html(STYLE + (OPEN.format(page=BELOW[page]) if page in BELOW else ""))
         if page not in WITHOUT_SEARCH:
             options: Any = {"placeholder": say("bar.search"), "label_visibility": "collapsed", "type": "search"}
             label, icon = say("bar.search.what"), ":material/search:"

@@ -1,10 +1,12 @@
 """The units of a lot as a table: filtered, sorted and paged in SQL, and exported as a whole."""
 
+from collections.abc import Sequence
+
 import streamlit as st
 
 from softcal.app.registry.limit import limit_or_none
 from softcal.app.texts.reasons import all_said
-from softcal.app.ui.actions import csv_of, download, excel_of
+from softcal.app.ui.actions import csv_of, download
 from softcal.app.ui.desk import errors_in_words, in_one_language, named, say, verdict_word
 from softcal.app.ui.panels import go_to, table_to_choose, unit_link
 from softcal.app.ui.server_memory import registry
@@ -18,7 +20,6 @@ SIZE = 50
 WORDS = (*reversed(VERDICTS), "none")
 """What a unit can be filtered by, worst first."""
 
-SORTS = ("severity", "serial", "predicted_rmse", "after_rmse", "made_at")
 NUMBERS = ("predicted", "before", "after", "own")
 Serials = tuple[str, ...] | None
 
@@ -34,11 +35,8 @@ def unit_table(lot: Lot, serials: Serials) -> None:
         format_func=named("verdict"),
         key=f"units-verdicts-{lot.id}",
     )
-    middle, right = st.columns([3, 2], vertical_alignment="bottom")
-    text = middle.text_input(say("unit.find"), key=f"units-find-{lot.id}", icon=":material/search:")
-    sort = right.selectbox(say("lot.table.sort"), SORTS, format_func=named("sort"), key=f"units-sort-{lot.id}")
-    is_falling = sort in ("predicted_rmse", "after_rmse", "made_at")
-    wanted = UnitFilter(tuple(verdicts), str(text or "").strip(), sort, is_falling, serials)
+    text = st.text_input(say("unit.find"), key=f"units-find-{lot.id}", icon=":material/search:")
+    wanted = UnitFilter(tuple(verdicts), str(text or "").strip(), "severity", serials=serials)
     place = f"units-page-{lot.id}"
     page = registry().pages.unit_page(
         lot.id, wanted, size=SIZE, before=SIZE * (int(st.session_state.get(place, 1)) - 1)
@@ -51,45 +49,38 @@ def unit_table(lot: Lot, serials: Serials) -> None:
     if not units:
         st.caption(say("lot.table.none"))
         return
-    columns, limit = {}, limit_or_none(registry(), lot.id)
-    shown = "%.4g" if limit is None else f"%.{decimals(limit.maximum_rmse)}f"
-    for name in (say(f"column.{name}") for name in NUMBERS):
-        columns[name] = st.column_config.NumberColumn(f"{name} [{lot.reference_unit}]", format=shown)
-    chosen = table_to_choose([_linked(unit) for unit in units], f"units-{lot.id}", columns)
+    limit = limit_or_none(registry(), lot.id)
+    shown = ".4g" if limit is None else f".{decimals(limit.maximum_rmse)}f"
+    heads = [f"{say(f'column.{name}')} [{lot.reference_unit}]" for name in NUMBERS]
+    columns = {head: st.column_config.NumberColumn(format=f"%{shown}") for head in heads}
+    serial, verdict = say("column.serial"), say("column.verdict")
+    linked = [_row(u, heads) | {serial: unit_link(u.key), verdict: verdict_word(u.verdict)} for u in units]
+    chosen = table_to_choose(linked, f"units-{lot.id}", columns)
     left, right = st.columns([3, 2], vertical_alignment="center")
     with left:
         st.pagination(max(1, -(-page.total // SIZE)), key=place)
         st.caption(say("lot.table.count", shown=len(units), count=page.total))
+
+    def table() -> bytes:
+        every = UnitFilter(sort="severity", serials=serials)
+        with in_one_language():
+            rows = [_row(one, heads, shown) for one in registry().pages.unit_page(lot.id, every, size=10**9).units]
+        return csv_of(rows)
+
     with right, st.container(horizontal=True, horizontal_alignment="right"):
-        download(say("lot.export.csv"), f"{lot.id}.csv", lambda: csv_of(_table(lot, serials)), "export.csv")
-        download(say("lot.export.xlsx"), f"{lot.id}.xlsx", lambda: excel_of(_table(lot, serials)), "export.xlsx")
+        download(say("lot.export.csv"), f"{lot.id}.csv", table, "export.csv")
     if chosen is not None:
         go_to("unit", unit=str(units[chosen].key))
 
 
-def _linked(unit: UnitEntry) -> dict[str, object]:
-    """Return one row of the table on the screen: its serial opens the unit in a new tab."""
-    shown = {say("column.serial"): unit_link(unit.key), say("column.verdict"): verdict_word(unit.verdict)}
-    return row(unit) | shown
-
-
-def row(unit: UnitEntry) -> dict[str, object]:
-    """Return one row of the table under the words of the chosen language."""
+def _row(unit: UnitEntry, heads: Sequence[str], shown: str = "") -> dict[str, object]:
+    """Return one row in the chosen language, its errors under `heads`, as text where `shown` says how."""
+    errors = [getattr(unit, f"{name}_rmse") for name in NUMBERS]
     return {
         say("column.serial"): unit.serial,
         say("column.verdict"): say(f"verdict.{unit.verdict or 'none'}"),
-        **{say(f"column.{name}"): getattr(unit, f"{name}_rmse") for name in NUMBERS},
+        **{head: format(x, shown) if shown and x is not None else x for head, x in zip(heads, errors, strict=True)},
         say("column.family"): unit.family,
         say("column.revision"): unit.revision,
         say("column.reasons"): all_said(unit.reasons, say),
     }
-
-
-def _table(lot: Lot, serials: Serials) -> list[dict[str, object]]:
-    """Return the whole table."""
-    units = [unit for unit in registry().lots.units(lot.id) if unit.role == "target"]
-    if serials is not None:
-        chosen = frozenset(serials)
-        units = [unit for unit in units if unit.serial in chosen]
-    with in_one_language():
-        return [row(unit) for unit in units]

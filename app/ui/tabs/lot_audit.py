@@ -23,10 +23,8 @@ from softcal.app.ui.components.lot_upload import (
 )
 from softcal.app.ui.desk import colours, in_words, instant, say, verdict_word, zone
 from softcal.app.ui.panels import figures_beside, go_to, has_units, numbers, table, unit_link
-from softcal.app.ui.server_memory import registry, remembered_lot_view, remembered_standing
-from softcal.app.views.audited import AuditedView, audited_view
+from softcal.app.ui.server_memory import registry, remembered_audited, remembered_lot_view, remembered_outline
 from softcal.app.views.common import number
-from softcal.app.views.lot import LotView
 from softcal.core.lot import Lot, UnitKey
 from softcal.core.quality.audit_plan import AuditConfig
 
@@ -52,7 +50,7 @@ def draw(lot_id: str) -> None:
     else:
         _plan(audit, lot)
 
-    audited, limit = remembered_standing(lot_id).audited, remembered_lot_view(lot_id).limit_rmse
+    audited, limit = remembered_outline(lot_id).audited, remembered_lot_view(lot_id).limit_rmse
     if audited:
         st.markdown(f"## {say('audit.units')}")
         table(
@@ -123,11 +121,7 @@ def draw(lot_id: str) -> None:
 
 def _figures(lot_id: str) -> None:
     """Draw the audited units: estimate against reference, and the error over the load."""
-    view = remembered_lot_view(lot_id)
-    if not view.audited or not st.session_state.get(HAS_DRAWN):
-        return
-    marker = registry().pages.change_marker(lot_id)
-    audited = _audited_view(str(registry().database.name), marker, lot_id, view)
+    audited = remembered_audited(lot_id) if st.session_state.get(HAS_DRAWN) else None
     if audited is None:
         return
     figures_beside(
@@ -135,11 +129,6 @@ def _figures(lot_id: str) -> None:
         ("lot.audited.load", error_over_load(audited, colours(), say), "audited-load"),
     )
     st.caption(say("lot.audited.count", shown=len(audited.units), of=audited.of))
-
-
-@st.cache_resource(max_entries=8, show_spinner=False)
-def _audited_view(registry_name: str, marker: str, lot_id: str, _lot: LotView) -> AuditedView | None:
-    return audited_view(registry(), _lot.lot, _lot.audited, _lot.limit_rmse)
 
 
 def _plan(audit: LotAudit, lot: Lot) -> None:

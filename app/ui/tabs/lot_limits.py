@@ -56,7 +56,7 @@ def draw(lot_id: str) -> None:
         figure_under("lot.distribution", charts_lot.predicted_errors(view, colours(), say), "limit-distribution")
     st.header(say("limits.versions"))
     rows = [
-        _row(entry, {say("lot.limit"): number(entry.rmse, unit) if entry.rmse else automatic})
+        _row(entry, {say("lot.limit"): number(entry.rmse, unit, entry.rmse) if entry.rmse else automatic})
         for entry in reversed(versions)
     ]
     table(rows, say("limits.none"))
@@ -72,6 +72,7 @@ def draw(lot_id: str) -> None:
             say("rules.pattern"): entry.rules.serial_pattern or say("rules.pattern.any"),
             say("rules.letters"): _letters_said(entry.rules.letters),
             say("rules.target"): entry.rules.target,
+            say("rules.badge"): say("trail.yes" if entry.rules.is_badge_needed else "trail.no"),
             say("rules.retests.column"): retests,
             say("tab.known_loads"): ", ".join(f"{load.value:.5g} ± {load.expanded:.2g}" for load in entry.rules.loads),
         }
@@ -133,6 +134,7 @@ def _change_rules(lot: Lot, versions: Sequence[LineRulesEntry]) -> None:
     letters = middle.selectbox(say("rules.letters"), LETTERS, index, format_func=_letters_said, key=key)
     key, none = f"rules-target-{mark}", say("rules.target.none")
     target = right.number_input(say("rules.target"), 1, MOST_UNITS, now.target, key=key, placeholder=none)
+    needs_badge = st.toggle(say("rules.badge"), now.is_badge_needed, key=f"rules-badge-{mark}")
     st.markdown(say("rules.retests"))
     retests: dict[str, int] = {}
     for verdict, column in zip(VERDICTS, st.columns(len(VERDICTS)), strict=True):
@@ -158,7 +160,7 @@ def _change_rules(lot: Lot, versions: Sequence[LineRulesEntry]) -> None:
     st.session_state.pop(looked_at)
     with refusals_in_words():
         known = tuple(KnownLoad(*load) for load in loads)
-        rules = LineRules(str(pattern).strip(), letters, target, retests, known)
+        rules = LineRules(str(pattern).strip(), letters, target, retests, known, needs_badge)
         state = registry().networks.released(lot.id)
         if state is not None and rules.loads:
             check_stated(rules.loads, source_recording(registry(), state.network.id), Method().map.anchors)

@@ -4,12 +4,11 @@ from collections.abc import Sequence
 
 import streamlit as st
 
-from softcal.app.charts import compare as charts_compare
 from softcal.app.ui.account import actor, allows, permit
 from softcal.app.ui.actions import ask_reason, finish, refusals_in_words, role_allows, say_finished
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
-from softcal.app.ui.desk import colours, empty, instant, say
-from softcal.app.ui.panels import headline, rest_may_follow, show_figure, table, told
+from softcal.app.ui.desk import empty, instant, say
+from softcal.app.ui.panels import headline, rest_may_follow, table, told
 from softcal.app.ui.server_memory import registry
 from softcal.app.views.common import number
 from softcal.app.views.network import NetworkRow, hidden_widths, loss_spec, network_rows
@@ -156,7 +155,6 @@ def comparison(lot: Lot, rows: Sequence[NetworkRow]) -> None:
     if job is None or not job_panel(job):
         return
     unit, compared = lot.reference_unit, job.result["rows"]
-    show_figure(charts_compare.comparison(compared, unit, colours(), say), f"compared-{job.job_id}")
     table(
         {
             say("column.network"): row["network"][:12],

@@ -10,15 +10,15 @@ from softcal.app.ui.account import allows
 from softcal.app.ui.actions import download
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
 from softcal.app.ui.desk import colours, in_words, language, say, words, zone
-from softcal.app.ui.panels import figure_under, go_to, headline, numbers, rest_may_follow
+from softcal.app.ui.panels import go_to, headline, numbers, rest_may_follow, show_figure
 from softcal.app.ui.server_memory import registry, remembered_lot_view, remembered_step
 from softcal.app.views.alerts import alerts
 from softcal.app.views.common import number, percent
 from softcal.app.views.lot import LotView
-from softcal.app.views.lot_runs import LotFilter
+from softcal.app.views.lot_runs import DESK, LotFilter
 
 SEEN = "calibrate-seen"
-HEIGHT = 250
+HEIGHT = 180
 """Of the histogram, so that the whole stands on a screen of 800 px."""
 
 
@@ -26,17 +26,17 @@ def draw(lot_id: str) -> None:
     view = remembered_lot_view(lot_id, LotFilter(zone=zone()))
     _next(lot_id)
     if view.judged:
-        for alert in alerts(registry(), view, datetime.now(UTC).astimezone(zone())):
-            announce, icon = (st.error, "report") if alert.is_urgent else (st.warning, "notifications")
-            announce(say(f"alert.{alert.kind}", **alert.values), icon=f":material/{icon}:")
-        for remark in same_recordings_of(registry(), lot_id):
-            st.warning(in_words(remark), icon=":material/warning:")
+        found = alerts(registry(), view, datetime.now(UTC).astimezone(zone()))
+        remarks = [in_words(remark) for remark in same_recordings_of(registry(), lot_id)]
+        urgent = [say(f"alert.{one.kind}", **one.values) for one in found if one.is_urgent]
+        others = [say(f"alert.{one.kind}", **one.values) for one in found if not one.is_urgent] + remarks
+        for lines, announce, icon in ((urgent, st.error, "report"), (others, st.warning, "notifications")):
+            if lines:
+                announce("  \n".join(lines), icon=f":material/{icon}:")
         _tiles(view)
     if not view.judged or not rest_may_follow():
         _calibrate(lot_id)
         return
-    figure = charts_lot.predicted_errors(view, colours(), say).update_layout(height=HEIGHT)
-    figure_under("lot.distribution", figure, "predicted")
 
     def report() -> bytes:
         from softcal.app.ui.lot_report_pdf import lot_report_pdf
@@ -45,9 +45,11 @@ def draw(lot_id: str) -> None:
 
     exported = ("lots", (lot_id,), {"file": "report.pdf"})
     name, icon = f"{lot_id}-report.pdf", "picture_as_pdf"
-    with st.container(horizontal=True):
+    with st.container(horizontal=True, vertical_alignment="center"):
+        st.header(say("lot.distribution"), width="stretch")
         download(say("lot.report"), name, report, "lot-report", exported=exported, icon=icon)
         _calibrate(lot_id)
+    show_figure(charts_lot.predicted_errors(view, colours(), say).update_layout(height=HEIGHT), "predicted")
 
 
 def _next(lot_id: str) -> None:
@@ -67,8 +69,11 @@ def _tiles(view: LotView) -> None:
     unit, ratio = view.lot.reference_unit, view.after_to_own
     scored = (say("lot.audited"), str(len(view.audited)), say("lot.audited.help"))
     compared = (say("lot.ratio"), number(ratio), say("lot.ratio.help", count=len(view.audited)))
-    shares = []
+    shares, of_files = [], all(place.name == DESK for place in view.stations)
     for name, share in (("first_pass", view.yields.first_pass), ("yield", view.yields.last_pass)):
+        # Files are brought once: their first pass is the yield.
+        if of_files and name == "first_pass":
+            continue
         low, high = map(percent, share.interval)
         shares.append((say(f"lot.{name}"), percent(share.value), say(f"lot.{name}.help", low=low, high=high)))
     # A sentence would be cut off in a tile.

@@ -21,7 +21,6 @@ from softcal.app.ui.components.lot_upload import (
     first_readable,
     forget_files,
 )
-from softcal.app.ui.components.unused_table import unused_table
 from softcal.app.ui.desk import colours, in_words, say
 from softcal.app.ui.panels import go_to, show_figure, step, table
 from softcal.app.ui.server_memory import registry
@@ -166,7 +165,17 @@ def _expected(plan: ImportPlan) -> ImportPlan | None:
     if plan.audit:
         targets = sum(not one.problem and one.serial not in plan.sources for one in expected)
         st.caption(say("not_used.audits", audits=len(lot.audits), units=targets))
-    unused_table(lot.not_used)
+    if lot.not_used:
+        st.markdown(f"**{say('not_used')}**")
+        kind, name, why = (say(f"not_used.{column}") for column in ("kind", "name", "why"))
+        table(
+            {
+                kind: say(f"not_used.{one.kind}"),
+                name: f"{one.name} ({one.file})" if one.file else one.name,
+                why: in_words(one.why),
+            }
+            for one in lot.not_used
+        )
     source = next((one for one in expected if one.serial == plan.lot.source), None)
     if source is None or source.problem or plan.columns.reference is None:
         st.error(say("new_lot.no_source", source=plan.lot.source), icon=":material/error:")
