@@ -33,7 +33,8 @@ from common.registries import begin_lot, state
 from common.tables import print_table
 
 from softcal.app.files.importing import Columns, ImportPlan, import_lot
-from softcal.app.files.lot_folder import open_lot_folder, write_lot_toml
+from softcal.app.files.lot_folder import open_lot_folder
+from softcal.app.files.lot_toml import write_lot_toml
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.lot import Lot
 from softcal.db.care.backup import back_up, restore

@@ -18,8 +18,12 @@ from common.tables import print_table
 
 from softcal.core.inspection.build import InspectedRecording, build_recording
 from softcal.core.inspection.config import InspectionConfig
+from softcal.core.inspection.inspection import InspectionFinding
 from softcal.core.inspection.reference import BINS, unexplained_share
-from softcal.core.recording import Array, Mask
+from softcal.core.recording import Array, Mask, Rng
+
+Pair = tuple[Array, Array, float]
+"""Output, reference and rate."""
 
 CABLES: dict[str, Callable[[Array], Array]] = {
     "0 V": lambda run: 0 * run,
@@ -28,6 +32,7 @@ CABLES: dict[str, Callable[[Array], Array]] = {
 }
 CODES = (8388607.0, 9.9e37, -9999.0, 2147483647.0, np.inf)
 SPIKES_EACH = 5
+STRETCHES_EACH = 10
 FEW_DRAWS = 20
 """Times that spikes are planted in each recording of a set that has few of them."""
 
@@ -122,11 +127,29 @@ def reference_faults(output: Array, force: Array, rate_Hz: float) -> Iterator[tu
     yield "0.5 s late", "lag", output[late:], force[:-late], 0
     yield "0.5 s early", "lag", output[:-late], force[late:], 0
     yield "at a fifth of the rate", "held", output, force[np.arange(samples) // 5 * 5], 0
-    for share in (0.15, 0.3, -0.3):
-        for part in (0.25, 0.5, 0.75):
-            row, tared = int(part * samples), force.copy()
-            tared[row:] += share * np.ptp(force)
-            yield f"tare by {share:.0%} of the range", "tare", output, tared, row
+
+
+def plant_tares(references: dict[tuple[str, str], list[int]], name: str, recording: Pair, rng: Rng) -> None:
+    """Look at stretches of a recording as they are, then with a tare at a random row of each."""
+    output, force, rate_Hz = recording
+    for _ in range(STRETCHES_EACH):
+        length = int(rng.integers(600, len(output) + 1))
+        start = int(rng.integers(0, len(output) - length + 1))
+        rows = slice(start, start + length)
+        references[name, "a stretch as measured: tare"][0] += 1
+        references[name, "a stretch as measured: tare"][1] += len(tares(output[rows], force[rows], rate_Hz))
+        for share in (0.15, 0.3):
+            row, tared = int(length * rng.uniform(0.1, 0.9)), force[rows].copy()
+            tared[row:] += share * rng.choice((-1, 1)) * np.ptp(tared)
+            references[name, f"tare by {share:.0%} of the range"][0] += 1
+            references[name, f"tare by {share:.0%} of the range"][1] += any(
+                abs(one.start - row) <= 3 for one in tares(output[rows], tared, rate_Hz)
+            )
+
+
+def tares(output: Array, force: Array, rate_Hz: float) -> tuple[InspectionFinding, ...]:
+    """Return the tares that a look names."""
+    return inspected(output, force, rate_Hz).inspection.of_kind("tare")
 
 
 def scatter(output: Array, reference: Array) -> float:
@@ -154,6 +177,7 @@ def measure(
         plain = inspected(output, force, rate_Hz)
         references[name, "as measured: lag, held or tare"][0] += 1
         references[name, "as measured: lag, held or tare"][1] += len(plain.inspection.of_kind("lag", "held", "tare"))
+        plant_tares(references, name, (output, force, rate_Hz), rng)
         for fault, kind, spoilt, reference, row in reference_faults(output, force, rate_Hz):
             found = inspected(spoilt, reference, rate_Hz).inspection.of_kind(kind)
             if kind == "lag":

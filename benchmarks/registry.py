@@ -32,7 +32,8 @@ from softcal.app.batch.changes import change_limit, compare_verdicts, read_verdi
 from softcal.app.batch.lot_work import BatchConfig, Watch
 from softcal.app.batch.report import UnitResult
 from softcal.app.batch.train import train_or_find
-from softcal.app.files.lot_folder import LotFolder, open_lot_folder, write_lot_toml
+from softcal.app.files.lot_folder import LotFolder, open_lot_folder
+from softcal.app.files.lot_toml import write_lot_toml
 from softcal.app.files.recording_file import read_recording
 from softcal.app.line.recover import recover
 from softcal.app.line.rig import chosen_bench, profile_for, record_to_files

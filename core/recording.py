@@ -143,6 +143,23 @@ class OutputRecording:
         return tuple(slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True))
 
     @cached_property
+    def bridged(self) -> "OutputRecording":
+        """Itself with straight lines across gaps shorter than a window: the output goes on there, few samples unseen.
+
+        Levels, swings and time spent are read from it; windows that are fitted to or scored are not.
+        """
+        missing = np.round(np.diff(self.t_s) * self.sample_rate_Hz).astype(np.int64) - 1
+        missing[missing >= TAPS] = 0
+        if not missing.any():
+            return self
+        rows = np.arange(len(self))
+        t_s = np.interp(
+            np.arange(len(self) + missing.sum()), rows + np.concatenate([[0], np.cumsum(missing)]), self.t_s
+        )
+        stage_mm = None if self.stage_mm is None else np.interp(t_s, self.t_s, self.stage_mm)
+        return replace(self, t_s=t_s, output=np.interp(t_s, self.t_s, self.output), stage_mm=stage_mm)
+
+    @cached_property
     def window_rows(self) -> Indices:
         """(m,) index of the newest sample of every full window; none reaches across a gap."""
         return np.concatenate([np.arange(s.start + TAPS - 1, s.stop) for s in self.segments]).astype(np.int64)

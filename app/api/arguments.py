@@ -1,6 +1,7 @@
 """Arguments as Python users give them, typed once: plain numbers, columns of float64, times in s. Text is no number."""
 
 import os
+from collections.abc import Hashable
 from datetime import UTC, datetime, timedelta
 from decimal import Decimal
 from numbers import Integral, Real
@@ -134,6 +135,36 @@ def is_times(values: Any) -> bool:
     dtype = values.dtype
     is_arrow = isinstance(dtype, pd.ArrowDtype) and dtype.kind in "mM"
     return bool(is_arrow or pd.api.types.is_datetime64_any_dtype(dtype) or pd.api.types.is_timedelta64_dtype(dtype))
+
+
+def times_of_index(values: Any) -> Any:
+    """Return the index of a pandas Series or DataFrame where it is one of dates or durations, else None."""
+    index = getattr(values, "index", None)
+    return index if hasattr(index, "dtype") and is_times(index) else None
+
+
+def check_indexes(columns: dict[str, Any]) -> None:
+    """Refuse Series whose rows stand under other labels: sample by sample they would be paired wrongly."""
+    indexes = {
+        name: values.index for name, values in columns.items() if hasattr(getattr(values, "index", None), "equals")
+    }
+    for name in list(indexes)[1:]:
+        first = next(iter(indexes))
+        if len(indexes[name]) == len(indexes[first]) and not indexes[name].equals(indexes[first]):
+            raise InputError(
+                f"{first} and {name} have the same length and another index; take both from one table, or give "
+                "arrays where they belong together row by row: .to_numpy()"
+            )
+
+
+def frame_column(frame: Any, option: str, name: Hashable) -> Any:
+    """Return the column of a table by its name; `option` is the argument that names another."""
+    count = list(frame.columns).count(name)
+    if count != 1:
+        there = ", ".join(map(str, list(frame.columns)[:12]))
+        problem = "there is no column" if count == 0 else f"{count} columns are named"
+        raise InputError(f"{problem} {name!r}; the table has {there}; name the one that is meant: {option}=")
+    return frame[name]
 
 
 def _scalar(value: Any) -> Any:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from softcal.app.api.arguments import column, expect, number, shown, text
-from softcal.app.api.network import SourceNetwork, recording_with
-from softcal.app.api.recording import Recording, labelled_of, recording_of
+from softcal.app.api.given import labelled_of, recording_of, recording_with
+from softcal.app.api.network import SourceNetwork
+from softcal.app.api.recording import Recording
 from softcal.app.api.unit import Unit, unit_frame, unit_row
 from softcal.app.batch.calibrating import LotFacts, UnitInputs
 from softcal.core.errors import InputError, UnitRefused

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from softcal.app.api.fitting import named_recordings
+from softcal.app.api.given import recording_of
 from softcal.app.api.network import SourceNetwork
-from softcal.app.api.recording import recording_of
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps import shared_load, source_bias
 from softcal.core.maps.interface import mapped_segments

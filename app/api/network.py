@@ -1,6 +1,5 @@
 """The shared network f in Python: trained on the recording of the source."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -8,7 +7,7 @@ import numpy as np
 
 from softcal.app.api.arguments import shown, whole_number
 from softcal.app.api.display import html_table
-from softcal.app.api.recording import Recording, labelled_of, recording_of
+from softcal.app.api.given import labelled_of, recording_with
 from softcal.core.errors import InputError
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
@@ -133,17 +132,3 @@ def fit_network(
     trained = train_network(labelled, config)
     model = make_source_model(labelled, trained.network, trained.validation_rows, method=Method())
     return SourceNetwork(model, trained.validation_rows, trained.validation_rmse)
-
-
-def recording_with(
-    given: Any, name: str, facts: Mapping[str, Any], rate_Hz: float | None = None, **usual: Any
-) -> Recording:
-    """Return `recording_of`, with facts that the caller gave beside the data; a `Recording` takes none.
-
-    Args:
-        usual: facts where neither the data nor the caller state them.
-    """
-    extra = {fact: value for fact, value in facts.items() if value is not None}
-    if isinstance(given, Recording) and extra:
-        raise InputError(f"{name} is a Recording already: {'=, '.join(extra)}= belongs to softcal.Recording(...)")
-    return recording_of(given, name, rate_Hz, **usual | extra)

@@ -9,13 +9,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from softcal.app.api.arguments import column, expect, file_path, first_instant, is_times, number, shown, text, times
+from softcal.app.api.arguments import (
+    check_indexes,
+    column,
+    expect,
+    file_path,
+    first_instant,
+    frame_column,
+    number,
+    shown,
+    text,
+    times,
+    times_of_index,
+)
 from softcal.app.api.display import html_table, plotting
 from softcal.app.files.measured_at import parse_instant
 from softcal.core.errors import InputError
 from softcal.core.inspection.build import InspectedRecording, build_recording
 from softcal.core.inspection.inspection import Inspection
-from softcal.core.inspection.words import check_reference, summarise
+from softcal.core.inspection.words import summarise
 from softcal.core.lot import check_serial
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.method import Method
@@ -76,7 +88,7 @@ class Recording:
         # Whatever is wrong with it is reported here, not at the first use.
         typed: dict[str, Any] = {name: text(name, getattr(self, name)) for name in _TEXTS}
         check_serial(typed["serial"])
-        _check_indexes({name: getattr(self, name) for name in ("output", *_BESIDE)})
+        check_indexes({name: getattr(self, name) for name in ("output", *_BESIDE)})
         typed["output"] = column("output", self.output)
         for name in _BESIDE:
             if (values := getattr(self, name)) is not None:
@@ -283,10 +295,10 @@ class Recording:
         if not hasattr(frame, "columns"):
             raise InputError(f"frame is {shown(frame)}; a pandas DataFrame was expected")
         columns: dict[str, Any] = {}
-        for argument, name in (("output", output), ("reference", reference), ("t_s", time_s), ("stage_mm", stage_mm)):
-            if name is None and argument not in frame.columns:
-                continue
-            columns[argument] = _frame_column(frame, argument, argument if name is None else name)
+        for option, name in (("output", output), ("reference", reference), ("time_s", time_s), ("stage_mm", stage_mm)):
+            argument = "t_s" if option == "time_s" else option
+            if name is not None or argument in frame.columns:
+                columns[argument] = frame_column(frame, option, argument if name is None else name)
         return cls(**columns, **facts)
 
     @classmethod
@@ -368,80 +380,3 @@ class Recording:
 
 _TEXTS = ("serial", "output_unit", "reference_unit")
 _BESIDE = ("reference", "stage_mm")
-_ARGUMENTS = {"t_s": "time_s"}
-"""Arguments of `from_frame` that are called otherwise than those of `Recording`."""
-
-
-def times_of_index(values: Any) -> Any:
-    """Return the index of a pandas Series or DataFrame where it is one of dates or durations, else None."""
-    index = getattr(values, "index", None)
-    return index if hasattr(index, "dtype") and is_times(index) else None
-
-
-def _check_indexes(columns: dict[str, Any]) -> None:
-    """Refuse Series whose rows stand under other labels: sample by sample they would be paired wrongly."""
-    indexes = {
-        name: values.index for name, values in columns.items() if hasattr(getattr(values, "index", None), "equals")
-    }
-    for name in list(indexes)[1:]:
-        first = next(iter(indexes))
-        if len(indexes[name]) == len(indexes[first]) and not indexes[name].equals(indexes[first]):
-            raise InputError(
-                f"{first} and {name} have the same length and another index; take both from one table, or give "
-                "arrays where they belong together row by row: .to_numpy()"
-            )
-
-
-def _frame_column(frame: Any, argument: str, name: Hashable) -> Any:
-    count = list(frame.columns).count(name)
-    if count != 1:
-        there = ", ".join(map(str, list(frame.columns)[:12]))
-        problem = "there is no column" if count == 0 else f"{count} columns are named"
-        option = _ARGUMENTS.get(argument, argument)
-        raise InputError(f"{problem} {name!r}; the table has {there}; name the one that is meant: {option}=")
-    return frame[name]
-
-
-def recording_of(given: Any, name: str, rate_Hz: float | None = None, **facts: Any) -> Recording:
-    """Return a recording: as it is, out of a table, or out of the output alone.
-
-    Args:
-        given: a `Recording`, a DataFrame, or the output: (n,) array, list or Series.
-        name: of the argument, for the message.
-        rate_Hz: the sample rate where the data have no time of their own.
-        facts: other arguments of `Recording`, or of `from_frame` for a table.
-
-    Raises:
-        InputError: it is none of these.
-    """
-    if isinstance(given, Recording):
-        return given
-    facts = {name: value for name, value in facts.items() if value is not None}
-    if isinstance(given, str | bytes | dict) or not hasattr(given, "__len__"):
-        raise InputError(
-            f"{name} is {shown(given)}; a Recording, a DataFrame or the output itself was expected "
-            "(Recording.read takes a file)"
-        )
-    is_table = hasattr(given, "columns")
-    has_time = times_of_index(given) is not None or {"t_s", "time_s"} & facts.keys() or (is_table and "t_s" in given)
-    if not has_time and rate_Hz is not None:
-        facts = {"sample_rate_Hz": rate_Hz, **facts}
-    return Recording.from_frame(given, **facts) if is_table else Recording(given, **facts)
-
-
-def labelled_of(recording: Recording, name: str, call: str) -> LabelledRecording:
-    """Return output and reference of a recording.
-
-    Args:
-        name: of the argument, and `call` that needs it, for the message.
-
-    Raises:
-        InputError: it has no reference, and the message has the call that gives it one; or one that can label nothing.
-    """
-    if recording.reference is None:
-        raise InputError(
-            f"{name}: this Recording has no reference; {call} needs one: softcal.Recording(..., reference=...), or "
-            'Recording.from_frame(table, reference="name of its column")'
-        )
-    check_reference(recording.inspection)
-    return recording.labelled

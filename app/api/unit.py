@@ -12,7 +12,8 @@ import numpy as np
 
 from softcal.app.api.arguments import file_path, shown, text
 from softcal.app.api.display import html_table, plotting
-from softcal.app.api.recording import Recording, labelled_of, recording_of
+from softcal.app.api.given import labelled_of, recording_of
+from softcal.app.api.recording import Recording
 from softcal.app.api.registry import open_registry
 from softcal.app.files.atomic import write_bytes
 from softcal.app.registry.lot_recordings import audit_of

@@ -7,7 +7,7 @@ from pathlib import Path
 from unicodedata import normalize
 
 from softcal.app.files.importing import Columns, ImportPlan, look_through
-from softcal.app.files.lot_folder import restate_measured_at
+from softcal.app.files.lot_toml import restate_measured_at
 from softcal.app.files.measured_at import measured_at
 from softcal.app.files.not_used import NotUsed
 from softcal.app.files.recording_file import FileRecording, write_rows

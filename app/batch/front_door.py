@@ -10,7 +10,8 @@ from pathlib import Path
 from softcal.app.batch.known import config_of, stated_sources
 from softcal.app.bootstrap import data_folder
 from softcal.app.files.importing import ImportPlan, LookedAt, compare_audits, import_lot, look_through
-from softcal.app.files.lot_folder import FOLDER_OF, LotFolder, open_lot_folder, write_lot_toml
+from softcal.app.files.lot_folder import FOLDER_OF, LotFolder, open_lot_folder
+from softcal.app.files.lot_toml import write_lot_toml
 from softcal.app.files.not_used import NotUsed
 from softcal.app.files.recording_file import replace_recording
 from softcal.app.files.unused_parts import unused_of_import

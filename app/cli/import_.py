@@ -151,7 +151,7 @@ def _report(options: argparse.Namespace, plan: "ImportPlan", imported: "Imported
 
 def _state_limit(options: argparse.Namespace, unit: str, full_range: float) -> None:
     """Write the limit into the folder that was made, as it was given or asked for."""
-    from softcal.app.files.lot_folder import restate_limit
+    from softcal.app.files.lot_toml import restate_limit
 
     stated = limit_rmse(options.limit, unit, full_range, options.out / "lot.toml")
     if stated is not None:

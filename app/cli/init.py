@@ -48,7 +48,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _make_lot(options: argparse.Namespace) -> int:
-    from softcal.app.files.lot_folder import write_lot_toml
+    from softcal.app.files.lot_toml import write_lot_toml
     from softcal.core.lot import Lot
 
     folder = options.folder

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from softcal.app.files.atomic import whole_folder
-from softcal.app.files.lot_folder import write_lot_toml
+from softcal.app.files.lot_toml import write_lot_toml
 from softcal.app.files.measured_at import local_time_remarks, measured_at_row
 from softcal.app.files.not_used import NotUsed
 from softcal.app.files.recording_file import (

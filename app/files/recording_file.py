@@ -19,7 +19,9 @@ from softcal.app.tables.time_column import (
     find_time_column,
     is_clock_heading,
     is_date_heading,
+    is_part_of_second,
     is_time_heading,
+    words_of,
 )
 from softcal.app.tables.timestamps import Clock, Start, median_rate_Hz
 from softcal.core.errors import InputError
@@ -191,8 +193,15 @@ def clock_of(table: Table, names: ColumnNames, rate_Hz: float | None) -> Clock |
             name = find_time_column(others, table.columns)
         if name is None or _is_empty(table, name):
             return None
-    dates = [other for other in table.names if is_date_heading(other) and other != name and table.has(other)]
-    return Clock(name, names.table.time_format, rate_Hz, date=dates[0] if len(dates) == 1 else None)
+    others = [other for other in table.names if other != name and table.has(other)]
+    milliseconds, stamps = None, [other for other in others if is_time_heading(other)]
+    if len(stamps) == 1 and words_of(name) == ("ms",) and is_part_of_second(table.column(name)):
+        # The stamps count whole seconds, and the column beside them the rest of each.
+        name, milliseconds = stamps[0], name
+    dates = [other for other in others if is_date_heading(other)]
+    return Clock(
+        name, names.table.time_format, rate_Hz, date=dates[0] if len(dates) == 1 else None, milliseconds=milliseconds
+    )
 
 
 def _is_empty(table: Table, name: str) -> bool:

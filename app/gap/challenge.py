@@ -13,7 +13,7 @@ import numpy as np
 
 from softcal.app.bootstrap import current_user
 from softcal.app.files.atomic import whole_folder, write_text
-from softcal.app.files.lot_folder import write_lot_toml
+from softcal.app.files.lot_toml import write_lot_toml
 from softcal.app.files.recording_file import write_columns
 from softcal.app.gap.sealed_file import key_beside, read_sealed, write_sealed
 from softcal.core.challenge.case_generator import LINES, SEED_BITS, draw_case, draw_challenge, drawn_seed

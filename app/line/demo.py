@@ -14,7 +14,8 @@ from softcal.app.batch.engine import EngineChoice, WorkerLost, run_all
 from softcal.app.batch.lot_work import BatchConfig
 from softcal.app.batch.report import UnitResult
 from softcal.app.files.atomic import whole_folder
-from softcal.app.files.lot_folder import LotFolder, open_lot_folder, write_lot_toml
+from softcal.app.files.lot_folder import LotFolder, open_lot_folder
+from softcal.app.files.lot_toml import write_lot_toml
 from softcal.app.files.recording_file import write_recording
 from softcal.core.errors import DeviceError, InputError
 from softcal.core.limit_text import LimitText

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from softcal.app.bootstrap import data_folder
-from softcal.app.files.lot_folder import FOLDER_OF, read_lot, restate_reference, write_lot_toml
+from softcal.app.files.lot_folder import FOLDER_OF
+from softcal.app.files.lot_toml import read_lot_toml, restate_reference, write_lot_toml
 from softcal.app.files.profile_file import read_profile
 from softcal.app.files.recording_file import write_columns
 from softcal.core.errors import InputError, NoReply
@@ -284,7 +285,7 @@ def _lot_of(paths: Sequence[Path], serials: Sequence[str], bench: Bench, with_re
     folder = paths[0].parent
     if folder.name not in FOLDER_OF.values() or not (folder.parent / "lot.toml").is_file():
         return None
-    lot, readout = read_lot(folder.parent), bench.readout
+    lot, readout = read_lot_toml(folder.parent).lot, bench.readout
     if (lot.sample_rate_Hz, lot.output_unit) != (readout.rate_Hz, readout.unit):
         raise InputError(
             f"{folder.parent / 'lot.toml'} states {lot.sample_rate_Hz:g} Hz and {lot.output_unit}, the readout gives "
@@ -305,7 +306,7 @@ def _state_source(source: Path, recording: StationRecording, reference: Referenc
         lot = Lot(folder.resolve().name, source.stem, recording.sample_rate_Hz, output_unit=recording.output_unit)
         write_lot_toml(folder, lot, reference)
         return []
-    lot = read_lot(folder)
+    lot = read_lot_toml(folder).lot
     if lot.source == source.stem:
         restate_reference(folder, reference)
         return []

@@ -4,7 +4,8 @@ from pathlib import Path
 
 from softcal.app.files.anchors import write_anchors
 from softcal.app.files.atomic import whole_folder
-from softcal.app.files.lot_folder import ANCHOR_FILES, FOLDER_OF, GOLDEN, write_lot_toml
+from softcal.app.files.lot_folder import ANCHOR_FILES, FOLDER_OF, GOLDEN
+from softcal.app.files.lot_toml import write_lot_toml
 from softcal.app.files.recording_file import write_recording
 from softcal.app.registry.golden import golden_of
 from softcal.app.registry.known_loads import known_loads

@@ -8,6 +8,9 @@ from typing import BinaryIO
 
 from softcal.core.errors import InputError
 
+NOT_UTF_8 = "not UTF-8"
+"""How the remark on an encoding begins that was taken for the likeliest one."""
+
 BLOCK_BYTES = 1 << 20
 MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF32_LE, "utf-32"), (codecs.BOM_UTF16_LE, "utf-16"),
          (codecs.BOM_UTF16_BE, "utf-16"))  # fmt: skip
@@ -17,6 +20,12 @@ BINARY = (b"%PDF", b"PK\x03\x04", b"\xd0\xcf\x11\xe0", b"\x89HDF", b"PAR1", b"AR
 """How files of other formats begin: PDF, .xlsx, .xls, HDF5, Parquet, Arrow, TDMS, gzip."""
 
 LATIN = re.compile(r"[\x00-\x7f°±²³µ·×÷ÄÖÜäöüßÅåØøÆæÀÂÇÈÉÊËÎÏÔÙÛàâçèéêëîïôùûÑñÁÍÓÚáíóúÃÕãõìòº\u00a0]*")
+
+HANGUL = re.compile(r"[\x00-\x7f\u00b0-\u00b7×÷\u2000-\u33ff\uac00-\ud7a3]*")
+"""Korean without Chinese characters: other texts of two bytes a character, read as EUC-KR, are no such text."""
+
+EXTEND_ASCII = ["gb18030", "cp932", "big5", "cp1250", "cp1251", "cp1252", "cp1253", "cp1254", "cp1255"]
+"""Other encodings of text files whose delimiters and numbers are bytes of ASCII."""
 
 CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f\x7f-\x9f\ufffd]")
 
@@ -89,11 +98,13 @@ def _not_utf_8(file: BinaryIO, path: Path) -> Encoding:
         raise InputError(f"{path}: not a text file; export it as CSV again")
     name = "cp1252"
     if not LATIN.fullmatch(sample.decode("latin-1")):
-        best = charset_normalizer.from_bytes(sample).best()
-        name = best.encoding if best is not None and best.encoding != "ascii" else "cp1252"
+        best = charset_normalizer.from_bytes(sample, cp_isolation=EXTEND_ASCII).best()
+        name = best.encoding if best is not None else "cp1252"
+        if HANGUL.fullmatch(sample.decode("euc_kr", errors="replace")):
+            name = "cp949"
     if CONTROL.search(sample.decode(name, errors="replace")):
         name = "cp1252"
     if CONTROL.search(sample.decode(name, errors="replace")):
         raise InputError(f"{path}: not a text file, or one of an encoding that is to be named with --encoding")
     shown = "Latin-1" if name in ("cp1252", "latin-1") else name
-    return Encoding(name, f"not UTF-8; read as {shown} (--encoding states another)")
+    return Encoding(name, f"{NOT_UTF_8}; read as {shown} (--encoding states another)")

@@ -40,7 +40,8 @@ class Heading:
         """Return what differs from a header in the first line, in words."""
         parts = []
         if self.row is None:
-            parts.append("no header")
+            begin = f", data from line {lines[self.first]}" if self.first else ""
+            parts.append(f"no header{begin}")
         elif lines[self.row] != 1:
             parts.append(f"header in line {lines[self.row]}")
         if self.row is not None and self.unit_rows == 1:

@@ -49,6 +49,7 @@ UNIT_NUMBER = re.compile(
 )
 """A number with its unit behind it."""
 
+HEXADECIMAL = re.compile(r"0[xX][0-9A-Fa-f]{1,8}")
 MAX_SUMMARY_ROWS = 12
 SUMMARY_WORDS = frozenset(
     "mean average avg median std stdev sd min minimum max maximum sum total count range variance "
@@ -133,8 +134,9 @@ def unit_number(cell: Any, decimal: str) -> tuple[str, str] | None:
 def written_numbers(cells: NDArray[Any], decimal: str, missing: Sequence[str]) -> tuple[Array, str, str] | None:
     """Return texts that are numbers in another way of writing, their unit, and what was taken off.
 
-    A minus of a text editor, digits of full width, `1.5D-3`, `="0.52"`; one unit behind every number; marks between
-    thousands where they can be nothing else. None where a cell is none of these, or two readings are possible.
+    A minus of a text editor, digits of full width, `1.5D-3`, `="0.52"`; `0x1F` in every cell; one unit behind every
+    number; marks between thousands where they can be nothing else. None where a cell is none of these, or two readings
+    are possible.
     """
     texts = [None if cell is None or is_no_sample(str(cell), missing) else _plain(str(cell)) for cell in cells]
     present = [text for text in texts if text is not None]
@@ -147,6 +149,9 @@ def written_numbers(cells: NDArray[Any], decimal: str, missing: Sequence[str]) -
         (unit,) = units
         texts = [text if text is None else str(unit_number(text, decimal)[0]) for text in texts]  # type: ignore[index]
         how = f"{unit!r} stands behind every number and was taken off"
+    elif all(HEXADECIMAL.fullmatch(text) for text in present):
+        texts = [text if text is None else str(int(text, 16)) for text in texts]
+        how = "its numbers are hexadecimal"
     elif mark := _thousands_mark(present, decimal):
         texts = [text if text is None else text.replace(mark, "") for text in texts]
         how = f"{mark!r} stands between thousands and was taken off"

@@ -1,6 +1,8 @@
 """Texts of dates and times of day, as programs write them, in one way of writing."""
 
 import re
+from datetime import datetime
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 CLOCK = r"\d{1,3}:\d{2}(?::\d{2}(?:[.,:]\d+)?)?(?: ?[AaPp][Mm])?"
 STAMP = re.compile(
@@ -9,6 +11,19 @@ STAMP = re.compile(
 )
 """Dates, times of day and both, as loggers write them."""
 
+DURATION = re.compile(r"P(?=.*\d)(?:(\d+)D)?(?:T(?:(\d+)H)?(?:(\d+)M)?(?:(\d+)(?:[.,](\d+))?S)?)?")
+"""`PT1M0.02S`, a duration of ISO 8601."""
+
+OFFSETS = {
+    "UTC": 0, "GMT": 0, "WET": 0, "WEST": 1, "CET": 1, "MEZ": 1, "CEST": 2, "MESZ": 2, "EET": 2, "EEST": 3, "MSK": 3,
+    "SGT": 8, "HKT": 8, "KST": 9, "JST": 9, "AEST": 10, "AEDT": 11, "NZST": 12, "EDT": -4, "MDT": -6, "PDT": -7,
+}  # fmt: skip
+"""Short names of zones that mean one offset from UTC only, in hours; CST, EST, IST, BST, PST have several meanings."""
+
+NAMED_ZONE = re.compile(
+    r"(?P<stamp>\d.*?\d)(?P<offset>Z|[+-]\d{2}:?\d{2})? ?\[?"
+    r"(?P<zone>(?!(?:AM|PM|Z)\b)[A-Z][A-Za-z]+(?:[/_][A-Za-z_]+)*)(?P<hours>[+-]\d{1,2})?(?::?(?P<minutes>\d{2}))?\]?"
+)
 ELAPSED_DAYS = re.compile(r"\d+ days? .*")
 CLOCK_TIME = re.compile(r"(\d{1,3}):(\d{2})(?::(\d{2}))?(?:[.,:](\d+))? ?([AaPp][Mm])?")
 YEAR_FIRST = re.compile(r"\d{4}-?\d{2}")
@@ -38,6 +53,12 @@ YEAR_AND_HALF = re.compile(r"(?P<date>\d{4}\S+ +)(?P<hour>\d{1,2})(?P<rest>:[\d:
 def plain_stamp(text: str) -> str:
     """Return a stamp in digits: no brackets around it, no name of a month, no half of a day behind a year."""
     text = text.strip()
+    if text[:1] == "P" and (match := DURATION.fullmatch(text)):
+        days, hours, minutes, seconds, fraction = (part or "0" for part in match.groups())
+        count = (int(hours) * 60 + int(minutes)) * 60 + int(seconds)
+        return f"{days} days {count // 3600}:{count // 60 % 60:02}:{count % 60:02}.{fraction}"
+    if text[:1].isdigit() and (match := NAMED_ZONE.fullmatch(text)):
+        text = f"{match['stamp']}{match['offset'] or _offset(match) or ' ' + match['zone']}"
     if text[:1] in "[(" and text[-1:] in "])":
         text = text[1:-1].strip()
     if text.isascii() and (text.isdigit() or not (text[:1].isalpha() or " " in text or "-" in text or "." in text)):
@@ -56,6 +77,25 @@ def plain_stamp(text: str) -> str:
         hour = int(match["hour"]) % 12 + (12 if match["half"] in "pP" else 0)
         text = f"{match['date']}{hour:02}{match['rest']}"
     return text
+
+
+def _offset(match: re.Match[str]) -> str:
+    """Return the offset from UTC of a zone that a stamp names, such as `+09:00`; "" where it is not certain."""
+    if match["hours"] and match["zone"] in ("UTC", "GMT"):
+        return f"{match['hours'][0]}{int(match['hours'][1:]):02}:{match['minutes'] or '00'}"
+    if match["zone"] in OFFSETS:
+        return f"{OFFSETS[match['zone']]:+03}:00"
+    try:
+        at = datetime.fromisoformat(iso_like(plain_stamp(match["stamp"]))[:19])
+        return f"{at.replace(tzinfo=ZoneInfo(match['zone'])):%z}" if "/" in match["zone"] else ""
+    except (ValueError, ZoneInfoNotFoundError):
+        return ""
+
+
+def zone_of(text: str) -> str:
+    """Return the name of a zone behind a stamp that is not certain; "" where there is none."""
+    match = NAMED_ZONE.fullmatch(text.strip())
+    return "" if match is None or is_stamp(text) or not is_stamp(match["stamp"]) else match["zone"]
 
 
 def is_stamp(text: str) -> bool:

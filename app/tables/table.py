@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softcal.app.tables.encoding import NOT_UTF_8
 from softcal.app.tables.numbers import number_cure, shown, to_numbers
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
@@ -88,7 +89,8 @@ class Table:
         named = [column for column in self.columns if column.name == name]
         if len(named) == 1:
             return named[0]
-        raise InputError(f"{self.path}: {missing_column(name, self.names)}; name the one that is meant{cure}")
+        encoding = "".join(f"; {remark}" for remark in self.remarks if remark.startswith(NOT_UTF_8))
+        raise InputError(f"{self.path}: {missing_column(name, self.names)}{encoding}; name the one that is meant{cure}")
 
     def numbers(self, name: str, cure: str = "") -> Array:
         """Return a column as (n,) float64, NaN where a sample is missing.

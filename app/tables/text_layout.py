@@ -22,6 +22,9 @@ CANDIDATES = ("\t", ";", ",", "|", BLANKS, "")
 REMARKS = ("comment", "comments", "note", "notes", "remark", "remarks", "bemerkung", "kommentar", "비고")
 """Names of a last column that rows without a remark end before, as LabVIEW writes them."""
 
+COMMENT = re.compile(r"[# ]*(?:% +)?")
+"""How lines begin that name columns in a comment, as numpy and MATLAB write them."""
+
 LVM_HEADER_END = "***End_of_Header***"
 LVM_SEGMENT, LVM_TIME = "Channels", "X_Value"
 """How the header of a segment of LabVIEW begins, and how each of its columns of time is named."""
@@ -57,13 +60,18 @@ def detect_layout(
         InputError: there is no row of data, or two readings are possible.
     """
     skipped, declared = _preamble(lines, options)
-    # numpy writes its header behind a #.
-    head = [(k, line.lstrip("# ")) for k, line in enumerate(lines[:HEAD_LINES]) if k >= skipped and line.strip("# \t")]
+    kept = [k for k in range(skipped, min(len(lines), HEAD_LINES)) if lines[k].strip("# \t")]
+    head = [(k, COMMENT.sub("", lines[k], count=1)) for k in kept]
     # Rows with commas further down tell the decimal mark where the first ones hold whole numbers.
     more = [line for line in lines[HEAD_LINES:] if "," in line][:200] if len(lines) > HEAD_LINES else []
     texts = [line for _, line in head]
     delimiter, decimal = _marks(texts, more, path, declared)
     rows = [split(line, delimiter) for line in texts]
+    if delimiter == BLANKS:
+        # Names of several words stand two blanks apart.
+        width = data_rows(rows, decimal)[2]
+        apart = [re.split(r"\s{2,}", line.strip()) for line in texts]
+        rows = [wide if len(wide) == width else row for row, wide in zip(rows, apart, strict=True)]
     numbers = [k + 1 for k, _ in head]
     heading = find_heading(rows, numbers, path, decimal=decimal, declared=options.header_row, is_requested=is_requested)
     if LVM_TIME in heading.names:
@@ -168,7 +176,7 @@ def _marks(texts: Sequence[str], more: Sequence[str], path: Path, options: Table
         if not any(len(row) > 1 for row in rows) and delimiter not in ("", options.delimiter):
             continue
         for decimal in (".", ",") if options.decimal is None else (options.decimal,):
-            scores[delimiter, decimal] = _score(rows, decimal)
+            scores[delimiter, decimal] = _score(rows, decimal, delimiter)
     best = max(scores.values(), default=0.0)
     if best <= 0:
         return options.delimiter or ",", options.decimal or "."
@@ -181,9 +189,12 @@ def _marks(texts: Sequence[str], more: Sequence[str], path: Path, options: Table
     return delimiter, decimal
 
 
-def _score(rows: Sequence[Sequence[str]], decimal: str) -> float:
+def _score(rows: Sequence[Sequence[str]], decimal: str, delimiter: str) -> float:
     """Return the rows that have the form of data, times the share of numbers in their cells."""
-    data, _, _ = data_rows(rows, decimal)
+    data, _, width = data_rows(rows, decimal)
+    if width == 1 and delimiter == BLANKS:
+        # It parts the words of a name alone.
+        return 0.0
     cells = [cell for k in data for cell in rows[k]]
     kinds = [Kind.NUMBER if unit_number(cell, decimal) else cell_kind(cell, decimal) for cell in cells]
     filled = len(kinds) - kinds.count(Kind.EMPTY)

@@ -49,7 +49,7 @@ def data_of(
     texts, numbers = _filled(lines, layout.start if offset is None else offset)
     delimiter, width = layout.delimiter, len(layout.heading.names)
     whole = "\n".join(texts)
-    remarks = _drop_comments(texts, numbers, layout) if "#" in whole else []
+    remarks = _drop_comments(texts, numbers, layout) if "#" in whole or "%" in whole else []
     remarks += _drop_segments(texts, numbers)
     remarks += _drop_headers(texts, numbers, layout)
     cells = None
@@ -94,15 +94,16 @@ def _filled(lines: Sequence[str], offset: int) -> tuple[list[str], list[int]]:
 
 
 def _drop_comments(texts: list[str], numbers: list[int], layout: TextLayout) -> list[str]:
-    """Take lines that begin with # out, and return a remark on them.
+    """Take lines that begin with # or % out, and return a remark on them.
 
     A line of as many cells as the others is a broken row, whatever it begins with.
     """
     width = len(layout.heading.names)
-    comments = [k for k, text in enumerate(texts) if text[0] == "#" and len(split(text, layout.delimiter)) != width]
+    comments = [k for k, text in enumerate(texts) if text[0] in "#%" and len(split(text, layout.delimiter)) != width]
+    marks = " or ".join(sorted({texts[k][0] for k in comments}))
     for k in reversed(comments):
         del texts[k], numbers[k]
-    return [f"{len(comments)} lines that begin with # are comments"] if comments else []
+    return [f"{len(comments)} lines that begin with {marks} are comments"] if comments else []
 
 
 def _drop_segments(texts: list[str], numbers: list[int]) -> list[str]:
@@ -146,7 +147,8 @@ def _fit(
             continue
         row = _fitted(cells[k] if cells is not None else split(texts[k], at), width, layout)
         if row is None:
-            raise InputError(_unequal(path, numbers[k], count, width, layout))
+            line = "each row" if set(widths) == {count} and k == 0 else f"line {numbers[k]}"
+            raise InputError(_unequal(path, line, count, width, layout))
         if cells is not None:
             cells[k] = row
         else:
@@ -190,11 +192,11 @@ def _fitted(row: list[str], width: int, layout: TextLayout) -> list[str] | None:
     return row if len(row) == width else None
 
 
-def _unequal(path: Path, line: int, cells: int, width: int, layout: TextLayout) -> str:
-    cure = "repair or remove that line"
+def _unequal(path: Path, line: str, cells: int, width: int, layout: TextLayout) -> str:
+    cure = "repair or remove that line" if line != "each row" else "give each column one name, and no name more"
     if layout.delimiter == "," and cells > width:
         cure += "; are there decimal commas? write the file with semicolons or tabs between cells then"
-    return f"{path}: line {line} has {cells} cells where the header has {width}; {cure}"
+    return f"{path}: {line} has {cells} cells where the header has {width}; {cure}"
 
 
 def _end_of_data(

@@ -172,6 +172,16 @@ def _rising(column: Column) -> Array | None:
     return values if values is not None and len(values) > 2 and bool(np.all(np.diff(values) > 0)) else None
 
 
+def is_part_of_second(column: Column) -> bool:
+    """Whether a column holds whole numbers below 1000 that begin again, as the ms beside a clock of seconds do."""
+    values = to_numbers(column.cells)
+    return (
+        values is not None
+        and bool(np.all((values >= 0) & (values < 1000) & (values % 1 == 0)))
+        and bool(np.any(np.diff(values) < 0))
+    )
+
+
 def _is_even(values: Array) -> bool:
     steps = np.diff(values)
     usual = float(np.median(steps))

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, date, datetime, time, timedelta
+from datetime import UTC, date, datetime, timedelta
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from softcal.app.tables.stamp_text import (
     iso_like,
     plain_stamp,
     pointed,
+    zone_of,
 )
 from softcal.app.tables.table import Column, Table
 from softcal.app.tables.time_column import MIN_NEW_STAMPS, PER_SECOND, words_of
@@ -34,7 +35,14 @@ UTC_WORDS = frozenset({"utc", "gmt"})
 COUNTERS = (2**16, 2**32)
 """Where counters of ms and us begin again."""
 
-HOUR_S, DAY_S = 3600.0, 86400.0
+DAY_S = 86400.0
+CLOCK_BACK = {
+    3600.0: "the clock was put back by an hour; write the stamps in UTC or with their offset, such as +01:00",
+    43200.0: "a clock of 12 hours begins again at 1; write the stamps with AM and PM, or with 24 hours",
+}
+"""By how many s clocks are put back, and what to do."""
+RESTARTED = "was the logger started again? split the file there, or sort its lines"
+
 WITHIN_ONE_SAMPLE = 1.5
 """Largest step over the end of a counter, in median steps."""
 
@@ -64,6 +72,7 @@ class Clock:
         rate_Hz: declared rate: of units that nobody states it tells the right one.
         is_absolute: keeps dates as seconds since 1970 instead of since the first sample.
         date: heading of the column of dates beside times of day.
+        milliseconds: heading of the column of ms beside stamps of whole seconds.
         start: when the first sample was taken, once that was read; None where stamps are not absolute.
     """
 
@@ -72,6 +81,7 @@ class Clock:
     rate_Hz: float | None = None
     is_absolute: bool = False
     date: str | None = None
+    milliseconds: str | None = None
     remarks: list[str] = field(default_factory=list)
     start: Start | None = None
     _unit: str | None = None
@@ -187,10 +197,7 @@ class Clock:
         return values / per_second, wraps
 
     def _from_objects(self, table: Table, column: Column, pattern: str | None) -> Array:
-        cells = column.cells
-        if any(isinstance(cell, (date, time, timedelta)) for cell in cells):
-            return self._from_sheet(table, cells)
-        texts = _texts(cells)
+        texts = _texts(column.cells)
         if pattern is not None:
             return self._patterned(table, texts, pattern)
         texts = np.array([text and plain_stamp(text) for text in texts], dtype=object)
@@ -200,29 +207,6 @@ class Clock:
         if sum(bool(CLOCK_TIME.fullmatch(text)) for text in present) > len(present) / 2:
             return self._times_of_day(table, texts)
         return self._stamps(table, texts)
-
-    def _from_sheet(self, table: Table, cells: NDArray[Any]) -> Array:
-        """Return dates, times of day and durations of a spreadsheet as seconds."""
-        import pandas as pd
-
-        counts, is_missing = np.zeros(len(cells), dtype=np.int64), np.zeros(len(cells), dtype=bool)
-        kinds = set()
-        for row, cell in enumerate(cells):
-            if cell is None or cell != cell:
-                is_missing[row] = True
-                continue
-            if isinstance(cell, date):
-                counts[row] = pd.Timestamp(cell).value
-            elif isinstance(cell, time):
-                counts[row] = ((cell.hour * 60 + cell.minute) * 60 + cell.second) * 10**9 + cell.microsecond * 1000
-            elif isinstance(cell, timedelta):
-                counts[row] = pd.Timedelta(cell).value
-            else:
-                raise self._no_stamp(table, row, cell)
-            kinds.add(datetime if isinstance(cell, date) else type(cell))
-        if len(kinds) > 1:
-            raise InputError(f"{table.path}: column {self.name!r} mixes dates with times of day; write one of them")
-        return self._elapsed(counts, is_missing, is_stamp=datetime in kinds)
 
     def _elapsed_days(self, table: Table, texts: NDArray[Any]) -> Array:
         """Return `0 days 00:00:01.5`, as pandas writes a Timedelta, as seconds."""
@@ -327,20 +311,31 @@ class Clock:
         )
 
     def _no_stamp(self, table: Table, row: int, cell: object) -> InputError:
-        return InputError(
-            f"{table.path}: line {table.lines[row]}, column {self.name!r}: {shown(cell)} is no time; {CURE}"
+        zone = zone_of(str(cell))
+        cure = (
+            f"the zone {zone} has several meanings or is not known: write the offset from UTC, such as +09:00, or give "
+            f"--time-format with it, such as '%Y-%m-%d %H:%M:%S.%f {zone}'"
+            if zone
+            else f"it is no time; {CURE}"
         )
+        return InputError(f"{table.path}: line {table.lines[row]}, column {self.name!r}: {shown(cell)}: {cure}")
 
     def _forward(self, table: Table, values: Array, wraps: Sequence[float]) -> Array:
         """Return times that go forward: counters and days that begin again go on, anything else is refused."""
+        if self.milliseconds is not None:
+            values = values + table.numbers(self.milliseconds) / PER_SECOND["ms"]
         raw, values = values, values + self._added
         rows = np.flatnonzero(np.isfinite(values))
         if not len(rows):
             return values
         before = np.concatenate([[self._last if np.isfinite(self._last) else values[rows[0]] - 1.0], values[rows[:-1]]])
         steps = values[rows] - before
-        positive = steps[steps > 0]
-        if len(positive) < MIN_NEW_STAMPS * len(steps):
+        positive, negative = steps[steps > 0], steps[steps < 0]
+        if len(negative) > MIN_NEW_STAMPS * len(steps):
+            raise InputError(
+                f"{table.path}: column {self.name!r}: time goes back from line to line; sort the lines by it"
+            )
+        if len(positive) + len(negative) < MIN_NEW_STAMPS * len(steps):
             raise InputError(
                 f"{table.path}: column {self.name!r}: most stamps repeat the one before: its clock is coarser than "
                 "the samples; name another column of time, or remove this one and give --sample-rate"
@@ -357,12 +352,11 @@ class Clock:
             ]
             whole = [wrap for wrap, is_whole in zip(wraps, is_new, strict=True) if is_whole]
             if not whole:
-                is_hour = wraps == (DAY_S,) and 0 < step + HOUR_S <= WITHIN_ONE_SAMPLE * typical
-                cause = (
-                    "the clock was put back by an hour; write the stamps with their zone"
-                    if is_hour
-                    else "was the logger started again? split the file there, or sort its lines"
+                is_day = wraps == (DAY_S,)
+                known = (
+                    cure for back_s, cure in CLOCK_BACK.items() if 0 < step + back_s <= WITHIN_ONE_SAMPLE * typical
                 )
+                cause = next(known, RESTARTED) if is_day else RESTARTED
                 raise InputError(
                     f"{table.path}: line {table.lines[row]}, column {self.name!r}: time goes back by {-step:.6g} s; "
                     f"{cause}"
@@ -390,8 +384,12 @@ def _are_times_of_day(cells: NDArray[Any]) -> bool:
 
 
 def _texts(cells: NDArray[Any]) -> NDArray[Any]:
-    """Return cells as texts, None for those that are missing."""
-    return np.array([None if cell is None or cell != cell else str(cell).strip() for cell in cells], dtype=object)
+    """Return cells as texts, None for those that are missing; a duration of a sheet with its days."""
+    spans = [
+        f"{cell.days} days {timedelta(0, cell.seconds, cell.microseconds)}" if isinstance(cell, timedelta) else cell
+        for cell in cells
+    ]
+    return np.array([None if cell is None or cell != cell else str(cell).strip() for cell in spans], dtype=object)
 
 
 def median_rate_Hz(t_s: Array) -> float:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from sqlalchemy import create_engine, text
 
-from softcal.app.files.lot_folder import write_lot_toml
+from softcal.app.files.lot_toml import write_lot_toml
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.maps.affine_map import AffineMap

@@ -56,6 +56,7 @@ class InspectionConfig:
         step_share: a baseline that moves by less than this share of the range makes no step.
         step_rows: so many rows at least lie before and after a step, and its jump so near to where the level changes.
         step_gain: a tare takes away at least this share of what the output leaves unexplained of the reference.
+        single_jump: so many times as large as any other is a jump of the reference that makes a tare of a lasting step.
         max_lag_s: longest lag that is looked for.
         least_lag_s: a shorter lag of the reference is not told from a sensor's own.
         lag_gain: a lag is one where it leaves at most this part of the scatter at no lag.
@@ -91,6 +92,7 @@ class InspectionConfig:
     step_share: float = setting(0.1)
     step_rows: int = setting(50)
     step_gain: float = setting(0.2, MEASURED)
+    single_jump: float = setting(1.5, MEASURED)
     max_lag_s: float = setting(1.5)
     least_lag_s: float = setting(0.1, "eGaIn and nylon sensors: their references come 0.02 s late at most")
     lag_gain: float = setting(0.7, MEASURED)

@@ -1,10 +1,12 @@
 """What the level of an output shows: baseline jumps, stuck stretches, wraps of a counter, clipped ends."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from softcal.core.inspection.config import InspectionConfig
 from softcal.core.inspection.inspection import InspectionFinding
-from softcal.core.inspection.outliers import column_scale, find_shift
+from softcal.core.inspection.outliers import column_scale
 from softcal.core.recording import Array, Indices
 
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -43,9 +45,9 @@ def _wraps(t_s: Array, output: Array, config: InspectionConfig) -> list[Inspecti
 
 def _step(t_s: Array, output: Array, config: InspectionConfig) -> list[InspectionFinding]:
     """Return the step of an output whose whole range moves at once: another programme moves but its peaks."""
-    shift, span = find_shift(output), column_scale(output).span
+    shift, span = find_shift(output, np.zeros(len(output), dtype=np.int64)), column_scale(output).span
     before, after = output[: shift.row + 1], output[shift.row + 1 :]
-    if min(len(before), len(after)) < config.step_rows or abs(shift.amount) < config.step_share * span:
+    if min(len(before), len(after)) < config.step_rows:
         return []
     moved = np.quantile(after, LEVELS) - np.quantile(before, LEVELS)
     middle = float(np.median(moved))
@@ -57,7 +59,7 @@ def _step(t_s: Array, output: Array, config: InspectionConfig) -> list[Inspectio
     if (
         not is_whole
         or abs(jumps[at] - middle) > abs(middle) / 2
-        or shift.explained < max(config.step_gain, shift.trend_explained)
+        or shift.gains[shift.row] < max(config.step_gain, shift.trend_explained)
     ):
         return []
     row = near.start + at
@@ -109,3 +111,54 @@ def equal_runs(values: Array) -> tuple[Indices, Indices]:
     """Return where runs of one value start and how long they are."""
     starts = np.flatnonzero(np.concatenate([[True], np.diff(values) != 0]))
     return starts, np.diff(np.concatenate([starts, [len(values)]]))
+
+
+@dataclass(frozen=True, eq=False)
+class Shift:
+    """The step over time that explains most of a series, or of what its cells leave open of it.
+
+    Args:
+        gains: (n - 1,) share of the open variance that a step after each row takes away.
+        row: the best one: last row of the old level.
+        amount: new level less the old one.
+        residual: (n,) the series less its mean in each cell.
+        trend_explained: share that a straight line over time takes away.
+    """
+
+    gains: Array
+    row: int
+    amount: float
+    residual: Array
+    trend_explained: float
+
+
+def find_shift(values: Array, cells: Indices) -> Shift:
+    """Fit a series by its mean in each cell and one step over time (least squares, CUSUM).
+
+    Step and trend are taken within the cells, so that what happens before and after need not be alike (Frisch and
+    Waugh 1933).
+
+    Args:
+        cells: (n,) of each sample; all alike for the level alone.
+    """
+    rest = _within(cells, values)
+    total, n = max(float(rest @ rest), np.finfo(float).tiny), len(rest)
+    sums = -np.cumsum(rest)[:-1]
+    sizes = np.zeros(n - 1)
+    for cell in np.unique(cells):
+        is_cell = cells == cell
+        before = np.cumsum(is_cell)[:-1]
+        count = np.count_nonzero(is_cell)
+        sizes += before * (count - before) / count
+    sizes = np.maximum(sizes, 1.0)
+    gains = sums**2 / sizes / total
+    trend = _within(cells, np.arange(n, dtype=np.float64))
+    row = int(np.argmax(gains))
+    trend_gain = float(rest @ trend) ** 2 / max(float(trend @ trend), 1.0) / total
+    return Shift(gains, row, float(sums[row] / sizes[row]), rest, trend_gain)
+
+
+def _within(cells: Indices, values: Array) -> Array:
+    """Return values less their mean in each cell."""
+    means = np.bincount(cells, values) / np.maximum(np.bincount(cells), 1)
+    return np.asarray(values - means[cells])

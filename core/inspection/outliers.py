@@ -179,35 +179,3 @@ def _range_of_most(values: Array, least: float, config: InspectionConfig) -> tup
         float(lower[low[-1]]) if len(low) else -np.inf,
         float(upper[high[0] + 1]) if len(high) else np.inf,
     )
-
-
-@dataclass(frozen=True)
-class Shift:
-    """Where the level of a series changes once and for all.
-
-    Args:
-        row: last row of the old level.
-        amount: new level less the old one.
-        explained: share of the variance that the step takes away.
-        trend_explained: share that a straight line over time takes away.
-    """
-
-    row: int
-    amount: float
-    explained: float
-    trend_explained: float
-
-
-def find_shift(values: Array) -> Shift:
-    """Return the step that explains most of a series, by least squares (CUSUM)."""
-    n, centred = len(values), values - np.mean(values)
-    sums, before = np.cumsum(centred)[:-1], np.arange(1, n)
-    gained = sums**2 * n / (before * (n - before))
-    row = int(np.argmax(gained))
-    total = float(np.sum(centred**2))
-    if total == 0:
-        return Shift(row, 0.0, 0.0, 0.0)
-    time = np.arange(n) - (n - 1) / 2
-    trend = float(centred @ time) ** 2 / float(time @ time)
-    amount = float(np.median(values[row + 1 :]) - np.median(values[: row + 1]))
-    return Shift(row, amount, float(gained[row]) / total, trend / total)

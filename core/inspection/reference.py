@@ -1,14 +1,12 @@
 """What a reference shows beside its output: a lag, a slower rate, a tare in the middle, the wrong sign."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from softcal.core.inspection.config import InspectionConfig
 from softcal.core.inspection.inspection import InspectionFinding
-from softcal.core.inspection.levels import equal_runs
+from softcal.core.inspection.levels import equal_runs, find_shift
 from softcal.core.inspection.outliers import column_scale
-from softcal.core.recording import Array, Indices
+from softcal.core.recording import Array, Indices, Mask
 
 BINS = 24
 """Levels of the output at which the reference is averaged."""
@@ -106,72 +104,44 @@ def _slower_reference(t_s: Array, reference: Array, config: InspectionConfig) ->
 def _tares(t_s: Array, output: Array, reference: Array, config: InspectionConfig) -> list[InspectionFinding]:
     """Return where reference and output part at once and for good: the reference was tared, or set anew."""
     span, least = column_scale(reference).span, config.step_rows
-    if len(reference) < 2 * least:
+    if len(reference) <= 2 * least + 1:
         return []
-    shift = find_shift(output, reference)
-    near = np.arange(max(shift.row - least, 1), min(shift.row + least, len(reference) - 2))
-    steps = np.diff(reference)
+    shift, steps = find_shift(reference, _curve_cells(output)), np.diff(reference)
     # The load moves on at its pace while the reference jumps.
-    jumps = steps[near] - (steps[near - 1] + steps[near + 1]) / 2
-    is_jump = np.abs(jumps - shift.amount) < abs(shift.amount) / 2
-    is_clear = shift.explained > max(config.step_gain, shift.trend_explained)
-    if abs(shift.amount) < config.step_share * span or not is_clear or not is_jump.any():
+    jumps = np.zeros(len(steps))
+    jumps[1:-1] = steps[1:-1] - (steps[:-2] + steps[2:]) / 2
+    near = np.arange(max(shift.row - least, least), min(shift.row + least, len(steps) - least))
+    # Drift and creep hide a part of the step from the levels.
+    fitting = near[_agree(jumps[near], shift.amount)]
+    largest = least + int(np.argmax(np.abs(jumps[least : len(jumps) - least])))
+    others = np.abs(np.delete(jumps, np.s_[largest - 1 : largest + 2])).max()
+    # No press is as fast as this jump, the reference stays where it jumped to, and the output has not followed.
+    settled = largest + 1 + round(config.max_lag_s / float(np.median(np.diff(t_s))))
+    lasting = np.median(reference[largest + 1 : largest + 6]) - np.median(reference[largest - 4 : largest + 1])
+    left = np.median(shift.residual[settled : settled + least]) if settled + least <= len(reference) else 0.0
+    left -= np.median(shift.residual[largest + 1 - least : largest + 1])
+    is_step = _agree(float(lasting), jumps[largest]) and _agree(left, jumps[largest])
+    if len(fitting) and shift.gains[shift.row] > max(config.step_gain, shift.trend_explained):
+        row = int(fitting[np.argmax(np.abs(jumps[fitting]))])
+    elif abs(jumps[largest]) > config.single_jump * others and is_step:
+        row = largest
+    else:
         return []
-    best = int(np.argmax(np.where(is_jump, np.abs(jumps), 0.0)))
-    row, jump = int(near[best]), float(jumps[best])
-    return [InspectionFinding("tare", "reference", row + 1, row + 2, float(t_s[row + 1]), jump, abs(jump) / span)]
+    share = abs(float(jumps[row])) / span
+    if share < config.step_share:
+        return []
+    return [InspectionFinding("tare", "reference", row + 1, row + 2, float(t_s[row + 1]), float(jumps[row]), share)]
 
 
-@dataclass(frozen=True, eq=False)
-class Shift:
-    """The step over time that explains most of what the output leaves open of the reference.
-
-    Args:
-        gains: (n - 1,) share of the open variance that a step after each row takes away.
-        row: the best one: last row of the old level.
-        amount: new level less the old one, in the reference's unit.
-        trend_explained: share that a straight line over time takes away.
-    """
-
-    gains: Array
-    row: int
-    amount: float
-    trend_explained: float
-
-    @property
-    def explained(self) -> float:
-        return float(self.gains[self.row])
+def _agree(a: Array | float, b: Array | float) -> Mask:
+    """Tell which steps have one sign and sizes of which none is twice the other."""
+    return np.asarray((a * b > 0) & (np.abs(a) < 2 * np.abs(b)) & (np.abs(b) < 2 * np.abs(a)))
 
 
-def find_shift(output: Array, reference: Array) -> Shift:
-    """Fit the reference by a curve over level and direction of the output and one step over time (least squares).
-
-    Step and trend are taken within the cells of the curve, so that the loads before and after need not be alike
-    (Frisch and Waugh 1933).
-    """
+def _curve_cells(output: Array) -> Indices:
+    """Return the cell of each sample, (n,), by level and direction of the output."""
     # A recording without a reference, as an estimate has it, does not wait for SciPy.
     from scipy.ndimage import uniform_filter1d
 
     is_rising = np.gradient(uniform_filter1d(output, SMOOTHED)) > 0
-    cells = _levels(output) + BINS * is_rising
-    rest = _within(cells, reference)
-    total, n = max(float(rest @ rest), np.finfo(float).tiny), len(rest)
-    sums = -np.cumsum(rest)[:-1]
-    sizes = np.zeros(n - 1)
-    for cell in np.unique(cells):
-        is_cell = cells == cell
-        before = np.cumsum(is_cell)[:-1]
-        count = np.count_nonzero(is_cell)
-        sizes += before * (count - before) / count
-    sizes = np.maximum(sizes, 1.0)
-    gains = sums**2 / sizes / total
-    trend = _within(cells, np.arange(n, dtype=np.float64))
-    row = int(np.argmax(gains))
-    trend_gain = float(rest @ trend) ** 2 / max(float(trend @ trend), 1.0) / total
-    return Shift(gains, row, float(sums[row] / sizes[row]), trend_gain)
-
-
-def _within(cells: Indices, values: Array) -> Array:
-    """Return values less their mean in each cell."""
-    means = np.bincount(cells, values) / np.maximum(np.bincount(cells), 1)
-    return np.asarray(values - means[cells])
+    return np.asarray(_levels(output) + BINS * is_rising)

@@ -143,7 +143,7 @@ def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple
     )
     # Noise that passes for presses shows as far more swings than the source has.
     rate = target_rate / max(source_rate, 1e-9)
-    mapped = candidates[TWO_POINT].apply(problem.target.windows)
+    mapped = candidates[TWO_POINT].apply(problem.target.bridged.windows)
     # Over 20 levels: ten or forty tell programmes apart as well.
     dwell = dwell_distance(problem.source.unlabelled, mapped, 20)
     numbers: dict[str, float | str] = {
@@ -188,8 +188,9 @@ def dwell_distance(source: OutputRecording, mapped_target: Array, cells: int) ->
 def _use(source: OutputRecording, cells: int) -> tuple[Array, Array]:
     """Return the inner edges of the levels, and the share of time in each cell."""
     # Equal shares of the source per cell: each difference from them is then known equally well.
-    edges = np.quantile(source.windows[:, -1], np.linspace(0, 1, cells + 1)[1:-1])
-    return edges, _shares(source.windows, edges)
+    windows = source.bridged.windows
+    edges = np.quantile(windows[:, -1], np.linspace(0, 1, cells + 1)[1:-1])
+    return edges, _shares(windows, edges)
 
 
 def _shares(windows: Array, edges: Array) -> Array:

@@ -54,7 +54,11 @@ class LevelPath:
 
 @lru_cache(maxsize=CACHED)
 def level_path(recording: OutputRecording, average: int, config: CrossingConfig) -> LevelPath | None:
-    """Reduce a recording, averaged over so many samples against noise, to its swings; None where it makes none."""
+    """Reduce a recording, averaged over so many samples against noise, to its swings; None where it makes none.
+
+    Rows of the swings are those of `recording.bridged`: a swing goes on across a few lost samples.
+    """
+    recording = recording.bridged
     # A share of the range: no unit, gain or readout changes what counts as a swing.
     threshold = config.threshold * _range(recording, config)
     # Neighbours of an average share most of their samples: a third of its length loses no turning point.

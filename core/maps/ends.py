@@ -53,7 +53,8 @@ def match_ends(source: LabelledRecording, target: OutputRecording, config: MapCo
         UnitRefused: the unit's output makes no swing that stands out of its noise.
     """
     # A sensor may fall under load: every level is taken in the direction of loading.
-    known, sign = source.unlabelled, source.direction
+    # Samples lost here and there end no press: bridged, a recording in pieces is one that was cut on purpose.
+    known, sign, noise, target = source.unlabelled.bridged, source.direction, output_noise(target), target.bridged
     # Pieces shorter than ten windows show levels but no presses.
     ends, lengths = config.ends, [segment.stop - segment.start for segment in target.segments]
     is_patchy = len(lengths) > 1 and float(np.median(lengths)) < 10 * TAPS
@@ -64,7 +65,6 @@ def match_ends(source: LabelledRecording, target: OutputRecording, config: MapCo
         # The same average on both: it lowers peaks, and must lower them alike.
         average = max(averaging_length(recording, config.crossing) for recording in (known, target))
         shown = _stretch_ends(target, average, sign, [(0, len(target))], config)
-    noise = output_noise(target)
     # Averages of one and the same value differ by rounding.
     if not shown.span[0] > max(ends.clear_of_noise * noise, 1e-9 * float(np.abs(target.output).max())):
         raise UnitRefused(reason("no_swing"))

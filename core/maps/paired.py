@@ -317,9 +317,10 @@ def _seen_entries(recording: OutputRecording, config: StageMatchConfig) -> Indic
 
     Before a recording begins the stage is taken to have stood where it begins.
     """
-    begins_s = np.concatenate([np.full(s.stop - s.start, recording.t_s[s.start]) for s in recording.segments])
-    # Nothing moved before the first sample; only gaps inside hide movements.
-    begins_s[recording.segments[0]] = -np.inf
+    bridged = recording.bridged
+    # Nothing moved before the first sample; only gaps inside hide movements, and a few lost samples hide none.
+    starts_s = np.array([-np.inf, *(bridged.t_s[segment.start] for segment in bridged.segments[1:])])
+    begins_s = starts_s[np.searchsorted(starts_s, recording.t_s, side="right") - 1]
     ago_s = np.array(config.look_back)[:, 0] / recording.sample_rate_Hz
     # Half a sample of slack: times are kept in floating point.
     is_seen = recording.t_s[:, None] - ago_s >= begins_s[:, None] - 0.5 / recording.sample_rate_Hz

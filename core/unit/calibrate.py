@@ -60,9 +60,11 @@ def fit_unit(problem: UnitProblem) -> tuple[Fit, Array]:
     fit, bridge = problem.fit, problem.crossed
     lot_map = problem.lot_map
     chosen = choose_map(fit) if lot_map is None else lot_map.chosen
+    # How a unit was pressed is read across a few lost samples; no fit sees what stands for them.
+    pressed = target.bridged
     evidence = gather_evidence(
         model,
-        target,
+        pressed,
         chosen.unit_map,
         limits,
         other_maps(fit, chosen, method, floor=0.0 if bridge is None else bridge.floor),
@@ -77,10 +79,10 @@ def fit_unit(problem: UnitProblem) -> tuple[Fit, Array]:
     if all(finding.best.is_open for finding in findings):
         findings += contradictions(known, target, limits, method, fit.synchrony) or (
             *health_findings(target, known, limits, method.health),
-            *map_findings(model, target, evidence, lag),
+            *map_findings(model, pressed, evidence, lag),
             *(opening_findings(chosen.evidence, method.findings) if lag is None else ()),
         )
-    own = own_terms(model, target, chosen.unit_map, evidence)
+    own = own_terms(model, pressed, chosen.unit_map, evidence)
     rest = method.map.crossing.robust_range[0]
     interval = model.interval.widened(variance_table(model, evidence) + problem.reference_variance())
     fitted = Fit(

@@ -83,13 +83,15 @@ class Trial:
     Args:
         unit_map: the unit's map, or one fitted without these windows.
         source: recording of the source unit that the unit was pressed together with.
+        source_rows: (k,) of the source's windows.
+        windows: (k, TAPS) of the unit, beside them.
         floor: RMS error that the reference of these windows does not hold: that of f, where f itself read it.
     """
 
     unit_map: UnitMap
     source: LabelledRecording
     source_rows: Indices
-    target_rows: Indices
+    windows: Array
     floor: float = 0.0
 
 
@@ -140,12 +142,12 @@ def _trials(fit: FitProblem, chosen: ChosenMap, parts: int, floor: float) -> lis
     """
     source_rows, target_rows = paired_rows(fit.source.unlabelled, fit.target, fit.synchrony)
     if not np.isfinite(fit.synchrony.until_s):
-        return [Trial(chosen.unit_map, fit.source, source_rows, target_rows, floor)]
+        return [Trial(chosen.unit_map, fit.source, source_rows, fit.target.windows[target_rows], floor)]
     part = np.arange(len(target_rows)) * parts // len(target_rows)
     trials = []
     for held in (part == k for k in range(parts)):
         unit_map = fit_pairs(fit, source_rows[~held], target_rows[~held], SYNCHRONOUS)
-        trials.append(Trial(unit_map, fit.source, source_rows[held], target_rows[held], floor))
+        trials.append(Trial(unit_map, fit.source, source_rows[held], fit.target.windows[target_rows[held]], floor))
     return trials
 
 
@@ -226,7 +228,7 @@ def gather_evidence(
     if lot_fit is not None:
         budget |= {SHARED: lot_fit.common_rmse, "own_part": lot_fit.unit_rmse}
     if others.trials:
-        misread = rms(np.concatenate([_misread(model, target, trial) for trial in others.trials]))
+        misread = rms(np.concatenate([_misread(model, trial) for trial in others.trials]))
         budget["paired"] = float(np.hypot(misread, max(trial.floor for trial in others.trials)))
     return MapEvidence(
         rows,
@@ -353,10 +355,10 @@ def _stage_terms(
     return {"stage": growth * excess.rms, "slow": growth * excess.slow_rms}
 
 
-def _misread(model: SourceModel, target: OutputRecording, trial: Trial) -> Array:
+def _misread(model: SourceModel, trial: Trial) -> Array:
     """Return the differences of the unit's estimates from the source's reference at the same instants."""
     spread = evenly(len(trial.source_rows), 2 * model.method.map.pairs.pairs)
-    estimate = model.network.evaluate(trial.unit_map.apply(target.windows[trial.target_rows[spread]]))
+    estimate = model.network.evaluate(trial.unit_map.apply(trial.windows[spread]))
     return np.asarray(estimate - trial.source.window_reference[trial.source_rows[spread]])
 
 

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from softcal.app.files.lot_folder import open_lot_folder, restate_limit
+from softcal.app.files.lot_folder import open_lot_folder
+from softcal.app.files.lot_toml import restate_limit
 from softcal.app.line.rig import record_to_files
 from softcal.core.errors import BadReply
 from softcal.core.profiles import moves

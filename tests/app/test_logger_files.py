@@ -203,8 +203,8 @@ def test_the_column_of_time_need_not_be_named(stated, folder):
     columns = stated["columns"]
     if not re.search("(?i)time|^zeit|temps|시간|時間|^t_|millis|micros", columns.get("time", "")):
         return  # No heading tells.
-    if stated["file"] in ("graphtec.csv", "campbell_toa5.dat"):
-        return  # Date and ms side by side; three rows of names: here the person names the column.
+    if stated["file"] == "campbell_toa5.dat":
+        return  # Three rows of names: here the person names the column.
     names = ColumnNames(columns["output"], None, columns.get("reference", "reference"), None, None, options_of(stated))
     t_s = inspect_recording(folder / stated["file"], SERIAL, None, names=names).recording.t_s
     assert 1 / np.median(np.diff(t_s)) == pytest.approx(stated["rate_Hz"], rel=1e-3)

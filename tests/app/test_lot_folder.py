@@ -6,7 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from softcal.app.files.lot_folder import open_lot_folder, write_lot_toml
+from softcal.app.files.lot_folder import open_lot_folder
+from softcal.app.files.lot_toml import write_lot_toml
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.unit.budget import SIMULATED, Standing

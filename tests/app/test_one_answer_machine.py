@@ -143,7 +143,7 @@ class OneAnswerMachine(RuleBasedStateMachine):
             self.files[side][serial] = number
         files = self.files[side]
         paths = {serial: self.folder / side / f"{serial}.csv" for serial in files}
-        folder = LotFolder(self.folder / side, LOT, self.folder, paths, {})
+        folder = LotFolder(lot=LOT, root=self.folder / side, source_path=self.folder, unit_paths=paths, audit_paths={})
         worked: list[str] = []
 
         def counting(shared, chunk):
@@ -196,7 +196,7 @@ class OneAnswerMachine(RuleBasedStateMachine):
             (self.folder / side / f"{serial}.csv").write_text(str(number))
             files[serial] = number
         paths = {serial: self.folder / side / f"{serial}.csv" for serial in files}
-        folder = LotFolder(self.folder / side, LOT, self.folder, paths, {})
+        folder = LotFolder(lot=LOT, root=self.folder / side, source_path=self.folder, unit_paths=paths, audit_paths={})
         kept: list[str] = []
 
         def end(result) -> None:

@@ -261,6 +261,37 @@ def test_a_tare_in_the_middle_is_found_where_it_is(share: float, measured_data: 
     assert np.median(np.abs(np.array(sizes) - 1)) < 0.1
 
 
+def slow_programme(rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return output and reference of slow ramps: the output lags in a loop and drifts by a part of its range."""
+    turns = np.cumsum(rng.integers(100, 400, 20))
+    load = np.interp(np.arange(turns[-1]), turns, np.where(np.arange(20) % 2, rng.uniform(2, 5, 20), 0.2))
+    follows = np.concatenate([[load[0]], load[0] + np.cumsum(np.diff(load) * rng.uniform(0.6, 1.0))])
+    drift = rng.uniform(-1, 1) * np.linspace(0, 1, len(load)) ** rng.uniform(0.5, 2)
+    return 0.8 * load + 0.2 * follows + drift + rng.normal(0, 0.02, len(load)), load + rng.normal(0, 0.003, len(load))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_tare_is_found_beside_an_output_that_drifts(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    output, load = slow_programme(rng)
+    assert not inspected(output, load).inspection.of_kind("tare")
+    for share in (-0.15, 0.15):
+        row, tared = int(rng.uniform(0.15, 0.85) * len(load)), load.copy()
+        tared[row:] += share * np.ptp(load)
+        assert [one.start for one in inspected(output, tared).inspection.of_kind("tare")] == [row]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_load_that_jumps_is_no_tare(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    output, load = slow_programme(rng)
+    # A weight that was put down within one sample; a slow sensor follows in seconds.
+    row = int(rng.uniform(0.3, 0.7) * len(load))
+    load[row:] += 2.0
+    output[row:] += 2.0 * (1 - np.exp(-np.arange(len(load) - row) / rng.uniform(1, 60)))
+    assert not inspected(output, load).inspection.of_kind("tare")
+
+
 def test_the_line_of_an_unusable_reference_is_named(press_unit: PressUnit) -> None:
     table = press_unit(1500, 1.0, 0.5, 3)
     output, force_N = table["output"].to_numpy(), table["reference"].to_numpy()
