@@ -11,6 +11,7 @@ from softcal.app.api.given import recording_of
 from softcal.app.api.network import SourceNetwork
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps import shared_load, source_bias
+from softcal.core.maps.config import SharedLoadConfig
 from softcal.core.maps.interface import mapped_segments
 from softcal.core.recording import Array
 
@@ -150,15 +151,13 @@ def compare_sources(lots: Iterable[LotMaps]) -> "pd.DataFrame":
         lots: fits of the same recordings, each by the network of another source.
 
     Returns:
-        A row a source: `bias` (mean of the common load it reads, less that of the others, in the reference unit),
-        `uncertainty` (standard), `others` (sources it is held against) and `is_bad`. Of two sources nobody can say
-        which one errs.
+        A row a source: `bias` and `rmse` (mean and RMS of the common load it reads, less that of another source, in the
+        reference unit), `uncertainty` (what two of the others differ by), `others` (sources it is held against) and
+        `is_bad`. Of two sources nobody can say which one errs.
     """
     import pandas as pd
 
-    fits = {lot.network.model.source.serial: lot.fit for lot in lots}
-    rows = [
-        {"source": serial, **vars(one), "is_bad": one.is_bad}
-        for serial, one in source_bias.compare_sources(fits).items()
-    ]
-    return pd.DataFrame(rows, columns=["source", "bias", "uncertainty", "others", "is_bad"])
+    groups = {lot.network.model.source.serial: lot.fit.groups for lot in lots}
+    biases = source_bias.compare_sources(groups, SharedLoadConfig())
+    rows = [{"source": serial, **vars(one), "is_bad": one.is_bad} for serial, one in biases.items()]
+    return pd.DataFrame(rows, columns=["source", "bias", "rmse", "uncertainty", "others", "is_bad"])

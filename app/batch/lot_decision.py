@@ -19,6 +19,7 @@ class LotFitDecision:
         number: 1, 2, 3 ... of the fits of this lot, and of their withdrawals; 0 before the first.
         sittings: serials of the units whose maps rest on one common load each.
         alone: why others that share one stand alone.
+        sources: which networks read the lot otherwise than those of its other sources.
         is_withdrawn: whether a person took it back: then a person makes the next one.
     """
 
@@ -26,6 +27,7 @@ class LotFitDecision:
     sittings: tuple[tuple[str, ...], ...] = ()
     alone: Mapping[str, Reason] = field(default_factory=dict)
     is_withdrawn: bool = False
+    sources: tuple[Reason, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import msgspec
 
-from softcal.app.batch.known import KeptFacts, lot_facts, lot_method
+from softcal.app.batch.known import KeptFacts, lot_facts, lot_method, stated_sources
 from softcal.app.batch.lot_decision import LotFitDecision, decision_in_force
 from softcal.app.batch.release import decide_lot
 from softcal.app.registry.lot_recordings import source_model, target_serials, unlabelled
@@ -19,6 +19,7 @@ from softcal.core.errors import ChangedMeanwhile
 from softcal.core.maps.common_load import find_groups
 from softcal.core.maps.config import DEFAULT
 from softcal.core.maps.shared_load import LotFit, fit_lot
+from softcal.core.maps.source_bias import SourceBias, compare_sources
 from softcal.core.maps.synchrony import find_synchrony
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.calibrate import calibrate
@@ -45,6 +46,7 @@ class LotFitPlan:
         alone: why other units that share a load would stand alone.
         before: revisions of the units that may take part, when it was planned.
         is_withdrawal: whether every unit gets back the map of its own.
+        sources: which networks read the lot otherwise than those of its other sources.
     """
 
     lot_id: str
@@ -54,6 +56,7 @@ class LotFitPlan:
     alone: Mapping[str, Reason] = field(default_factory=dict)
     before: Mapping[str, int] = field(default_factory=dict)
     is_withdrawal: bool = False
+    sources: tuple[Reason, ...] = ()
 
     def for_batch(self) -> "LotFitPlan":
         """Return the part that a batch carries out."""
@@ -70,20 +73,21 @@ class LotFitPlan:
 
     @property
     def named(self) -> list[Reason]:
-        """Who shares a load and stands alone, and why."""
+        """Who shares a load and stands alone, and why, and which source reads the lot otherwise than the others."""
         by_reason: dict[str, list[str]] = {}
         for serial, why in self.alone.items():
             by_reason.setdefault(str(why), []).append(serial)
         return [
             reason("lot_fit.named", serial=", ".join(serials), why=self.alone[serials[0]])
             for serials in by_reason.values()
-        ]
+        ] + list(self.sources)
 
     def to_json(self) -> dict[str, object]:
         """Return the plan as JSON values."""
         parts = {serial: one.fit.lot_fit and vars(one.fit.lot_fit) for serial, one in self.states.items()}
         alone = {serial: str(why) for serial, why in self.alone.items()}
-        return {"number": self.number, "units": parts, "open": sorted(self.open), "alone": alone}
+        sources = [str(why) for why in self.sources]
+        return {"number": self.number, "units": parts, "open": sorted(self.open), "alone": alone, "sources": sources}
 
 
 def plan_lot_fit(registry: Registry, lot_id: str, *, is_withdrawal: bool = False) -> LotFitPlan:
@@ -98,26 +102,33 @@ def plan_lot_fit(registry: Registry, lot_id: str, *, is_withdrawal: bool = False
         states = {serial: lot.alone(serial) for serial, one in lot.states.items() if one.fit.lot_fit is not None}
         return LotFitPlan(lot_id, number, states, before=lot.revisions, is_withdrawal=True)
     states, alone, is_open = dict[str, UnitState](), dict[str, Reason](), set[str]()
-    for model, targets in lot.by_network():
-        has_groups = any(find_groups(targets, model.method.map))
-        fit = fit_lot(model.source, model.network, targets, model.method.map) if has_groups else LotFit((), {}, {})
+    fits = lot.fits()
+    biases = compare_sources({network: fits[network].groups for network in lot.sources if network in fits}, lot.config)
+    stand_alone = {serial for fit in fits.values() for serial in fit.outliers}
+    for network, fit in fits.items():
         for group in fit.groups:
-            recordings = [lot.states[serial].fit.recording_sha256 for serial in group.members]
-            maps = {serial: LotMap.from_group(fit.units[serial], group, recordings, number) for serial in group.members}
+            together = [serial for serial in group.members if serial not in stand_alone]
+            recordings = [lot.states[serial].fit.recording_sha256 for serial in together]
+            maps = {
+                serial: LotMap.from_group(fit.units[serial], group, recordings, number, biases.get(network))
+                for serial in together
+                if serial in fit.units
+            }
             changed = [serial for serial, one in maps.items() if lot.is_changed(serial, one)]
             states |= {serial: lot.fitted(serial, maps[serial]) for serial in changed}
             if any(lot.is_held(serial) for serial in changed):
                 is_open.update(changed)
-        # Where few share a load, the others are the rule, and no outliers.
-        named = NAMED if 2 * len(fit.members) > len(targets) else NAMED[:-1]
-        alone |= {serial: why for serial, why in fit.outliers.items() if why.code in named}
-        for target in targets:
-            if lot.states[target.serial].fit.lot_fit is not None and target.serial not in fit.members:
-                states[target.serial] = lot.alone(target.serial)
-                is_open.add(target.serial)
+    members = {serial for fit in fits.values() for serial in fit.members}
+    # Where few share a load, the others are the rule, and no outliers.
+    named = NAMED if 2 * len(members) > len(lot.states) else NAMED[:-1]
+    alone |= {s: why for fit in fits.values() for s, why in fit.outliers.items() if why.code in named}
+    for serial, state in lot.states.items():
+        if state.fit.lot_fit is not None and serial not in members:
+            states[serial] = lot.alone(serial)
+            is_open.add(serial)
     if in_force.is_withdrawn:
         is_open.update(states)
-    return LotFitPlan(lot_id, number, states, frozenset(is_open), alone, lot.revisions)
+    return LotFitPlan(lot_id, number, states, frozenset(is_open), alone, lot.revisions, sources=lot.said_of(biases))
 
 
 def store_lot_fit(registry: Registry, plan: LotFitPlan, actor: str | None = None, why: str = "") -> None:
@@ -140,7 +151,8 @@ def store_lot_fit(registry: Registry, plan: LotFitPlan, actor: str | None = None
             with trim_kept(registry, plan.lot_id, serial, actor):
                 said = f"lot fit {plan.number}"
                 registry.calibrations.put_state(plan.lot_id, state, DECIDED_BY, actor=actor, reason=said)
-        fit = LotFitDecision(plan.number, _sittings(registry, plan.lot_id), plan.alone, plan.is_withdrawal)
+        sittings = _sittings(registry, plan.lot_id)
+        fit = LotFitDecision(plan.number, sittings, plan.alone, plan.is_withdrawal, plan.sources)
         registry.decisions.add(
             plan.lot_id, msgspec.to_builtins(replace(before, fit=fit)), action="fit", actor=actor, reason=why
         )
@@ -197,12 +209,16 @@ class _Lot:
     def __init__(self, registry: Registry, lot_id: str, number: int) -> None:
         self._registry, self._lot_id, self._number = registry, lot_id, number
         self._method = lot_method(registry, lot_id)
+        self.config = self._method.map.shared_load
         serials = target_serials(registry, lot_id)
         standings = registry.pages.standings(lot_id, serials, has_stale=True)
         found = {serial: one.summary for serial, one in standings.items() if one.summary is not None}
         self.states = {serial: one.state for serial, one in found.items() if self._may_share(one.state)}
         self.revisions = {serial: found[serial].revision for serial in self.states}
         self._kept = KeptFacts(registry, lot_id, serials)
+        released = registry.networks.released(lot_id)
+        first = [] if released is None else [released.network.id]
+        self.sources = list(dict.fromkeys([*first, *stated_sources(registry, lot_id)]))
         self._models: dict[str, SourceModel] = {}
         self._recordings: dict[str, OutputRecording] = {}
 
@@ -211,13 +227,30 @@ class _Lot:
         is_guessed = fit.knowledge.kind in (BLIND, SHARED) and not fit.knowledge.is_anchored
         return is_guessed and fit.method.id == self._method.id and self._method.map.family == DEFAULT
 
-    def by_network(self) -> list[tuple[SourceModel, list[OutputRecording]]]:
-        """Return the units that one network reads, for each network."""
-        networks = dict.fromkeys(state.fit.network_id for state in self.states.values())
-        return [
-            (self._model(one), [self._recording(s) for s, state in self.states.items() if state.fit.network_id == one])
-            for one in networks
-        ]
+    def fits(self) -> dict[str, LotFit]:
+        """Return the fit of the lot by each network: all units show the common load, those it reads are mapped."""
+        targets, own = [self._recording(serial) for serial in self.states], dict[str, list[str]]()
+        for serial, state in self.states.items():
+            own.setdefault(state.fit.network_id, []).append(serial)
+        if not any(find_groups(targets, self._method.map)):
+            return {network: LotFit((), {}, {}) for network in own}
+        networks = dict.fromkeys([*self.sources, *own]) if own else ()
+        return {
+            network: fit_lot(
+                self._model(network).source,
+                self._model(network).network,
+                targets,
+                self._method.map,
+                paired=own.get(network, []),
+            )
+            for network in networks
+        }
+
+    def said_of(self, biases: Mapping[str, SourceBias]) -> tuple[Reason, ...]:
+        """Return which sources read the lot otherwise than the others; of two it takes one to say so."""
+        known = {network: self._model(network).source for network in biases}
+        said = [bias.to_reason(known[one].serial, known[one].reference_unit) for one, bias in biases.items()]
+        return tuple(why for why in said if why is not None)[: None if len(biases) > 2 else 1]
 
     def is_changed(self, serial: str, new: LotMap) -> bool:
         fit = self.states[serial].fit
@@ -237,10 +270,11 @@ class _Lot:
     def fitted(self, serial: str, lot_map: LotMap | None) -> UnitState:
         """Return a unit by a map of the lot fit, or by its own; its audit is scored by that map."""
         state, start_s = self.states[serial], time.perf_counter()
-        model = self._model(state.fit.network_id)
-        lot, kept = self._registry.lots.get(self._lot_id), self._kept
-        facts = lot_facts(self._registry, lot, [model], None, kept.golden.get(serial, {}).values())
-        (problem,) = facts.problems(self._recording(serial), kept.of(serial))
+        networks = self.sources if state.fit.network_id in self.sources else [state.fit.network_id]
+        lot, kept, models = self._registry.lots.get(self._lot_id), self._kept, [self._model(one) for one in networks]
+        facts = lot_facts(self._registry, lot, models, None, kept.golden.get(serial, {}).values())
+        problems = facts.problems(self._recording(serial), kept.of(serial))
+        problem = problems[networks.index(state.fit.network_id)]
         scores = None if state.audit is None else state.audit.scores.own
         unread = str(state.unreadable_audit.values["error"]) if state.unreadable_audit else ""
         own = None if scores is None else scores.own

@@ -1,12 +1,13 @@
 """The load that units share: its weighted mean over time, and every map paired with that of the others."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from softcal.core.maps.affine_map import TWO_POINT
+from softcal.core.maps.anchors import source_bend
 from softcal.core.maps.choose import ChosenMap, choose_map
 from softcal.core.maps.config import MapConfig, SharedLoadConfig
 from softcal.core.maps.crossing import swings
@@ -49,22 +50,29 @@ class LoadGroup:
     """Units that were pressed by one load at once.
 
     Args:
-        members: serials whose maps are paired with the common load, in the order of the lot; none where the load that
-            they seem to share differs from unit to unit.
+        members: serials of the units under the load, in the order of the lot; none where the load that they seem to
+            share differs from unit to unit.
         t_s: (n,) time stamps on the clock of its first member.
         load: (n,) common load in the reference unit.
-        common_rmse: standard uncertainty of the common load: by how the members differ from each other, as the source
-            then does from them, and by what lines and curves differ beyond that. What f misreads alike of all of them
-            is no part of it: an audit or a golden run of their sitting shows that.
-        growth: by how much of the load above rest the paired estimates differ more under load than at rest: what a
-            press that differs from unit to unit leaves.
+        shape_rmse: standard uncertainty of the course of the common load: by how the members differ from each other, as
+            the source then does from them, and by what lines and curves differ beyond that.
+        gain_rmse: that of its gain: members that miss the hardest presses of the source miss them together.
     """
 
     members: tuple[str, ...]
     t_s: Array
     load: Array
-    common_rmse: float
-    growth: float
+    shape_rmse: float
+    gain_rmse: float
+
+    @property
+    def common_rmse(self) -> float:
+        """Standard uncertainty of the common load.
+
+        What f misreads alike of all members is no part of it: other sources, an audit or a golden run of their sitting
+        show that.
+        """
+        return float(np.hypot(self.shape_rmse, self.gain_rmse))
 
 
 class LotMember:
@@ -128,7 +136,7 @@ def find_groups(
 class SharedLoad:
     """Units under one load: their common load, their maps paired with it, and those it leaves out."""
 
-    def __init__(self, members: Sequence[LotMember], config: SharedLoadConfig) -> None:
+    def __init__(self, members: Sequence[LotMember], config: SharedLoadConfig, paired: Collection[str]) -> None:
         self._config, self._first = config, members[0].problem.target
         count = len(self._first.windows)
         self._thin = evenly(count, config.instants)
@@ -140,7 +148,7 @@ class SharedLoad:
         for one, weight in zip(self._members, self._weights, strict=True):
             rows, values = self._share(one, weight)
             self._total[:, rows] += values
-        self._pair()
+        self._pair(paired)
 
     def _calm(self, members: Sequence[LotMember]) -> list[LotMember]:
         """Leave out members that swing far more often than the others under one load: what they show is no press."""
@@ -160,12 +168,6 @@ class SharedLoad:
     def _decide_line(self) -> Array:
         """Settle how far the lines through rest and peak are believed beside the curves of equal quantiles.
 
-        A line errs by the bend of its unit, a curve by the dwell of the programme. Bends differ from unit to unit:
-        their variance s^2 is that of the lines over the units, and the mean of lines errs by that of the source and of
-        n units, s^2 (1 + 1 / n). A dwell is common to all. Of the mean square D^2 between the common loads by lines
-        and by curves it is what the bends do not explain. Lines count 1 - s^2 (1 + 1 / n) / D^2 (empirical Bayes,
-        Efron and Morris 1973), and never less than the half that a unit alone gives them.
-
         Returns:
             (units,) weights in the common load.
         """
@@ -178,17 +180,24 @@ class SharedLoad:
             weights = self._weighed(estimates)
             loads.append(_mean(estimates, weights))
         if not undecided:
-            self.common_rmse = float(np.sqrt(weights**2 @ _mean_square(estimates - loads[1])))
+            self._shape_rmse = float(np.sqrt(weights**2 @ _mean_square(estimates - loads[1])))
+            self._gain_rmse = 0.0
             return weights
-        apart = float(np.nanmean((loads[1] - loads[0]) ** 2))
-        bend = float(np.nanmean((estimates - loads[1]) ** 2)) * (1.0 + 1.0 / len(self._members))
-        share = max(0.5, 1.0 - bend / max(apart, 1e-300))
+        first = self._members[0].problem
+        span = float(np.ptp(np.quantile(first.source.reference, first.config.curve.shares)))
+        spread, apart = (float(np.nanmean(of**2)) / span**2 for of in (estimates - loads[1], loads[1] - loads[0]))
+        bend = source_bend(first.source, first.config)
+        share, error = weigh_line(spread, bend, apart, len(self._members), self._config)
         for one in undecided:
             one.line_share = share
-        # Errors of lines and curves have different causes.
-        dwell = max(apart - bend, bend)
-        self.common_rmse = float(np.hypot(share * bend**0.5, (1.0 - share) * dwell**0.5))
-        return self._weighed(self._estimates())
+        estimates = self._estimates()
+        weights = self._weighed(estimates)
+        load = _mean(estimates, weights)
+        # Units that miss the hardest presses of the source miss them together: that error is one for all.
+        gain = float(np.median([float(one.alone.evidence["gain_error"]) for one in undecided]))
+        self._gain_rmse = gain * rms(load - np.quantile(load, first.config.crossing.robust_range[0]))
+        self._shape_rmse = span * error
+        return weights
 
     def _estimates(self) -> Array:
         """Return the estimates of every unit by its own map at some instants: (units, instants), NaN where none is."""
@@ -238,9 +247,11 @@ class SharedLoad:
         )
         return LabelledRecording(output, total[1, seen] / total[0, seen], one.problem.source.reference_unit)
 
-    def _pair(self) -> None:
+    def _pair(self, paired: Collection[str]) -> None:
         self._maps, self._apart, bins = {}, {}, []
         for one, weight in zip(self._members, self._weights, strict=True):
+            if one.serial not in paired:
+                continue
             common = self._others(one, weight)
             problem = FitProblem(common, one.problem.network, one.problem.target, config=one.problem.config)
             known, own = paired_rows(common.unlabelled, problem.target, one.synchrony)
@@ -257,8 +268,7 @@ class SharedLoad:
             self._maps[one.serial] = unit_map
             self._apart[one.serial] = rms(before), rms(after)
             bins.append(_by_load(load, after, self._config.bands))
-        left = [rest for _, rest in self._apart.values()]
-        usual = float(np.median(left)) if left else 0.0
+        usual = float(np.median([rest for _, rest in self._apart.values()] or [0.0]))
         for serial, (_, rest) in self._apart.items():
             if rest > self._config.outlying * usual:
                 self.left[serial] = reason("lot_fit.outlier", rmse=rest, usual=usual, unit=self._unit)
@@ -268,11 +278,14 @@ class SharedLoad:
     def _unit(self) -> str:
         return self._members[0].problem.source.reference_unit
 
+    @property
+    def _inside(self) -> list[str]:
+        return [one.serial for one in self._members if one.serial not in self.left]
+
     @cached_property
     def reason(self) -> Reason | None:
         """Why the maps are not paired with the common load; None where they are."""
-        inside = [serial for serial in self._maps if serial not in self.left]
-        why = None
+        inside, why = self._inside, None
         if self.growth > self._config.max_growth:
             why = reason("lot_fit.spread", share=self.growth)
         elif len(inside) < self._config.min_members:
@@ -295,9 +308,37 @@ class SharedLoad:
         """What the group has in common."""
         seen = np.flatnonzero(self._total[0] > self._config.min_share)
         at = self._first.window_rows[seen]
-        members = tuple(serial for serial in self._maps if serial not in self.left)
         load = self._total[1, seen] / self._total[0, seen]
-        return LoadGroup(members, self._first.t_s[at], load, self.common_rmse, self.growth)
+        return LoadGroup(tuple(self._inside), self._first.t_s[at], load, self._shape_rmse, self._gain_rmse)
+
+
+def weigh_line(spread: float, bend: float, apart: float, units: int, config: SharedLoadConfig) -> tuple[float, float]:
+    """Return how far lines through rest and peak are believed beside curves of equal quantiles, and what is left.
+
+    A line errs where the units are bent otherwise than the source, a curve where their time is spent otherwise: both
+    alike for all units. The variances V_l and V_c of these two errors give the weights (Bates and Granger 1969): lines
+    count V_c / (V_l + V_c).
+
+    V_l: the source's bend b is measured, that of a unit is drawn about the mean of its kind with the variance s^2 of
+    the lines over the units. With a normal prior of that mean, of standard deviation M about a straight line, the error
+    has mean r b and variance r M^2 + s^2 / n, where r = s^2 / (s^2 + M^2).
+    V_c: of the mean square D^2 between the common loads by lines and by curves it is what V_l leaves. It counts as one
+    observation, and its prior as another.
+
+    Args:
+        spread: s^2, as all else as a share of the source's range.
+        bend: b.
+        apart: D^2.
+        units: n.
+
+    Returns:
+        The share of the lines, and the standard uncertainty of the common load by both.
+    """
+    drawn = spread / (spread + config.mean_bend**2)
+    of_lines = (drawn * bend) ** 2 + drawn * config.mean_bend**2 + spread / units
+    of_curves = 0.5 * (max(apart - of_lines, 0.0) + config.dwell**2)
+    share = of_curves / (of_lines + of_curves)
+    return share, float(np.hypot(share * of_lines**0.5, (1.0 - share) * of_curves**0.5))
 
 
 def _mean_square(apart: Array) -> Array:

@@ -2,13 +2,18 @@
 
 from dataclasses import dataclass, field
 
-from softcal.core.settings import setting
+from softcal.core.settings import SET, setting
 
 DEFAULT = "auto"
 """Let the evidence of each unit choose (`choose.py`)."""
 
 PAIRS_CHOSEN = "benchmarks/maps_pairs.py: insole's calibration file, stretches 0, 1 and 3 of every four"
 """Origin of what was chosen on measured pairs; docs/results.md tests stretch 2 of every four, behind other sources."""
+
+LINE_CHOSEN = (
+    "insole, every second taxel behind five sources; simulated lots 100-105; tested on the lots of maps_lot.py"
+)
+"""Origin of the two priors of `SharedLoad`."""
 
 
 @dataclass(frozen=True)
@@ -185,6 +190,9 @@ class SharedLoadConfig:
         outlying: a unit that so many times the usual difference is left of, once it is paired, was pressed otherwise.
         bands: of load over which the differences are compared.
         max_growth: where the differences grow by more than this share of the load, the press differs from unit to unit.
+        mean_bend: how far the sensors of a kind are bent on the whole: standard deviation, as a share of the range.
+        dwell: error of a curve of equal quantiles where source and units spend their time otherwise: the same.
+        source_apart: a source is named whose common load differs by so many times what those of the others differ by.
     """
 
     min_members: int = setting(3)
@@ -196,6 +204,9 @@ class SharedLoadConfig:
     outlying: float = setting(4.0)
     bands: int = setting(8)
     max_growth: float = setting(0.03)
+    mean_bend: float = setting(0.04, LINE_CHOSEN)
+    dwell: float = setting(0.06, LINE_CHOSEN)
+    source_apart: float = setting(1.64, f"{SET}: 95 % of a normal distribution, one-sided")
 
 
 @dataclass(frozen=True)

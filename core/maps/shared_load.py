@@ -11,7 +11,7 @@ The maps are paired with the common load once. Pairs say nothing of its level: a
 pairing again, and its level would wander from what the source says. Only the weights are iterated until they stand.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -30,7 +30,7 @@ class LotFit:
 
     Args:
         groups: the common loads.
-        units: every unit that has a map, by its serial.
+        units: every unit that was asked for and has a map, by its serial.
         refused: why each of the others has none.
     """
 
@@ -55,6 +55,7 @@ def fit_lot(
     targets: Sequence[OutputRecording],
     config: MapConfig = MapConfig(),  # noqa: B008 - frozen
     anchors: Mapping[str, Anchors] = MappingProxyType({}),
+    paired: Collection[str] | None = None,
 ) -> LotFit:
     """Fit every unit's map, and pair it with the load that it shares with others where there is one.
 
@@ -65,24 +66,26 @@ def fit_lot(
         network: f, trained on it.
         targets: output of each unit, each with its own serial; no reference is read.
         anchors: known loads of units by serial; who has some keeps its own map.
+        paired: serials of the units to fit maps of; the others show the common load only. None for all.
     """
+    paired = [target.serial for target in targets] if paired is None else paired
     every, refused = list[LotMember](), dict[str, Reason]()
     for target in targets:
         try:
             every.append(LotMember(FitProblem(source, network, target, anchors.get(target.serial), config)))
         except UnitRefused as error:
             refused[target.serial] = error.reason
-    units = {one.serial: LotUnit(one.alone, one.alone.unit_map, reason=one.known_better) for one in every}
-    open_, groups = {one.serial: one for one in every if one.known_better is None}, list[LoadGroup]()
+    left = {one.serial: one.known_better for one in every if one.known_better is not None}
+    open_, groups = {one.serial: one for one in every if one.serial not in left}, list[LoadGroup]()
+    members = dict[str, LotUnit]()
     for found in find_groups([one.problem.target for one in open_.values()], config):
         for target, synchrony in found:
             open_[target.serial].synchrony = synchrony
-        group = SharedLoad([open_[target.serial] for target, _ in found], config.shared_load)
+        group = SharedLoad([open_[target.serial] for target, _ in found], config.shared_load, paired)
         if group.reason is None:
-            units |= group.fitted(len(groups))
+            members |= group.fitted(len(groups))
         groups.append(group.summary)
-        units |= {s: LotUnit(units[s].alone, units[s].alone.unit_map, reason=why) for s, why in group.left.items()}
-    grouped = {serial for serial, unit in units.items() if unit.group is not None or unit.reason is not None}
-    lone = {serial: reason("lot_fit.alone") for serial in units if serial not in grouped}
-    units |= {s: LotUnit(units[s].alone, units[s].alone.unit_map, reason=why) for s, why in lone.items()}
-    return LotFit(tuple(groups), units, refused)
+        left |= group.left
+    lone = reason("lot_fit.alone")
+    alone = {s.serial: LotUnit(s.alone, s.alone.unit_map, reason=left.get(s.serial, lone)) for s in every}
+    return LotFit(tuple(groups), {s: members.get(s, alone[s]) for s in alone if s in paired}, refused)

@@ -1,12 +1,15 @@
 """What the networks of several sources read of one lot, held against each other."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations, product
 
 import numpy as np
 
-from softcal.core.maps.shared_load import LotFit
+from softcal.core.maps.common_load import LoadGroup
+from softcal.core.maps.config import SharedLoadConfig
+from softcal.core.metrics import rms
+from softcal.core.words.reason import Reason, reason
 
 
 @dataclass(frozen=True)
@@ -15,49 +18,72 @@ class SourceBias:
 
     Args:
         bias: mean of its common load less that of another source; the middle one of these, in the reference unit.
-        uncertainty: standard uncertainty of that, of the common loads on both sides.
+        rmse: RMS of that difference; the middle one, too.
+        uncertainty: what two of the other sources differ by: what their common loads are uncertain by, as one
+            observation, and what they were seen to differ by, as one for each two of them.
         others: how many sources it is held against.
+        is_apart: whether it differs by more than they do.
     """
 
     bias: float
+    rmse: float
     uncertainty: float
     others: int
+    is_apart: bool
 
     @property
     def is_bad(self) -> bool:
         """Whether it reads another load than the others do; with one other nobody can say which of the two errs."""
-        return self.others > 1 and abs(self.bias) > 2.0 * self.uncertainty
+        return self.others > 1 and self.is_apart
+
+    @property
+    def common_rmse(self) -> float:
+        """What its common load errs by, as the others see it: they err, too."""
+        return self.rmse * float(np.sqrt(self.others / (self.others + 1)))
+
+    def to_reason(self, serial: str, unit: str) -> Reason | None:
+        """Say how the network of a source reads the lot beside the others; None where it reads as they do."""
+        if not self.is_apart:
+            return None
+        code = f"lot_fit.source.{'two' if self.others == 1 else 'low' if self.bias < 0 else 'high'}"
+        return reason(code, serial=serial, bias=abs(self.bias), rmse=self.rmse, unit=unit, count=self.others)
 
 
-def compare_sources(fits: Mapping[str, LotFit]) -> Mapping[str, SourceBias]:
+def compare_sources(groups: Mapping[str, Sequence[LoadGroup]], config: SharedLoadConfig) -> Mapping[str, SourceBias]:
     """Hold the common loads that the networks of several sources read of one lot against each other.
 
     The units agree on the course of a load, and each source's network gives it a level: what a network misreads of all
-    units alike shows in no fit of its own, and beside those of other sources it does.
+    units alike shows in no fit of its own, and beside those of other sources it does. How far the units miss the
+    hardest presses is no part of it: all sources see them alike.
 
     Args:
-        fits: of the same recordings, by the serial of the source.
+        groups: common loads of the same recordings, by source.
 
     Returns:
-        By source; without those whose fit found no load that another's has, too.
+        By source; without those that found no load that another has, too.
     """
-    found: dict[str, list[tuple[float, float]]] = {serial: [] for serial in fits}
-    for one, other in permutations(fits, 2):
-        for group, against in product(fits[one].groups, fits[other].groups):
-            if not set(group.members) & set(against.members):
-                continue
-            _, mine, theirs = np.intersect1d(group.t_s, against.t_s, return_indices=True)
-            if len(mine):
-                apart = float(np.mean(group.load[mine] - against.load[theirs]))
-                found[one].append((apart, float(np.hypot(group.common_rmse, against.common_rmse))))
-                break
-    return {
-        serial: SourceBias(
-            # The middle one: another source that errs must not make a good one look bad.
-            float(np.median([bias for bias, _ in apart])),
-            float(np.median([error for _, error in apart])),
-            len(apart),
-        )
-        for serial, apart in found.items()
-        if apart
-    }
+    apart = {pair: one for pair in permutations(groups, 2) if (one := _difference(*(groups[s] for s in pair)))}
+    biases = {}
+    for source in groups:
+        # The middle one: another source that errs must not make a good one look bad.
+        of = [one for pair, one in apart.items() if pair[0] == source]
+        among = [one for pair, one in apart.items() if source not in pair]
+        if of:
+            stated = np.mean([one[2] ** 2 for one in among or of])
+            variance = (stated + sum(one[1] ** 2 for one in among) / 2) / (1 + len(among) / 2)
+            bias, rmse, _ = np.median(of, axis=0)
+            error = float(np.sqrt(variance))
+            biases[source] = SourceBias(
+                float(bias), float(rmse), error, len(of), bool(rmse > config.source_apart * error)
+            )
+    return biases
+
+
+def _difference(groups: Sequence[LoadGroup], others: Sequence[LoadGroup]) -> tuple[float, float, float] | None:
+    """Return mean, RMS and standard uncertainty of what one source reads beyond another; None without a common load."""
+    for group, other in product(groups, others):
+        _, mine, theirs = np.intersect1d(group.t_s, other.t_s, return_indices=True)
+        if set(group.members) & set(other.members) and len(mine):
+            apart = group.load[mine] - other.load[theirs]
+            return float(np.mean(apart)), rms(apart), float(np.hypot(group.shape_rmse, other.shape_rmse))
+    return None

@@ -7,6 +7,7 @@ from softcal.core.identity import content_sha256
 from softcal.core.maps.choose import ChosenMap
 from softcal.core.maps.common_load import LoadGroup, LotUnit
 from softcal.core.maps.interface import map_sha256
+from softcal.core.maps.source_bias import SourceBias
 from softcal.core.unit.lot_fit_part import LotFitPart
 
 
@@ -30,13 +31,20 @@ class LotMap:
         return ChosenMap(self.unit.unit_map, {"decision": why, "moved_rmse": self.unit.moved_rmse}, alternatives)
 
     @classmethod
-    def from_group(cls, unit: LotUnit, group: LoadGroup, recordings: Sequence[str], number: int) -> "LotMap":
-        """Return the map of a member of a group; `recordings` are the hashes of what was pressed together."""
+    def from_group(
+        cls, unit: LotUnit, group: LoadGroup, recordings: Sequence[str], number: int, bias: SourceBias | None = None
+    ) -> "LotMap":
+        """Return the map of a member of a group.
+
+        Args:
+            recordings: hashes of what was pressed together.
+            bias: of the source, where the networks of others read the same load: what they differ by counts.
+        """
         part = LotFitPart(
             number=number,
             sitting=content_sha256({}, {"recordings": sorted(recordings)}),
-            units=len(group.members),
-            common_rmse=group.common_rmse,
+            units=len(recordings),
+            common_rmse=max(group.common_rmse, 0.0 if bias is None else bias.common_rmse),
             unit_rmse=unit.unit_rmse,
         )
         return cls(unit, part)

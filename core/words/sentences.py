@@ -355,6 +355,12 @@ lot_fit.noisy: its output swings {times:.3g} times as often as those of the unit
 lot_fit.open: lot fit {number} would change maps (units: {count})
 lot_fit.outlier: it was pressed otherwise than the units it was pressed with: once its map is paired with their load,
   {rmse:.3g} {unit} are left, usually {usual:.3g} {unit}; its map is its own
+lot_fit.source.high: source {serial}: its network reads this lot {bias:.3g} {unit} above what the units agree on behind
+  the other sources (sources: {count}), {rmse:.3g} {unit} RMS
+lot_fit.source.low: source {serial}: its network reads this lot {bias:.3g} {unit} below what the units agree on behind
+  the other sources (sources: {count}), {rmse:.3g} {unit} RMS
+lot_fit.source.two: source {serial}: its network and that of the other source read this lot {rmse:.3g} {unit} apart; of
+  two sources nobody can say which one errs: audit a unit or bring a golden run of its sitting
 lot_fit.spread: the units differ more the harder they are pressed, by {share:.1%} of the load: the press differs from
   unit to unit, so they share no load; each keeps its own map
 not_synchronous: unit and source were not pressed by one load at the same time; press them together,

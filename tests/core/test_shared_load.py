@@ -9,6 +9,8 @@ import pytest
 from softcal.core.maps import common_load
 from softcal.core.maps.catalogue import map_from_arrays
 from softcal.core.maps.choose import choose_map
+from softcal.core.maps.common_load import LoadGroup, weigh_line
+from softcal.core.maps.config import SharedLoadConfig
 from softcal.core.maps.interface import FitProblem, map_sha256
 from softcal.core.maps.shared_load import LotFit, fit_lot
 from softcal.core.maps.source_bias import compare_sources
@@ -17,6 +19,7 @@ from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.unit.lot_fit import LotMap
 
 RATE_HZ, NOISE_V = 50.0, 0.0005
 UNITS = 6
@@ -180,21 +183,71 @@ def test_the_cost_is_linear_in_the_units(source, network, monkeypatch):
     assert steps[0] == steps[1]
 
 
-def test_a_source_whose_network_reads_the_lot_low_is_named(source, network, fit):
-    # A load cell that reads low makes a network that reads every lot low.
-    fits = {"S0": fit}
+def read_by_sources(fit: LotFit) -> dict[str, tuple[LoadGroup, ...]]:
+    """Common loads by three sources; the load cell of the last reads low, and so does its network."""
+    groups = {"S0": fit.groups}
     for serial, factor in (("S1", 1.0), ("S2", 0.75)):
         force_N = presses(40 + int(serial[1:]), 4000, dwell=2.0)
         known = replace(unit(serial, force_N, 50 + int(serial[1:])), reference=factor * force_N)
         own = fit_network(known, NetworkConfig(hidden=(24, 12), max_epochs=40)).network
-        fits[serial] = fit_lot(known, own, outputs(lot()))
-    biases = compare_sources(fits)
+        groups[serial] = fit_lot(known, own, outputs(lot()), paired=()).groups
+    return groups
+
+
+def test_a_source_whose_network_reads_the_lot_low_is_named_with_what_its_units_err_by(fit):
+    biases = compare_sources(read_by_sources(fit), SharedLoadConfig())
     assert {serial for serial, one in biases.items() if one.is_bad} == {"S2"}
-    true = np.mean(0.75 * presses(9, 3000, 60.0)) - np.mean(presses(9, 3000, 60.0))
-    assert biases["S2"].bias == pytest.approx(true, abs=2.5 * biases["S2"].uncertainty) and biases["S2"].others == 2
+    known = presses(9, 3000, 60.0)
+    one = biases["S2"]
+    assert one.bias == pytest.approx(np.mean(0.75 * known) - np.mean(known), abs=2.5 * one.uncertainty)
+    assert one.others == 2 and one.common_rmse > 0.5 * rmse(0.75 * known, known)
+    said = one.to_reason("S2", "N")
+    assert (
+        said.code == "lot_fit.source.low" and "(sources: 2)" in str(said) and biases["S0"].to_reason("S0", "N") is None
+    )
+    group = LotMap.from_group(fit.units["U1"], fit.groups[0], ["a"], 1, one).part
+    assert group.common_rmse == max(one.common_rmse, fit.groups[0].common_rmse)
 
 
 def test_of_two_sources_nobody_can_say_which_errs(fit):
-    biases = compare_sources({"S0": fit, "S1": fit})
+    (group,) = fit.groups
+    biases = compare_sources({"S0": fit.groups, "S1": fit.groups}, SharedLoadConfig())
     assert {one.bias for one in biases.values()} == {0.0} and not any(one.is_bad for one in biases.values())
-    assert compare_sources({"S0": fit}) == {}
+    biases = compare_sources({"S0": fit.groups, "S1": (replace(group, load=0.5 * group.load),)}, SharedLoadConfig())
+    assert not any(one.is_bad for one in biases.values())
+    assert {one.to_reason(s, "N").code for s, one in biases.items()} == {"lot_fit.source.two"}
+    assert compare_sources({"S0": fit.groups}, SharedLoadConfig()) == {}
+
+
+def test_units_that_another_network_reads_show_the_load_and_get_no_map(source, network, fit):
+    part = fit_lot(source, network, outputs(lot()), paired=["U2"])
+    assert list(part.units) == ["U2"] and part.groups[0].members == fit.groups[0].members
+    assert map_sha256(part.units["U2"].unit_map) == map_sha256(fit.units["U2"].unit_map)
+
+
+def line_share(spread: float = 0.07, bend: float = 0.02, apart: float = 0.08, units: int = 20) -> float:
+    share, error = weigh_line(spread**2, bend, apart**2, units, SharedLoadConfig())
+    assert 0.0 < share < 1.0 and error > 0.0
+    return share
+
+
+def test_a_source_that_is_bent_beyond_its_units_takes_weight_from_the_lines():
+    shares = [line_share(bend=bend) for bend in (0.0, 0.05, 0.1, 0.2, 0.4)]
+    assert shares == sorted(shares, reverse=True) and shares[0] > 0.5 > 2 * shares[3]
+    # Units that hardly differ from each other are bent as their source, however much that is.
+    assert line_share(spread=0.005, bend=0.1) > 0.9
+
+
+def test_a_dwell_gives_the_lines_weight_and_bends_that_differ_take_it():
+    shares = [line_share(apart=apart) for apart in (0.0, 0.05, 0.1, 0.2)]
+    assert shares == sorted(shares) and shares[-1] > 0.8
+    shares = [line_share(spread=spread) for spread in (0.01, 0.03, 0.1, 0.2)]
+    assert shares == sorted(shares, reverse=True)
+    assert line_share(units=3) < line_share(units=40)
+
+
+def test_what_all_units_miss_together_is_uncertainty_of_the_common_load(fit):
+    (group,) = fit.groups
+    gains = {float(one.alone.evidence["gain_error"]) for one in fit.units.values()}
+    assert group.gain_rmse > 0.2 * min(gains) * np.ptp(group.load)
+    assert group.common_rmse == pytest.approx(float(np.hypot(group.gain_rmse, group.shape_rmse)))
