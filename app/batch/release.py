@@ -67,8 +67,7 @@ def decide_lot(
         elif said.next_unit or before.next_unit or correction is not before.correction:
             action = "release" if decided.released else "withhold"
             registry.decisions.add(lot_id, msgspec.to_builtins(said), action=action, actor=actor, reason=WHY)
-        for serial, state in lot.open().items():
-            lot.put(serial, replace(state, release=_says(decided, state, number)), "release", WHY)
+        lot.put_all({s: replace(one, release=_says(decided, one, number)) for s, one in lot.open().items()}, WHY)
         return decided
 
 
@@ -102,13 +101,13 @@ def redecide_lot(registry: Registry, lot_id: str, actor: str | None = None, now:
             statement=decided.statement,
         )
         registry.decisions.add(lot_id, msgspec.to_builtins(said), action="withhold", actor=actor, reason=WHY)
+        following_states = {}
         for serial, state in lot.open().items():
-            if state.release is None and not is_new_limit:
-                continue
-            says = _says(decided, state, number)
-            if says is not None:
-                says = replace(says, is_released=serial in released)
-            lot.put(serial, replace(state, release=says), "release", WHY)
+            if state.release is not None or is_new_limit:
+                says = _says(decided, state, number)
+                says = says and replace(says, is_released=serial in released)
+                following_states[serial] = replace(state, release=says)
+        lot.put_all(following_states, WHY)
 
 
 def decide_unit(registry: Registry, lot_id: str, serial: str, actor: str | None = None) -> None:
@@ -129,7 +128,7 @@ def decide_unit(registry: Registry, lot_id: str, serial: str, actor: str | None 
         day = evidence.day_rmse(state.fit.load_rms)
         error = float("inf") if says.factor is None else float(np.hypot(state.fit.forecast.rmse * says.factor, day))
         says = replace(says, day_rmse=day, is_released=error <= limit.acceptance_rmse)
-        lot.put(serial, replace(state, release=says), "release", WHY)
+        lot.put(serial, replace(state, release=says), WHY)
 
 
 def roll_back(
@@ -292,9 +291,15 @@ class _Lot:
                 if audit is None or audit.sha256 != corrected.audit.recording_sha256:
                     continue
                 corrected = measure_again(self._network(state), corrected, audit, self._recording(state))
-            self.put(serial, corrected, "release", WHY)
+            self.put(serial, corrected, WHY)
 
-    def put(self, serial: str, state: UnitState, decided_by: str, why: str) -> None:
+    def put_all(self, states: Mapping[str, UnitState], why: str) -> None:
+        """Put states into use where they are not, after one look at what is there of all."""
+        self.registry.calibrations.read_ahead(self.lot_id, list(states))
+        for serial, state in states.items():
+            self.put(serial, state, why)
+
+    def put(self, serial: str, state: UnitState, why: str) -> None:
         """Put a state into use where it is not."""
         before = self.states[serial]
         if all(getattr(before, one.name) == getattr(state, one.name) for one in fields(state) if one.name != "fit"):
@@ -302,18 +307,16 @@ class _Lot:
         if state.fit.fitted is None and state.line_behind is not None:
             state = replace(state, fit=self._with_arrays(serial).fit)
         self.states[serial] = state
-        put = self.registry.calibrations.put_state
-        put(self.lot_id, state, decided_by, actor=self.actor, reason=why)
+        self.registry.calibrations.put_state(self.lot_id, state, "release", actor=self.actor, reason=why)
 
     def _update(self, only: str | None) -> None:
         registry, limit = self.registry, lot_limit(self.registry, self.lot_id)
         audits = newest_audits(registry, self.lot_id, only)
-        for serial, state in list(self.states.items()):
-            # Rules of other packages have to see the recording again: only a new fit decides on such a unit.
-            if state.fit.rules:
-                continue
-            if state.limit != limit:
-                self.put(serial, replace(state, limit=limit), "release", "held against another limit")
+        # Rules of other packages have to see the recording again: only a new fit decides on such a unit.
+        free = {serial: state for serial, state in self.states.items() if not state.fit.rules}
+        stale = {serial: replace(state, limit=limit) for serial, state in free.items() if state.limit != limit}
+        self.put_all(stale, "held against another limit")
+        for serial in free:
             entry, known = audits.get(serial), self.states[serial].audit
             if entry is None or (known is not None and known.recording_sha256 == entry.sha256):
                 continue
@@ -321,12 +324,12 @@ class _Lot:
             if audit is not None:
                 whole = replace(self._with_arrays(serial), unreadable_audit=None)
                 scored = measure(self._network(whole), whole, audit, self._recording(whole))
-                self.put(serial, scored, "release", "scored on a newer audit")
+                self.put(serial, scored, "scored on a newer audit")
         suspects = self.evidence().suspects
         for serial, state in list(self.states.items()):
             if state.suspect_audit != suspects.get(serial):
                 why = "its audit is set aside" if serial in suspects else "its audit counts again"
-                self.put(serial, replace(state, suspect_audit=suspects.get(serial)), "release", why)
+                self.put(serial, replace(state, suspect_audit=suspects.get(serial)), why)
 
     def _with_arrays(self, serial: str) -> UnitState:
         state = self.states[serial]

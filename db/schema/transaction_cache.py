@@ -4,6 +4,7 @@ One writer at a time: nobody else can change any of it before the transaction en
 takes back was never there, so a rollback to one forgets all.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from weakref import WeakKeyDictionary
 
@@ -23,7 +24,7 @@ class Found:
         blobs: hashes of blobs that are stored.
         networks, methods: ids of those that are stored.
         units: lot and serial of units that are registered.
-        without: table, lot, serial: the unit was registered here, without such a row yet.
+        rows: rows of a unit by table, lot and serial, newest first; none of a unit that was registered here.
     """
 
     lots: dict[str, RowMapping] = field(default_factory=dict)
@@ -32,7 +33,7 @@ class Found:
     networks: set[str] = field(default_factory=set)
     methods: set[str] = field(default_factory=set)
     units: set[tuple[str, str]] = field(default_factory=set)
-    without: set[tuple[str, str, str]] = field(default_factory=set)
+    rows: dict[tuple[str, str, str], Sequence[RowMapping]] = field(default_factory=dict)
 
 
 _by_transaction = WeakKeyDictionary[RootTransaction, Found]()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import RowMapping, bindparam, func, select
+from sqlalchemy import RowMapping, bindparam, select
 
 from softcal.core.errors import AmbiguousUnit, InputError, NoSuchNetwork, NoSuchRevision, NoSuchUnit
 from softcal.core.identity import content_sha256
@@ -17,7 +17,7 @@ from softcal.db.schema.arrays import put_arrays
 from softcal.db.schema.database import given
 from softcal.db.schema.tables import calibrations, canonical_json, fits, methods, networks, refusals
 from softcal.db.truth import history
-from softcal.db.truth.in_use import NEWEST_FIRST, InUseTable, heads_of, names_several, newest_of_unit
+from softcal.db.truth.in_use import NEWEST_FIRST, InUseTable, heads_of, names_several, newest_of_unit, rows_of
 from softcal.db.truth.lot_pages import standing_units
 from softcal.db.truth.registry_base import damaged, of_row
 from softcal.db.truth.unit_states import FIT_SHA256, fits_of, state_of
@@ -28,22 +28,6 @@ if TYPE_CHECKING:
 KNOWN_NETWORK = select(networks.c.id).where(networks.c.id == bindparam("network"))
 KNOWN_METHOD = select(methods.c.id).where(methods.c.id == bindparam("method"))
 KNOWN_FIT = select(fits.c.sha256).where(fits.c.lot_id == bindparam("lot"), fits.c.sha256 == bindparam("fit"))
-_OF_UNIT = (calibrations.c.lot_id == bindparam("lot"), calibrations.c.serial == bindparam("unit"))
-INPUT_OF_FIT = (
-    select(calibrations.c.input_sha256)
-    .where(*_OF_UNIT, calibrations.c.fit_sha256 == bindparam("fit"))
-    .order_by(calibrations.c.revision)
-    .limit(1)
-)
-KNOWN_STATE = (
-    select(calibrations.c.revision, calibrations.c.origin)
-    .where(*_OF_UNIT, calibrations.c.state_sha256 == bindparam("state"))
-    .order_by(*NEWEST_FIRST)
-    .limit(1)
-)
-LAST_REVISION = select(
-    func.max(calibrations.c.revision).label("revision"), func.max(calibrations.c.made_at).label("made_at")
-).where(calibrations.c.serial == bindparam("unit"))
 
 ASKING = ("batch", "line")
 """Who asks for what an input gives; all others decide about what there is."""
@@ -89,10 +73,12 @@ class CalibrationTables(InUseTable):
                 if self.database.row(KNOWN_NETWORK, {"network": network}) is None:
                     raise NoSuchNetwork(f"network {network[:12]} is not in the registry; add it before its maps")
                 stored.add(network)
-            self._add_unit(lot_id, fit.serial, "target", actor)
+            if not self._revisions(lot_id, fit.serial):
+                self._add_unit(lot_id, fit.serial, "target", actor)
             content = adjustments_to_json(state)
             fit_sha256 = self._store_fit(lot_id, fit, actor)
-            asked = input_sha256 or self._input_of(lot_id, fit.serial, fit_sha256) or fit.id
+            first = [row["input_sha256"] for row in self._revisions(lot_id, fit.serial, fit_sha256=fit_sha256)]
+            asked = input_sha256 or next(reversed(first), fit.id)
             values: dict[str, Any] = {
                 "serial": fit.serial,
                 "lot_id": lot_id,
@@ -127,7 +113,7 @@ class CalibrationTables(InUseTable):
         serial = state.serial
         with self.database.writing():
             wanted = state_sha256(self._store_fit(lot_id, state.fit, actor), adjustments_to_json(state))
-            row = self.database.row(KNOWN_STATE, {"lot": lot_id, "unit": serial, "state": wanted})
+            row = next(iter(self._revisions(lot_id, serial, state_sha256=wanted)), None)
             if row is None:
                 self.add(lot_id, state, actor, reason, decided_by=decided_by)
                 return True
@@ -140,7 +126,7 @@ class CalibrationTables(InUseTable):
 
     def _store_fit(self, lot_id: str, fit: Fit, actor: str | None) -> str:
         """Store a fit once, with its method, and return its hash."""
-        if (known := FIT_SHA256.get(fit)) is not None and self._has_fit(lot_id, known):
+        if (known := FIT_SHA256.get(fit)) is not None and self._has_fit(lot_id, fit.serial, known):
             return known
         from softcal.core.unit.state_json import fit_to_json
 
@@ -148,7 +134,7 @@ class CalibrationTables(InUseTable):
         blob = put_arrays(self.database, stored.arrays)
         sha256 = content_sha256({}, {"content": stored.content, "blob": blob})
         FIT_SHA256[fit] = sha256
-        if self._has_fit(lot_id, sha256):
+        if self._has_fit(lot_id, fit.serial, sha256):
             return sha256
         if fit.method.id not in self.database.found.methods:
             if self.database.row(KNOWN_METHOD, {"method": fit.method.id}) is None:
@@ -159,13 +145,15 @@ class CalibrationTables(InUseTable):
         self._store(fits, values | {"content": stored.content, "blob_sha256": blob}, "fit", actor)
         return sha256
 
-    def _has_fit(self, lot_id: str, sha256: str) -> bool:
+    def _has_fit(self, lot_id: str, serial: str, sha256: str) -> bool:
+        if self._revisions(lot_id, serial, fit_sha256=sha256):
+            return True
         return self.database.row(KNOWN_FIT, {"lot": lot_id, "fit": sha256}) is not None
 
-    def _input_of(self, lot_id: str, serial: str, fit_sha256: str) -> str | None:
-        """Return what asked for the first revision with a fit."""
-        first: str | None = self.database.value(INPUT_OF_FIT, {"lot": lot_id, "unit": serial, "fit": fit_sha256})
-        return first
+    def _revisions(self, lot_id: str, serial: str, **equal: str) -> list[RowMapping]:
+        """Return the revisions of a unit with equal columns, newest first."""
+        rows = rows_of(self.database, calibrations, "", serial)
+        return [row for row in rows if row["lot_id"] == lot_id and all(row[name] == one for name, one in equal.items())]
 
     def rollback(
         self,
@@ -301,9 +289,9 @@ class CalibrationTables(InUseTable):
         before: Mapping[str, object] | None = None,
     ) -> int:
         lot_id, serial = values["lot_id"], values["serial"]
-        newest = self.database.rows(LAST_REVISION, {"unit": serial})[0]
-        times = (newest["made_at"], newest_of_unit(self.database, lot_id, serial))
-        revision = (newest["revision"] or 0) + 1
+        revisions = rows_of(self.database, calibrations, "", serial)
+        times = (*(row["made_at"] for row in revisions[:1]), newest_of_unit(self.database, lot_id, serial))
+        revision = max((row["revision"] for row in revisions), default=0) + 1
         made_at = self._after(max((at for at in times if at is not None), default=None))
         new = {"revision": revision, "origin": self.origin, "made_at": made_at}
         new |= {"actor": self._actor(actor), "reason": reason, **software_now()}

@@ -33,14 +33,17 @@ STALE = (LIMIT_IS_OTHER, LIMIT_IS_GONE) = ("stale_limit", "stale_limit_open")
 """Codes of the reasons why a verdict does not stand any more."""
 
 
-def _of_unit(table: sa.Table, *columns: Any) -> sa.Select[Any]:
-    return select(*columns).where(table.c.lot_id == bindparam("lot"), table.c.serial == bindparam("unit"))
-
-
-STATEMENTS = _of_unit(in_use, in_use).order_by(*NEWEST_STATEMENT)
-LAST_STATEMENT = _of_unit(in_use, func.max(in_use.c.made_at))
-LAST_REFUSAL = _of_unit(refusals, func.max(refusals.c.made_at))
-LAST_NUMBER = _of_unit(in_use, func.max(in_use.c.number)).where(in_use.c.origin == bindparam("registry"))
+ROWS = {
+    in_use: select(in_use).where(in_use.c.lot_id == bindparam("lot")).order_by(*NEWEST_STATEMENT),
+    refusals: select(refusals.c.serial, refusals.c.made_at)
+    .where(refusals.c.lot_id == bindparam("lot"))
+    .order_by(refusals.c.made_at.desc()),
+    calibrations: select(
+        *(calibrations.c[name] for name in ("lot_id", "serial", "revision", "origin", "made_at")),
+        *(calibrations.c[name] for name in ("fit_sha256", "state_sha256", "input_sha256")),
+    ).order_by(*NEWEST_FIRST),
+}
+ROWS_OF_UNIT = {table: query.where(table.c.serial == bindparam("unit")) for table, query in ROWS.items()}
 """Built once, for every unit of a batch: to build a statement takes longer than to run it."""
 
 
@@ -73,12 +76,11 @@ class InUseTable(RegistryBase):
             heads = heads_of(self.database, lot_id, serial)
             if names_several(self.database, heads):
                 return True
-            refused = newest_refusal(self.database, lot_id, serial)
-            last = STATEMENTS.where(in_use.c.input_sha256.is_not(None)).limit(1)
-            asked = self.database.row(last, {"lot": lot_id, "unit": serial})
+            statements, refused = (rows_of(self.database, table, lot_id, serial) for table in (in_use, refusals))
+            asked = next((row for row in statements if row["input_sha256"] is not None), None)
             named = {"revision": made["revision"], "made_by": made["origin"]}
             if asked is not None and asked["input_sha256"] == input_sha256:
-                if refused is None or refused < asked["made_at"]:
+                if not refused or refused[0]["made_at"] < asked["made_at"]:
                     if work_sha256 in (None, asked["work_sha256"]):
                         return True
                     named = dict(heads[0])
@@ -112,8 +114,17 @@ class InUseTable(RegistryBase):
 
     def was_decided_by(self, decided_by: str, lot_id: str, serial: str) -> bool:
         """Return whether a trim, a release or a rollback ever put a unit's calibration into use."""
-        query = _of_unit(in_use, in_use.c.number).where(in_use.c.decided_by == decided_by).limit(1)
-        return self.database.row(query, {"lot": lot_id, "unit": serial}) is not None
+        return any(row["decided_by"] == decided_by for row in rows_of(self.database, in_use, lot_id, serial))
+
+    def read_ahead(self, lot_id: str, serials: Sequence[str]) -> None:
+        """Read at once what puts calibrations of units of a lot into use, for the rest of a write transaction."""
+        for part in parts(serials):
+            for table, query in ROWS.items():
+                rows: dict[str, list[RowMapping]] = {serial: [] for serial in part}
+                for row in self.database.rows(query.where(table.c.serial.in_(part)), {"lot": lot_id}):
+                    rows[row["serial"]].append(row)
+                lot = "" if table is calibrations else lot_id
+                self.database.found.rows.update({(table.name, lot, serial): of for serial, of in rows.items()})
 
     def passed_once(self, lot_id: str) -> frozenset[str]:
         """Return the serials of a lot for which a calibration that passed was ever in use."""
@@ -156,11 +167,10 @@ class InUseTable(RegistryBase):
 
         `named` has `revision` and `made_by` of the calibration, `told` who decided and what asked for it.
         """
-        is_first = (in_use.name, lot_id, serial) in self.database.found.without
-        heads = [] if is_first else heads_of(self.database, lot_id, serial)
+        heads = heads_of(self.database, lot_id, serial)
         at = made_at or self._after(newest_of_unit(self.database, lot_id, serial))
-        mine = {"lot": lot_id, "unit": serial, "registry": self.origin}
-        number = 0 if is_first else self.database.value(LAST_NUMBER, mine) or 0
+        statements = rows_of(self.database, in_use, lot_id, serial)
+        number = max((row["number"] for row in statements if row["origin"] == self.origin), default=0)
         for head in (*heads,) or (None,):
             number += 1
             values = {"lot_id": lot_id, "serial": serial, "origin": self.origin, "number": number}
@@ -172,9 +182,21 @@ class InUseTable(RegistryBase):
             self._store(in_use, values, "put_in_use", actor, reason, before)
 
 
+def rows_of(database: Database, table: sa.Table, lot_id: str, serial: str) -> Sequence[RowMapping]:
+    """Return the statements or refusals of a unit of a lot, or the revisions of a serial in all (lot ""), newest first.
+
+    A transaction has those that were read ahead, and the revisions: these are read only to write the next one.
+    """
+    stored, key = database.found.rows, (table.name, lot_id, serial)
+    rows = stored[key] if key in stored else database.rows(ROWS_OF_UNIT[table], {"lot": lot_id, "unit": serial})
+    if table is calibrations:
+        stored[key] = rows
+    return rows
+
+
 def heads_of(database: Database, lot_id: str, serial: str) -> list[RowMapping]:
     """Return the statements of a unit that nothing follows, newest first; several once histories parted."""
-    rows = database.rows(STATEMENTS, {"lot": lot_id, "unit": serial})
+    rows = rows_of(database, in_use, lot_id, serial)
     followed = {(row["follows_origin"], row["follows_number"]) for row in rows}
     return [row for row in rows if (row["origin"], row["number"]) not in followed]
 
@@ -264,22 +286,10 @@ def conflict_line(database: Database, lot_id: str, serial: str) -> str:
     )
 
 
-def newest_refusal(database: Database, lot_id: str, serial: str) -> datetime | None:
-    """Return when a unit was refused last."""
-    return _last(database, refusals, LAST_REFUSAL, lot_id, serial)
-
-
 def newest_of_unit(database: Database, lot_id: str, serial: str) -> datetime | None:
     """Return the time of the newest statement or refusal of a unit."""
-    stated = _last(database, in_use, LAST_STATEMENT, lot_id, serial)
-    return max((at for at in (stated, newest_refusal(database, lot_id, serial)) if at is not None), default=None)
-
-
-def _last(database: Database, table: sa.Table, query: sa.Select[Any], lot_id: str, serial: str) -> datetime | None:
-    if (table.name, lot_id, serial) in database.found.without:
-        return None
-    made_at: datetime | None = database.value(query, {"lot": lot_id, "unit": serial})
-    return made_at
+    newest = (rows_of(database, table, lot_id, serial)[:1] for table in (in_use, refusals))
+    return max((row["made_at"] for rows in newest for row in rows), default=None)
 
 
 def of_this_method(database: Database) -> sa.ColumnElement[bool]:

@@ -66,7 +66,7 @@ class RecordingTables(RegistryBase):
             self._lot_row(lot_id)
             self._add_unit(lot_id, recording.serial, "source" if kind == "source" else "target", actor)
             sha256 = recording.sha256
-            is_first = (recordings.name, lot_id, recording.serial) in self.database.found.without
+            is_first = (recordings.name, lot_id, recording.serial) in self.database.found.rows
             named = {"sha": sha256, "lot": lot_id, "of_kind": kind}
             known = None if is_first else self.database.row(KNOWN_RECORDING, named)
             if known is not None:

@@ -96,8 +96,10 @@ class RegistryBase:
     ) -> None:
         """Insert one row together with the row of the audit trail that tells of it."""
         self.database.change(INSERTS[table.name], dict(values))
-        if table.name in OF_UNITS:
-            self.database.found.without.discard((table.name, values["lot_id"], values["serial"]))
+        if "serial" in values:
+            # A revision is numbered through all lots.
+            lot_id = "" if table.name == "calibrations" else values["lot_id"]
+            self.database.found.rows.pop((table.name, lot_id, values["serial"]), None)
         key, after = history.row_key(table, values), history.told(table, values)
         self._tell(action, table.name, key, actor, after=after, before=before, reason=reason)
 
@@ -172,7 +174,7 @@ class RegistryBase:
         if self.database.row(KNOWN_UNIT, {"lot": lot_id, "unit": serial}) is None:
             values = {"lot_id": lot_id, "serial": serial, "role": role, "added_at": self.settings.clock()}
             self._store(units, values, "add", actor)
-            found.without.update((table, lot_id, serial) for table in OF_UNITS)
+            found.rows.update({(table, lot_id, serial): () for table in OF_UNITS})
         found.units.add((lot_id, serial))
 
     @_once_more
