@@ -168,7 +168,7 @@ def outcome(stream: Stream, has_beside: bool) -> Outcome:
     wrong = np.nan_to_num(rows.estimate - stream.load), np.nan_to_num(still - stream.load)
     whole = [float(np.sqrt(np.mean(e**2))) for e in wrong]
     last = [float(np.sqrt(np.mean(e[-len(e) // 3 :] ** 2))) for e in wrong]
-    limit = DriftTracking().doubt.alarm_ratio * promised
+    limit = DriftTracking().uncertainty.alarm_ratio * promised
     due = due_spans(wrong[0], BLOCK * stream.cycle, limit)
     long = [(a, b) for a, b in due if b - a >= 2 * BLOCK * stream.cycle]
     is_due = marked(due, len(used))

@@ -82,7 +82,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--sets", nargs="+", default=["eGaIn", "skin", "insole", "nylon"])
     options = parser.parse_args()
-    rows = []
+    rows: list[list[object]] = []
     for name, source, units in pairs(options.sets):
         trained = fit_network(source, NETWORK)
         model = make_source_model(source, trained.network, trained.validation_rows, method=Method())
