@@ -148,7 +148,12 @@ def map_figure(runs: Sequence[RunView], channel: str, say: Words) -> go.Figure |
             hoverongaps=False,
         )
         figure.add_trace(heat, row=1, col=column)
-    scale = {"colorscale": "OrRd", "cmin": 1.0, "cmax": top, "colorbar": {"title": say("gap.figure.scale")}}
+    scale = {
+        "colorscale": "OrRd",
+        "cmin": 1.0,
+        "cmax": top,
+        "colorbar": {"title": {"text": say("gap.figure.scale"), "side": "right"}},
+    }
     return _styled(figure, 320, coloraxis=scale)
 
 

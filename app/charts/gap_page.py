@@ -8,9 +8,9 @@ from typing import Any
 import plotly.graph_objects as go
 
 from softcal.app.charts import gap as figures
-from softcal.app.charts.drawing import drawing
 from softcal.app.charts.gap import RunView
 from softcal.app.charts.page import document, section, table
+from softcal.app.paper.drawing import svg
 from softcal.app.texts.reasons import Words
 from softcal.app.views import gap
 
@@ -29,7 +29,6 @@ h1.ambiguous, h1.explained_in_part { border-color: #b06f00; } h1.unknown { borde
 .next p { margin: 4px 0 0; }
 .bar { position: relative; background: #eef1f4; border-radius: 4px; min-width: 110px; height: 22px; }
 .bar i { position: absolute; inset: 0 auto 0 0; background: #eab69f; border-radius: 4px; }
-.drawing { width: 100%; height: auto; }
 .bar span { position: relative; padding-left: 6px; }
 """
 """Its colours are of the outcomes of a diagnosis, which are other words than a unit's verdicts (`charts.palette`)."""
@@ -67,12 +66,12 @@ def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str, sa
             section(say("gap.next"), experiment),
             section(say("gap.runs"), *_traces(runs, say)),
         ]
-    return document(say("gap.page.title", serial=serial), parts, STYLE, say("gap.page.lang"), has_plots=False)
+    return document(say("gap.page.title", serial=serial), parts, STYLE, say("gap.page.lang"))
 
 
 def drawings(*drawn: go.Figure | None) -> str:
     """Return figures one below the other, of which those that could not be drawn are left out."""
-    return "".join(drawing(figure) for figure in drawn if figure is not None)
+    return "".join(svg(figure) for figure in drawn if figure is not None)
 
 
 def _gain_rows(report: Mapping[str, Any], runs: Sequence[RunView], say: Words) -> str:

@@ -23,6 +23,13 @@ MOST_REASONS = 8
 LEVEL_COLOURS = ("limit", "text", "limit")
 
 
+def lot_picture(name: str, view: LotView, colours: Palette, words: Words) -> go.Figure:
+    """Return a picture of the report by its name: errors, process or reasons."""
+    if name == "process":
+        return control_chart_figure(view.process, view.lot.reference_unit, colours, words)
+    return {"errors": predicted_errors, "reasons": reasons_pareto}[name](view, colours, words)
+
+
 def predicted_errors(view: LotView, colours: Palette, words: Words) -> go.Figure:
     """Draw the predicted errors by verdict, with the limit; the last bar holds all beyond."""
     every = view.predicted()

@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 from html import escape
 
-from softcal.app.charts.lot import control_chart_figure, predicted_errors, reasons_pareto
-from softcal.app.charts.page import document, figures, section, table
-from softcal.app.charts.palette import palette
+from softcal.app.charts.lot import lot_picture
+from softcal.app.charts.page import document, section, table
+from softcal.app.charts.palette import LIGHT
+from softcal.app.paper.drawing import svg
 from softcal.app.texts.reasons import Words
 from softcal.app.views.lot import LotView
 from softcal.app.views.lot_report import report_facts, report_parts
@@ -22,13 +23,10 @@ def lot_page(view: LotView, units: Sequence[UnitEntry], words: Words, made: str)
     facts = report_facts(view, words)
     listed = "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in facts.items())
     head = f"<header><h1>{escape(view.lot.id)}</h1><dl>{listed}</dl><p>{escape(made)}</p></header>"
-    colours, sections = palette(None), [head]
-    drawers = {"errors": predicted_errors, "reasons": reasons_pareto}
+    sections = [head]
     for part in report_parts(view, units, words("lot.table"), words):
-        if part.picture == "process":
-            shown = figures(control_chart_figure(view.process, view.lot.reference_unit, colours, words))
-        elif part.picture:
-            shown = figures(drawers[part.picture](view, colours, words))
+        if part.picture:
+            shown = svg(lot_picture(part.picture, view, LIGHT, words))
         else:
             shown = table(part.header, ([escape(cell) for cell in row] for row in part.rows))
         sections.append(section(part.title, shown))

@@ -3,9 +3,6 @@
 from collections.abc import Iterable, Sequence
 from html import escape
 
-import plotly.graph_objects as go
-from plotly.offline import get_plotlyjs
-
 from softcal.app.charts.palette import FONTS
 
 DOCUMENT = """<!doctype html>
@@ -22,16 +19,15 @@ table {{ border-collapse: collapse; width: 100%; margin: 8px 0; font-size: 14px;
 th, td {{ text-align: left; padding: 6px 10px; border-bottom: 1px solid #e4e8ec; vertical-align: top; }}
 th {{ color: #55606c; font-weight: 600; }}
 @media print {{ section {{ break-inside: avoid; }} body {{ background: #fff; }} }}
+.drawing {{ width: 100%; height: auto; font-family: inherit; }}
 {style}</style>
-<script>{script}</script>
 </head><body><main>{body}</main></body></html>
 """
 
 
-def document(title: str, parts: Iterable[str], style: str = "", language: str = "", has_plots: bool = True) -> str:
-    """Return a page from parts, which are HTML; without `has_plots` it needs no library."""
-    body, script = "\n".join(parts), get_plotlyjs() if has_plots else ""
-    return DOCUMENT.format(fonts=FONTS, title=escape(title), body=body, style=style, language=language, script=script)
+def document(title: str, parts: Iterable[str], style: str = "", language: str = "") -> str:
+    """Return a page from parts, which are HTML."""
+    return DOCUMENT.format(fonts=FONTS, title=escape(title), body="\n".join(parts), style=style, language=language)
 
 
 def section(title: str, *parts: str) -> str:
@@ -44,9 +40,3 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
     body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-
-
-def figures(*drawn: go.Figure | None) -> str:
-    """Return figures one below the other, of which those that could not be drawn are left out."""
-    shown = {"full_html": False, "include_plotlyjs": False, "config": {"displaylogo": False, "displayModeBar": False}}
-    return "".join(figure.to_html(**shown) for figure in drawn if figure is not None)

@@ -10,7 +10,7 @@ from datetime import UTC, datetime, timedelta
 from softcal.app.bootstrap import is_alive
 from softcal.app.line.scan_codes import numbered
 from softcal.core.lot import Lot
-from softcal.core.orders import Heartbeat, Order, Progress, RunState, StationState
+from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
 from softcal.core.quality.known_loads import KnownLoad, asked_loads, next_step
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.unit.verdict import Verdict
@@ -200,6 +200,16 @@ class LineFacts:
     @property
     def newest(self) -> LineRun | None:
         return next((run for run in self.runs if not run[1].state.is_active), None)
+
+    @property
+    def result_run(self) -> LineRun | None:
+        """The newest run, where what came of it stands at the line; None before one, or where another unit may be in
+        the hand since.
+        """
+        run = None if self.active or self.is_in_doubt else self.newest
+        if run is None or run[1].state is not RunState.DONE or self.load is not None:
+            return run
+        return run if run[0].kind.presses or run[0].kind is OrderKind.LOAD else None
 
     @property
     def is_in_doubt(self) -> bool:

@@ -4,21 +4,19 @@ from datetime import datetime
 from functools import partial
 from importlib.metadata import version
 
-import numpy as np
 from reportlab.lib.units import mm
 from reportlab.platypus import Flowable, Paragraph, Spacer, Table
 
+from softcal.app.charts.lot import lot_picture
+from softcal.app.charts.palette import LIGHT
 from softcal.app.export.certificates import parts
-from softcal.app.export.certificates.fonts import BOLD, marked_up
-from softcal.app.export.certificates.plots import Level, bars_plot, course_plot
+from softcal.app.paper.drawing import fitted
+from softcal.app.paper.fonts import BOLD, marked_up
 from softcal.app.texts.catalogue import text
-from softcal.app.views.common import far_end, number
 from softcal.app.views.lot import NEEDS_A_LOOK, LotView
 from softcal.app.views.lot_report import MOST_ROWS, report_facts, report_parts
 from softcal.db.registry import Registry
 from softcal.db.truth.lot_pages import UnitFilter
-
-BINS = 32
 
 
 def lot_report_pdf(registry: Registry, view: LotView, language: str, made: datetime) -> bytes:
@@ -45,23 +43,10 @@ def lot_report_pdf(registry: Registry, view: LotView, language: str, made: datet
         parts.property_table(list(report_facts(view, say).items())),
     ]
     listed = say("report.bad", shown=len(bad.units), of=bad.total)
-    unit, process = view.lot.reference_unit, view.process
-    predicted = f"{say('column.predicted')}, {unit}"
     for part in report_parts(view, bad.units, listed, say):
         drawn: Flowable
-        if part.picture == "errors":
-            values, limit = view.predicted(), view.limit_rmse
-            drawn = parts.paragraph("–")
-            if len(values):
-                top = far_end(values, limit)
-                counts, edges = np.histogram(np.minimum(values, top), BINS, (0.0, top))
-                level = (
-                    None if limit is None else Level(limit, say("chart.limit.named", limit=number(limit, unit, limit)))
-                )
-                drawn = bars_plot(edges, counts.astype(float), level, (predicted, say("chart.count")), parts.WIDTH)
-        elif part.picture == "process":
-            levels = [Level(limit, number(limit)) for limit in (process.levels[0], process.levels[-1])]
-            drawn = course_plot(process.errors, levels, (say("chart.order"), predicted), parts.WIDTH)
+        if part.picture and not part.rows:
+            drawn = fitted(lot_picture(part.picture, view, LIGHT, say), parts.WIDTH)
         else:
             cells = [[parts.paragraph(cell, 7) for cell in row] for row in (part.header, *part.rows)]
             widths = [parts.WIDTH * share for share in part.shares]

@@ -1,7 +1,7 @@
 """The pages of the application and their tabs, each declared once with who may open it.
 
 To add a page: write `app/ui/app_pages/NAME.py` with a function `render()`, add one line to `PAGES` and the text
-`page.NAME`. To add a tab: write `app/ui/tabs/PAGE_NAME.py` with a function `draw()`, add it to its page and the text
+`page.NAME`. To add a tab: write a function `draw_NAME()` in `app/ui/tabs/PAGE.py`, add it to its page and the text
 `tab.NAME`. Every address answers; what a role may not see asks for a sign-in, and what is written asks
 `account.permit` again.
 """
@@ -40,12 +40,14 @@ class PageEntry:
         icon: of Streamlit's bundled Material symbols; "" for a page that is opened by a link alone.
         actions: as those of a tab.
         tabs: its parts, the first of them drawn where the address names none.
+        is_large: each of its tabs has a module of its own.
     """
 
     name: str
     icon: str = ""
     actions: tuple[str, ...] = ("look",)
     tabs: tuple[Tab, ...] = ()
+    is_large: bool = False
 
     def render(self) -> None:
         """Draw it; its module is read when it is opened first."""
@@ -53,7 +55,11 @@ class PageEntry:
 
     def draw(self, tab: str, *subject: object) -> None:
         """Draw one of its tabs for what the page is about."""
-        importlib.import_module(f"softcal.app.ui.tabs.{self.name}_{tab}").draw(*subject)
+        getattr(importlib.import_module(self.module_of(tab)), f"draw_{tab}")(*subject)
+
+    def module_of(self, tab: str) -> str:
+        """Return the module of one of its tabs."""
+        return f"softcal.app.ui.tabs.{self.name}{f'_{tab}' if self.is_large else ''}"
 
 
 SET_UP = ("set_up",)
@@ -72,6 +78,7 @@ PAGES = (
             Tab("known_loads", ("set_up", "audit")),
             Tab("compare"),
         ),
+        is_large=True,
     ),
     PageEntry("unit", tabs=tuple(map(Tab, ("why", "recording", "files", "history", "compare")))),
     PageEntry("gap", "troubleshoot", SET_UP),

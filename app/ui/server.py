@@ -49,7 +49,7 @@ def send_at_once() -> None:
 def main(flags: list[str]) -> None:
     """Serve with Streamlit's own flags; returns when the server ends."""
     drawn = [f"softcal.app.ui.app_pages.{page.name}" for page in PAGES]
-    drawn += [f"softcal.app.ui.tabs.{page.name}_{tab.name}" for page in PAGES for tab in page.tabs]
+    drawn += [page.module_of(tab.name) for page in PAGES for tab in page.tabs]
     for name in (*DRAWN_WITH, *drawn):
         importlib.import_module(name)
     from streamlit.web import cli

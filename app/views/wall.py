@@ -9,7 +9,8 @@ from softcal.app.line.facts import state_of
 from softcal.app.texts.reasons import Words
 from softcal.app.views.alerts import Alert
 from softcal.app.views.common import number, percent
-from softcal.app.views.line import STATES, Chip
+from softcal.app.views.line import Chip
+from softcal.app.views.line_states import STATES
 from softcal.app.views.lot import LotView
 from softcal.core.orders import StationState
 from softcal.core.quality.yields import Share

@@ -168,9 +168,9 @@ def test_every_field_and_heading_has_its_word() -> None:
 
 def test_the_page_is_searched_and_shows_the_row_itself_only_when_asked(busy: str, open_page) -> None:
     def page() -> None:
-        from softcal.app.ui.tabs import settings_audit_trail
+        from softcal.app.ui.tabs import settings
 
-        settings_audit_trail.draw()
+        settings.draw_audit_trail()
 
     screen = open_page(busy, page, role="quality")
     assert not screen.exception and not screen.error and not screen.code

@@ -1,5 +1,6 @@
 """The engineer's desk in a real browser: small and dark panels, one click to a unit, a training that can be stopped."""
 
+import re
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -165,6 +166,18 @@ def test_one_click_on_a_row_of_the_lot_opens_the_unit(desk: tuple[str, str], pag
     page.get_by_role("heading", name="A4", exact=True).wait_for()
     page.get_by_text(SAY("empty.calibration")).wait_for()
     assert "unit=small%2FA4" in page.url
+
+
+def test_a_row_of_the_lot_is_reached_and_opened_by_keyboard(desk: tuple[str, str], page: Page) -> None:
+    address, _ = desk
+    page.goto(f"{address}/lot?lot=small&tab=units")
+    table = page.get_by_test_id("stDataFrame").last
+    table.wait_for()
+    table.get_by_test_id("data-grid-canvas").focus()
+    page.keyboard.press("ArrowDown")
+    page.keyboard.press("Shift+Space")
+    page.get_by_role("heading", name=re.compile(r"^A\d$")).wait_for()
+    assert "unit=small%2FA" in page.url
 
 
 def test_a_training_goes_on_through_a_reload_and_can_be_stopped(

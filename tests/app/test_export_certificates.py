@@ -19,8 +19,6 @@ from pypdf import PdfReader
 
 from softcal.app.export.certificates.content import Certificate, Uncertainty
 from softcal.app.export.certificates.dcc import certificate_xml
-from softcal.app.export.certificates.fonts import KOREAN as KOREAN_FONT
-from softcal.app.export.certificates.fonts import PLAIN, has_all, register_file, writable
 from softcal.app.export.certificates.laboratory import (
     NOT_STATED,
     Conditions,
@@ -33,6 +31,8 @@ from softcal.app.export.certificates.laboratory import (
 )
 from softcal.app.export.certificates.pdf import certificate_pdf
 from softcal.app.export.certificates.statements import METHODS, WITHHELD
+from softcal.app.paper.fonts import KOREAN as KOREAN_FONT
+from softcal.app.paper.fonts import PLAIN, has_all, register_file, writable
 from softcal.app.texts.catalogue import catalogue
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot

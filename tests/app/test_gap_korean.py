@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softcal.app.charts.drawing import drawing
 from softcal.app.charts.gap import chain_figure
 from softcal.app.charts.gap_page import gap_page
 from softcal.app.gap.desk import kept_of
 from softcal.app.gap.diagnose import run_views
+from softcal.app.paper.drawing import svg
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import said
 from softcal.app.views.gap import (
@@ -145,7 +145,7 @@ def test_the_figures_of_the_page_are_korean(report: dict[str, Any], page: str, e
 
 
 def test_the_chain_and_the_tables_are_korean(report: dict[str, Any], english_in: English) -> None:
-    labels = shown(drawing(chain_figure(report, KOREAN)))
+    labels = shown(svg(chain_figure(report, KOREAN)))
     assert labels and english_in(" ".join(labels)) == []
     tables = (cause_rows, place_rows, residual_rows, mistake_rows)
     cells = [cell for rows in tables for row in rows(report, KOREAN) for cell in row.values()]

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softcal.app.charts.drawing import drawing
 from softcal.app.charts.gap import (
     ChannelView,
     RunView,
@@ -21,6 +20,7 @@ from softcal.app.charts.gap import (
 from softcal.app.charts.gap_page import gap_page
 from softcal.app.charts.palette import palette
 from softcal.app.charts.style import coloured
+from softcal.app.paper.drawing import svg
 from softcal.app.texts.catalogue import text
 
 ENGLISH = partial(text, "en")
@@ -149,7 +149,7 @@ def test_the_chain_shows_the_share_of_each_stage(share: float) -> None:
     (bars,) = chain_figure(report, ENGLISH).data
     assert dict(zip(bars.y, bars.x, strict=True))["load cell"] == pytest.approx(share)
     assert dict(zip(bars.y, bars.text, strict=True))["motion"] == ENGLISH("gap.chain.unjudged")
-    assert drawing(chain_figure(report, ENGLISH)).count("<rect") == len(bars.y)
+    assert svg(chain_figure(report, ENGLISH)).count("<rect") == len(bars.y)
     assert chain_figure({**report, "simulator": "own"}, ENGLISH) is None
 
 

@@ -21,7 +21,8 @@ from softcal.app.line import line as use_cases
 from softcal.app.line.facts import LineFacts, Place, Screen, read_line, read_place
 from softcal.app.line.line import Step, take_scan
 from softcal.app.texts import catalogue as texts
-from softcal.app.views.line import STATES, LineView, line_view
+from softcal.app.views.line import LineView, line_view
+from softcal.app.views.line_states import STATES
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState

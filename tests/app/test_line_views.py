@@ -12,10 +12,11 @@ from softcal.app.charts import palette
 from softcal.app.charts.live import live_signal
 from softcal.app.line.facts import LineFacts, LotAtLine, Note, Place
 from softcal.app.texts import catalogue as texts
-from softcal.app.texts.reasons import plainly
+from softcal.app.texts.reasons import plainly, said
 from softcal.app.ui.components import line_card
 from softcal.app.views import line as views_line
-from softcal.app.views.line import KEYS, STATES, away_view, line_view
+from softcal.app.views.line import KEYS, away_view, line_view
+from softcal.app.views.line_states import STATES
 from softcal.core.lot import Lot
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.quality.known_loads import KnownLoad, loads_text
@@ -189,6 +190,41 @@ def test_a_good_unit_shows_its_error_and_nothing_of_how_the_limit_was_found():
     assert shown(runs=runs, results=results, lot=limited).details == (
         SAY("line.result.limit", rmse="0.071 N", limit="0.200 N"),
     )
+
+
+def test_a_computer_that_stood_still_is_no_device_that_does_not_answer():
+    message = reason("rig.aborted", why=reason("rig.host_paused", seconds=7.5), state=Reason("left.lifted"))
+    silent = replace(ERROR, code="E-SILENT", message=(message,))
+    view = shown(heartbeat=heartbeat(StationState.STOPPED, reasons=(message,)), runs=(run(silent),))
+    assert view.instruction == SAY("code.host_paused") and "7.5 s" in view.details[0]
+
+
+LOOSE = reason(
+    "masked.spike", count=2, first=reason("part.value_at", place=reason("part.at_time", at=12.34), value=9.0)
+)
+FEW_WORDS = {
+    "a loose cable": (LOOSE, "12.3"),
+    "too much of it": (reason("samples_missing", observed=LOOSE, share=0.4, windows=0.5), "12.3"),
+    "a fit of the lot": (reason("lot_fit.open", number=2, count=7), "7"),
+}
+
+
+@pytest.mark.parametrize("language", texts.LANGUAGES)
+@pytest.mark.parametrize(("why", "number"), FEW_WORDS.values(), ids=FEW_WORDS)
+def test_the_moment_and_the_count_that_help_at_the_line_are_in_its_few_words(why, number, language):
+    say = partial(texts.text, language)
+    view = line_view(facts(runs=(run(replace(UNIT_DONE, verdict="retest", message=(why,))),)), "", say)
+    assert number in view.details[0] and len(view.details[0]) < 80
+    assert view.why == (said(why, say),)
+
+
+@pytest.mark.parametrize(("language", "who"), [("en", "engineer"), ("ko", "엔지니어")])
+def test_without_a_limit_the_line_says_who_states_it(language, who):
+    why = reason(
+        "no_limit", source=Reason("part.measured"), rmse=0.1, unit="N", share=0.02, lower=0.05, upper=0.2, level=0.95
+    )
+    done = run(replace(UNIT_DONE, verdict="conditional", message=(why,)))
+    assert who in line_view(facts(runs=(done,)), "", partial(texts.text, language)).details[0]
 
 
 NEAR = reason("stuck", seconds=2.5)

@@ -12,7 +12,7 @@ from reportlab.platypus import Flowable, Paragraph, Spacer
 from softcal.app.batch.audit import Sample, audited_sample
 from softcal.app.batch.release import statement_provenance
 from softcal.app.export.certificates import parts
-from softcal.app.export.certificates.fonts import BOLD, marked_up, printable_serial
+from softcal.app.paper.fonts import BOLD, marked_up, printable_serial
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import Words, said
 from softcal.core.lot import Lot

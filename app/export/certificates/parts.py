@@ -17,7 +17,7 @@ from reportlab.lib.units import mm
 from reportlab.pdfgen.canvas import Canvas
 from reportlab.platypus import Flowable, KeepTogether, Paragraph, SimpleDocTemplate, Spacer, Table, TableStyle
 
-from softcal.app.export.certificates.fonts import BOLD, PLAIN, has_all, marked_up, register, runs_of, width_of, writable
+from softcal.app.paper.fonts import BOLD, PLAIN, has_all, marked_up, register, runs_of, width_of, writable
 
 MARGIN = 18 * mm
 WIDTH = A4[0] - 2 * MARGIN

@@ -1,7 +1,10 @@
 """The certificate as a PDF for people: the same bytes for the same facts."""
 
+import math
 from dataclasses import replace
 
+import numpy as np
+import plotly.graph_objects as go
 from reportlab.graphics.barcode.qr import QrCodeWidget
 from reportlab.graphics.shapes import Drawing
 from reportlab.lib.units import mm
@@ -10,13 +13,20 @@ from reportlab.platypus import Flowable, Paragraph, Spacer, Table
 from softcal.app.export.certificates import parts
 from softcal.app.export.certificates.content import Certificate, band_range
 from softcal.app.export.certificates.dcc import certificate_xml
-from softcal.app.export.certificates.fonts import BOLD, printable_serial, writable
 from softcal.app.export.certificates.laboratory import NO_COUNTRY, NOT_STATED, Party
-from softcal.app.export.certificates.plots import SHOWN_S, estimate_plot, map_plot
 from softcal.app.export.certificates.statements import DECISION_RULE, ONLY_THIS
+from softcal.app.paper.drawing import fitted
+from softcal.app.paper.fonts import BOLD, printable_serial, writable
 from softcal.core.lot import escape_serial
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.words.figures import with_decimals, written_uncertainty, written_value
+
+CURVE, BAND = "#0b5cad", "#bcd6f2"
+SHOWN_S = 20.0
+"""So much of a recording is shown: several presses, and the interval can be seen."""
+
+MAX_POINTS = 1200
+"""A curve is thinned to this many points: more cannot be told apart on paper."""
 
 
 def certificate_pdf(certificate: Certificate) -> bytes:
@@ -70,8 +80,8 @@ def certificate_pdf(certificate: Certificate) -> bytes:
         *parts.section("Result", parts.property_table(_result_rows(certificate))),
         *parts.section("Expanded uncertainty of an estimate, U_est (k = 2)", bands),
         *_budget(certificate),
-        *parts.section(recorded, estimate_plot(certificate, parts.WIDTH)),
-        *parts.section("Map from the unit's output to the source's", map_plot(certificate, parts.WIDTH)),
+        *parts.section(recorded, fitted(_estimates(certificate), parts.WIDTH)),
+        *parts.section("Map from the unit's output to the source's", fitted(_map(certificate), parts.WIDTH / 2)),
         *parts.section("Traceability", parts.property_table(_trace_rows(certificate))),
         *parts.section("Method", parts.paragraph(certificate.method)),
         *parts.section("Decision rule", parts.paragraph(DECISION_RULE)),
@@ -80,6 +90,30 @@ def certificate_pdf(certificate: Certificate) -> bytes:
         *parts.section("End of the certificate", parts.paragraph(f"Issued on {issued_on}.")),
     ]
     return parts.archival(parts.document_pdf(story, page), page, attached)
+
+
+def _estimates(certificate: Certificate) -> go.Figure:
+    """Draw the estimates of the unit's own recording over time, with U_est around them."""
+    estimated, figure = certificate.estimated, go.Figure()
+    rows = np.flatnonzero(np.isfinite(estimated.estimate))
+    rows = rows[estimated.t_s[rows] <= estimated.t_s[rows[0]] + SHOWN_S]
+    rows = rows[:: max(1, math.ceil(len(rows) / MAX_POINTS))]
+    t_s, band = estimated.t_s[rows], np.concatenate([estimated.lower[rows], estimated.upper[rows][::-1]])
+    figure.add_scatter(x=np.concatenate([t_s, t_s[::-1]]), y=band, fill="toself", fillcolor=BAND)
+    figure.add_scatter(x=t_s, y=estimated.estimate[rows], line={"color": CURVE, "width": 1.3})
+    return _titled(figure, "t, s", f"{certificate.lot.reference_quantity}, {certificate.lot.reference_unit}")
+
+
+def _map(certificate: Certificate) -> go.Figure:
+    """Draw which source output each steady output of the unit stands for."""
+    figure, unit = go.Figure(), certificate.lot.output_unit
+    figure.add_scatter(x=certificate.output, y=certificate.mapped, line={"color": CURVE, "width": 2.2})
+    return _titled(figure, f"output of unit {certificate.serial}, {unit}", f"source output, {unit}")
+
+
+def _titled(figure: go.Figure, x_title: str, y_title: str) -> go.Figure:
+    figure.update_xaxes(title=x_title).update_yaxes(title=y_title)
+    return figure.update_layout(height=210, margin={"l": 72, "r": 16, "t": 28, "b": 48}, showlegend=False)
 
 
 def _unit_rows(certificate: Certificate) -> list[tuple[str, str]]:

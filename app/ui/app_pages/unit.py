@@ -7,7 +7,7 @@ from softcal.app.ui.actions import say_finished
 from softcal.app.ui.desk import empty, in_words, instant, say, verdict_badge
 from softcal.app.ui.panels import draw_tabs, heading, lot_link, named_units, numbers, table, unit_link
 from softcal.app.ui.server_memory import registry
-from softcal.app.ui.tabs.unit_recording import draw_recordings
+from softcal.app.ui.tabs.unit import draw_recordings
 from softcal.app.views.common import limit_said, number
 from softcal.app.views.unit import UnitHead, unit_head
 from softcal.core.lot import UnitKey

@@ -12,7 +12,7 @@ from softcal.app.ui.desk import colours, errors_in_words, say, zone
 from softcal.app.ui.panels import chosen_lot, has_units
 from softcal.app.ui.server_memory import registry, remembered_lot_view
 from softcal.app.views.alerts import alerts
-from softcal.app.views.line import STATES
+from softcal.app.views.line_states import STATES
 from softcal.app.views.lot_runs import LotFilter
 from softcal.app.views.wall import wall_view
 

@@ -32,7 +32,7 @@ ASKED, ACTION = "audit", "set_up"
 MOST_ROWS = 200
 
 
-def draw(lot_id: str) -> None:
+def draw_audit(lot_id: str) -> None:
     if not has_units(lot_id):
         return
     st.markdown(say("audit.what"))

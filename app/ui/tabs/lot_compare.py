@@ -9,7 +9,7 @@ from softcal.app.ui.server_memory import registry, remembered_lot_view
 from softcal.app.views.lot_report import MOST_LOTS, lot_rows
 
 
-def draw(lot_id: str) -> None:
+def draw_compare(lot_id: str) -> None:
     others = [lot for lot in registry().lots.ids() if lot != lot_id]
     named = [lot for lot in st.query_params.get_all("with") if lot in others]
     chosen = st.multiselect(

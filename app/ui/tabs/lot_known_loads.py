@@ -24,7 +24,7 @@ from softcal.core.unit.method import Method
 ASKED, ACTION = "known_loads", "set_up"
 
 
-def draw(lot_id: str) -> None:
+def draw_known_loads(lot_id: str) -> None:
     lot = registry().lots.get(lot_id)
     newest = {entry.serial: entry.sha256 for entry in registry().recordings.of_lot(lot_id, kind="unit")}
     # A unit that was pressed has loads before it has a result.

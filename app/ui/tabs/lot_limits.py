@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import streamlit as st
 
-from softcal.app.batch.changes import change_limit, reached_lots
+from softcal.app.batch.changes import VerdictChange, change_limit, reached_lots
 from softcal.app.charts import lot as charts_lot
 from softcal.app.export.export import withdraw_given
 from softcal.app.line.load_readings import check_stated
@@ -28,7 +28,7 @@ MOST_SHOWN = 20
 """So many changes of a verdict are shown one by one."""
 
 
-def draw(lot_id: str) -> None:
+def draw_limits(lot_id: str) -> None:
     say_finished("limit")
     view, versions = remembered_lot_view(lot_id), registry().lots.limit_versions(lot_id)
     unit, looked_at, automatic = view.lot.reference_unit, f"limit-seen-{lot_id}", say("lot.limit.none")
@@ -42,8 +42,15 @@ def draw(lot_id: str) -> None:
         label, step, key = f"{say('limits.new')} [{unit}]", float(f"{usual / 10:.1g}"), f"limit-{lot_id}-{version}"
         wanted = st.number_input(label, 0.0, None, usual, step, "%.4g", key, disabled=is_automatic)
         rmse = None if is_automatic else wanted
-        button = _say_changes(lot_id, rmse, unit)
-        reason = ask_reason(f"limit-{lot_id}-{version}", button, "set_limit")
+        label = say("limits.withdraw") if rmse is None else say("limits.set", limit=f"{rmse:g} {unit}")
+        # By the very decision that would be made.
+        changes = remembered_limit_changes(lot_id, rmse) if allows("set_limit") and rmse != 0 else None
+        if changes is not None:
+            words = ", ".join(f"{say(f'verdict.{word}')} {count}" for word, count in changes.counts.items() if count)
+            st.markdown(say("limits.then", counts=words or say("limits.then.none")))
+            if withdrawn := len(changes.withdrawn):
+                label = say("limits.set.withdrawing", what=label, count=withdrawn)
+        reason = ask_reason(f"limit-{lot_id}-{version}", label, "set_limit")
         if reason is not None:
             st.session_state.pop(looked_at)
             with refusals_in_words():
@@ -54,6 +61,8 @@ def draw(lot_id: str) -> None:
         return
     with right:
         figure_under("lot.distribution", charts_lot.predicted_errors(view, colours(), say), "limit-distribution")
+    if changes is not None and changes.changed:
+        _draw_changes(changes.changed)
     st.header(say("limits.versions"))
     rows = [
         _row(entry, {say("lot.limit"): number(entry.rmse, unit, entry.rmse) if entry.rmse else automatic})
@@ -80,31 +89,19 @@ def draw(lot_id: str) -> None:
     table(rows, say("rules.none"))
 
 
-def _say_changes(lot_id: str, rmse: float | None, unit: str) -> str:
-    """Say what another limit would change, by the very decision that would be made; return the button's label."""
-    limit = say("limits.withdraw") if rmse is None else say("limits.set", limit=f"{rmse:g} {unit}")
-    if not allows("set_limit") or rmse == 0:
-        return limit
-    changes = remembered_limit_changes(lot_id, rmse)
-    words = ", ".join(f"{say(f'verdict.{word}')} {count}" for word, count in changes.counts.items() if count)
-    st.markdown(say("limits.then", counts=words or say("limits.then.none")))
-    if changed := changes.changed:
-        rows = [
-            {
-                say("column.serial"): unit_link(UnitKey(one.lot_id, one.serial)),
-                say("choose.lot"): one.lot_id,
-                say("limits.now.verdict"): verdict_word(one.verdict),
-                say("limits.then.verdict"): verdict_word(one.next_verdict),
-                say("column.reasons"): all_said([one.reason], say),
-            }
-            for one in changed[:MOST_SHOWN]
-        ]
-        table(rows)
-        if len(changed) > MOST_SHOWN:
-            st.caption(say("limits.more", count=len(changed) - MOST_SHOWN))
-    if withdrawn := len(changes.withdrawn):
-        return say("limits.set.withdrawing", what=limit, count=withdrawn)
-    return limit
+def _draw_changes(changed: Sequence[VerdictChange]) -> None:
+    table(
+        {
+            say("column.serial"): unit_link(UnitKey(one.lot_id, one.serial)),
+            say("choose.lot"): one.lot_id,
+            say("limits.now.verdict"): verdict_word(one.verdict),
+            say("limits.then.verdict"): verdict_word(one.next_verdict),
+            say("column.reasons"): all_said([one.reason], say),
+        }
+        for one in changed[:MOST_SHOWN]
+    )
+    if len(changed) > MOST_SHOWN:
+        st.caption(say("limits.more", count=len(changed) - MOST_SHOWN))
 
 
 def _seen(looked_at: str, versions: Sequence[LimitEntry | LineRulesEntry]) -> int:

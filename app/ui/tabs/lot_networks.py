@@ -20,7 +20,7 @@ from softcal.db.queues.job_board import Job
 from softcal.db.truth.networks import RELEASED
 
 
-def draw(lot_id: str) -> None:
+def draw_networks(lot_id: str) -> None:
     lot = registry().lots.get(lot_id)
     rows = network_rows(registry(), lot.id)
     if rows:

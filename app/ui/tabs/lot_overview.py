@@ -22,7 +22,7 @@ HEIGHT = 180
 """Of the histogram, so that the whole stands on a screen of 800 px."""
 
 
-def draw(lot_id: str) -> None:
+def draw_overview(lot_id: str) -> None:
     view = remembered_lot_view(lot_id, LotFilter(zone=zone()))
     _next(lot_id)
     if view.judged:

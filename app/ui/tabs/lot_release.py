@@ -28,10 +28,11 @@ from softcal.core.lot import UnitKey
 from softcal.core.quality.lot_standing import LotStanding, Way
 
 USUAL_FORMATS = ("json", "pdf")
-MOST_ROWS = 200
+MOST_ROWS, MOST_OPEN = 200, 8
+"""So many units are listed, and so many stand open on the page."""
 
 
-def draw(lot_id: str) -> None:
+def draw_release(lot_id: str) -> None:
     say_finished("release")
     if not has_units(lot_id):
         return
@@ -52,6 +53,7 @@ def draw(lot_id: str) -> None:
             _decide(lot_id, changes)
         elif record is None:
             st.info(say("release.nothing", why=remembered_step(lot_id).render(words())), icon=":material/hourglass:")
+    with right, st.container(border=True):
         _statement(standing)
     with right, st.container(border=True):
         _archive(lot_id)
@@ -60,14 +62,16 @@ def draw(lot_id: str) -> None:
             continue
         st.markdown(f"## {say(f'release.{name}')}: {len(units)}")
         st.caption(say(f"release.{name}.means"))
-        table(
+        rows = [
             {
                 say("column.serial"): unit_link(UnitKey(lot_id, unit.serial)),
                 say("column.verdict"): verdict_word(unit.verdict),
                 say("column.reasons"): in_words(unit.reasons[:1]),
             }
             for unit in units[:MOST_ROWS]
-        )
+        ]
+        with st.expander(say("release.refused.which"), expanded=len(units) <= MOST_OPEN):
+            table(rows)
 
 
 def _decide(lot_id: str, changes: Changes) -> None:
@@ -75,7 +79,8 @@ def _decide(lot_id: str, changes: Changes) -> None:
     for kind, units in (("released", changes.released), ("withdrawn", changes.withdrawn)):
         if units:
             st.markdown(say(f"release.then.{kind}", count=len(units)))
-            _changes(units)
+            with st.expander(say("release.refused.which"), expanded=len(units) <= MOST_OPEN):
+                _changes(units)
     is_withdrawing = bool(changes.withdrawn)
     label = say("release.do.withdrawing" if is_withdrawing else "release.do", count=len(changes.withdrawn))
     if st.button(label, type="primary", icon=":material/verified:", key="release-do"):

@@ -13,7 +13,7 @@ from softcal.app.views.lot import LotView
 from softcal.app.views.lot_runs import DESK, LotFilter
 
 
-def draw(lot_id: str) -> None:
+def draw_units(lot_id: str) -> None:
     view = _chosen_view(lot_id)
     if not view.judged:
         empty("empty.units")

@@ -1,4 +1,4 @@
-"""A new lot out of files: drop them, map columns, name the source, see refusals, calibrate."""
+"""The ways to a new lot: out of files, or pressed on a rig step by step."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,10 +9,14 @@ import pandas as pd
 import streamlit as st
 
 from softcal.app.batch.front_door import expect, store_lot
+from softcal.app.charts import station as charts_station
+from softcal.app.charts import unit as charts_unit
 from softcal.app.charts.new_lot import columns_over_time, reference_over_output
 from softcal.app.files.importing import Columns, ImportPlan, shown_rate_Hz
+from softcal.app.jobs.jobs import newest_source
 from softcal.app.texts.reasons import all_said
 from softcal.app.ui.account import actor, permit
+from softcal.app.ui.actions import refusals_in_words
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
 from softcal.app.ui.components.lot_upload import (
     choose_columns,
@@ -21,20 +25,25 @@ from softcal.app.ui.components.lot_upload import (
     first_readable,
     forget_files,
 )
-from softcal.app.ui.desk import colours, in_words, say
-from softcal.app.ui.panels import go_to, show_figure, step, table
+from softcal.app.ui.components.station_run import choose_station, newest_run, place, run_panel
+from softcal.app.ui.desk import choose, colours, in_words, instant, say
+from softcal.app.ui.panels import go_to, numbers, rest_may_follow, show_figure, step, table
 from softcal.app.ui.server_memory import registry
+from softcal.app.views.network import network_rows
+from softcal.app.views.station import source_facts
 from softcal.core.errors import InputError
 from softcal.core.limit_text import LimitText, proposed_limit
 from softcal.core.lot import Lot
 from softcal.core.maps.catalogue import FAMILIES
 from softcal.core.maps.config import DEFAULT
+from softcal.core.orders import OrderKind
 
 ROWS = 5
 ASKED = "new-lot-asked"
 
 
-def draw() -> None:
+def draw_files() -> None:
+    """Draw the way out of files: columns, source, refusals, calibration."""
     if asked := st.session_state.get(ASKED):
         st.markdown(say("new_lot.calibrating", lot=asked))
         job = newest_job("calibrate", lot=asked)
@@ -186,3 +195,73 @@ def _expected(plan: ImportPlan) -> ImportPlan | None:
     unreadable = {one.file for one in refused if not one.serial}
     files = tuple(file for file in plan.files if file.name not in unreadable)
     return replace(plan, files=files, without=frozenset(one.serial for one in refused if one.serial))
+
+
+def draw_rig() -> None:
+    """Draw the steps on a rig: the lot, the press, a look at the recording, the network."""
+    st.caption(say("source.how"))
+    with step("source", 1):
+        known = registry().lots.ids()
+        lot_id = choose(say("choose.lot"), known, "lot")
+        lot = None if lot_id is None else registry().lots.get(lot_id)
+        with st.expander(say("lots.new"), icon=":material/add:", expanded=not known):
+            with st.form("lot", border=False):
+                left, middle, right = st.columns(3)
+                name = str(left.text_input(say("choose.lot"), placeholder="2026-48")).strip()
+                source_serial = str(middle.text_input(say("source.serial"), placeholder="S1")).strip()
+                model = str(right.text_input(say("source.model"), placeholder="eGaIn pad, 3 mm")).strip()
+                left, middle, right = st.columns(3)
+                quantity = str(left.text_input(say("source.quantity"), "force")).strip()
+                reference_unit = str(middle.text_input(say("source.reference_unit"), "N")).strip()
+                output_unit = str(right.text_input(say("source.output_unit"), "V")).strip()
+                rate_Hz = st.number_input(f"{say('column.rate')} [Hz]", 0.1, 100_000.0, 50.0)
+                is_sent = st.form_submit_button(say("source.add_lot"))
+            if is_sent:
+                permit("set_up")
+                with refusals_in_words():
+                    made = Lot(name, source_serial, rate_Hz, model, quantity, reference_unit, output_unit)
+                    registry().lots.add(made, actor=actor())
+                    st.query_params["lot"] = name
+                    st.rerun()
+    if lot is None:
+        return
+    with step("source", 2):
+        _press(lot)
+    if not registry().recordings.of_lot(lot.id, kind="source"):
+        return
+    with step("source", 3):
+        source = newest_source(registry(), lot.id)
+        pressed = registry().recordings.of_lot(lot.id, kind="source")[-1].added_at
+        numbers([(say(key), value, None) for key, value in source_facts(source).items()], narrowest_px=235)
+        st.caption(say("source.look.how", made=instant(pressed)))
+        if rest_may_follow():
+            left, right = st.columns(2)
+            with left:
+                show_figure(charts_unit.recording(source, lot, colours(), say), "source-recording")
+            with right:
+                show_figure(charts_station.source_curve(source, lot, colours(), say), "source-curve")
+    with step("source", 4):
+        fresh = [row for row in network_rows(registry(), lot.id) if not row.is_stale]
+        if fresh:
+            st.markdown(say("source.trained", network=fresh[0].id[:12], layers=fresh[0].layers))
+        else:
+            st.markdown(say("source.untrained"))
+        if st.button(say("source.to_networks"), icon=":material/arrow_forward:"):
+            go_to("lot", lot=lot.id, tab="networks")
+
+
+def _press(lot: Lot) -> None:
+    station = choose_station()
+    if station is None:
+        return
+    beat = registry().order_queue.heartbeat(station)
+    for reason in beat.reasons if beat else ():
+        st.warning(in_words(reason), icon=":material/lock:")
+    st.caption(say("source.press.how", serial=lot.source))
+    run = newest_run(station, (OrderKind.SOURCE,), lot.id)
+    is_busy = registry().order_queue.active(station) is not None
+    if st.button(say("source.step.2"), type="primary", icon=":material/play_arrow:", disabled=is_busy):
+        if place(station, OrderKind.SOURCE, lot.source, lot.id):
+            st.rerun()
+    if run is not None and run_panel(run):
+        st.success(in_words(run[1].message) or say("source.pressed"), icon=":material/check:")

@@ -1,0 +1,228 @@
+"""The tabs of a unit: why, its recordings and estimate, files, history and long use, another unit beside it."""
+
+import streamlit as st
+
+from softcal.app.batch.changes import reached_lots
+from softcal.app.batch.release import roll_back
+from softcal.app.charts import unit as charts_unit
+from softcal.app.charts.compare import maps_together, predicted_over_load
+from softcal.app.charts.long_term import course_figure
+from softcal.app.charts.why import HEIGHT, why_figure
+from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
+from softcal.app.export.export import exported_file_record, withdraw_given
+from softcal.app.export.formats import writer_of
+from softcal.app.export.names import FORMATS
+from softcal.app.texts.reasons import all_said, phrase
+from softcal.app.ui.account import actor
+from softcal.app.ui.actions import ask_reason, download, finish, refusals_in_words
+from softcal.app.ui.desk import colours, empty, in_words, instant, named, say, verdict_word
+from softcal.app.ui.panels import (
+    figure_under,
+    figures_beside,
+    named_units,
+    numbers,
+    rest_may_follow,
+    show_figure,
+    table,
+    table_to_choose,
+)
+from softcal.app.ui.server_memory import registry
+from softcal.app.views.common import number, percent
+from softcal.app.views.long_term import course, units_in_use
+from softcal.app.views.unit import UnitView, unit_view
+from softcal.core.errors import UnitRefused
+from softcal.core.lot import UnitKey
+from softcal.db.entries import StoredCalibration
+
+
+def draw_why(key: UnitKey, stored: StoredCalibration) -> None:
+    """Draw what was measured first, else what the forecast is made of."""
+    for reason in stored.state.decision.reasons:
+        st.markdown(f"- {in_words(reason)}")
+    if not rest_may_follow():
+        return
+    view = unit_view(registry(), key, stored.revision)
+    figure = why_figure(view, colours(), say)
+    figure.update_layout(title=None, margin_t=36, height=HEIGHT if view.audit else HEIGHT // 2)
+    figure_under("unit.why", figure, "why")
+
+
+def draw_recording(key: UnitKey, stored: StoredCalibration) -> None:
+    """Draw the recordings, the estimate on them, and the map."""
+    if not rest_may_follow():
+        return
+    view = unit_view(registry(), key, stored.revision)
+    share = percent(view.flagged / len(view.estimate.flag))
+    st.caption(say("unit.flags", flagged=view.flagged, rows=len(view.estimate.flag), share=share))
+    figures_beside(
+        ("unit.estimate", charts_unit.estimate_band(view, colours(), say), "estimate_band"),
+        ("unit.hysteresis", charts_unit.hysteresis(view, colours(), say), "hysteresis"),
+    )
+    figures_beside(
+        ("unit.outputs", charts_unit.output_distributions(view, colours(), say), "output_distributions"),
+        ("unit.map", charts_unit.map_curve(view, colours(), say), "map_curve"),
+    )
+    draw_recordings(key)
+
+
+def draw_recordings(key: UnitKey) -> None:
+    """Draw the unit's recordings and the curve of the one that is chosen, the newest at first."""
+    lot = registry().lots.get(key.lot_id)
+    entries = registry().recordings.of_lot(lot.id, key.serial)[::-1]
+    if not entries:
+        st.caption(say("unit.recordings.none"))
+        return
+    rows = [
+        {
+            say("column.kind"): say(f"kind.{entry.kind}"),
+            say("column.made"): instant(entry.added_at),
+            say("column.duration"): f"{entry.samples / entry.sample_rate_Hz:.1f} s",
+            say("column.rate"): f"{entry.sample_rate_Hz:g} Hz",
+            "SHA-256": entry.sha256[:12],
+        }
+        for entry in entries
+    ]
+    chosen = entries[table_to_choose(rows, f"recordings-{key}") or 0]
+    show_figure(
+        charts_unit.recording(registry().recordings.get(chosen.sha256), lot, colours(), say), f"recordings-{key}-plot"
+    )
+
+
+def draw_files(key: UnitKey, stored: StoredCalibration) -> None:
+    """Draw the choice of a format, and a button a file."""
+    chosen = st.segmented_control(say("unit.files.format"), FORMATS, format_func=named("format"), key=f"format-{key}")
+    if chosen is None:
+        st.caption(say("unit.files.how"))
+        return
+    # The calibration in use is asked for as such: whether it still is the answer is looked up with it.
+    revision = None if stored.is_current else stored.revision
+    options = ExportOptions(revision=revision, lot_id=key.lot_id)
+    try:
+        unit = UnitLoader(registry(), options).load(key.serial)
+        files = writer_of(chosen)(unit)
+    except UnitRefused as error:
+        st.warning(in_words(error), icon=":material/block:")
+        return
+    with st.container(horizontal=True):
+        for name, content in files.items():
+            size = f"{len(content)} B" if len(content) < 4096 else f"{len(content) / 1024:.0f} KiB"
+            exported = ("units", (key.lot_id, key.serial), {**exported_file_record(unit), "file": name})
+            label = f"{name}  ({size})"
+            download(label, name, content, f"file-{key}-{stored.revision}-{name}", exported=exported)
+
+
+def draw_history(key: UnitKey, stored: StoredCalibration) -> None:
+    """Draw the revisions, a way back to an older one, and the course in long use."""
+    unit, rows, older = registry().lots.get(key.lot_id).reference_unit, [], []
+    for entry in reversed(registry().calibrations.history(key.serial, key.lot_id)):
+        state, errors = entry.state, entry.state.errors
+        back = say("unit.rolled_back", revision=entry.rolled_back_to) if entry.rolled_back_to else ""
+        rows.append(
+            {
+                say("column.revision"): entry.revision,
+                say("column.in_use"): say("unit.in_use") if entry.is_current else "",
+                say("column.made"): instant(entry.made_at),
+                say("column.verdict"): verdict_word(state.verdict),
+                say("column.predicted"): number(errors["predicted_rmse"], unit, state.limit.maximum_rmse),
+                say("column.after"): number(errors["after_rmse"], unit, state.limit.maximum_rmse),
+                say("column.family"): state.fit.family,
+                say("column.actor"): entry.actor,
+                say("column.reason"): "; ".join(filter(None, (back, entry.reason))),
+            }
+        )
+        if not entry.is_current:
+            older.append(entry.revision)
+    table(rows)
+    if older:
+        _roll_back(key, older)
+    _draw_long_use(key)
+
+
+def _roll_back(key: UnitKey, older: list[int]) -> None:
+    with st.container(border=True):
+        st.markdown(f"**{say('unit.rollback')}**")
+        revision = st.selectbox(say("column.revision"), older, key=f"rollback-{key}-{len(older)}")
+        reason = ask_reason(f"rollback-{key}-{len(older)}", say("unit.rollback.do"), "rollback")
+        if reason is None:
+            return
+        with refusals_in_words():
+            roll_back(registry(), key.serial, revision, reason=reason, actor=actor(), lot_id=key.lot_id)
+            withdraw_given(registry(), reached_lots(registry(), key.lot_id))
+            finish("unit", say("unit.rollback.done", revision=revision))
+
+
+def _draw_long_use(key: UnitKey) -> None:
+    """Draw the state and the course of a unit in use; nothing where it is not followed."""
+    use = next((found for found in units_in_use(registry()) if found[0].key == key), None)
+    if use is None:
+        return
+    unit, reference_unit = use
+    st.header(say("long_term.course", serial=key.serial))
+    state = "alarm" if unit.entry["alarm"] else unit.entry["verdict"]
+    numbers(
+        (
+            (say("column.state"), say(f"event.{state}"), None),
+            (say("lot.predicted"), number(unit.entry["predicted_rmse"], reference_unit), None),
+            (say("chart.drift_scale"), number(unit.entry["shift"]), None),
+            (say("long_term.steps"), str(unit.steps), None),
+            (say("column.made"), instant(unit.made_at), None),
+        ),
+        narrowest_px=185,
+    )
+    streams = registry().adaptations.streams(key)
+    stream = streams[0] if len(streams) == 1 else str(st.selectbox(say("long_term.stream"), streams))
+    stream_course = course(registry(), key, stream)
+    if stream_course.alarm:
+        why = phrase("adapt", stream_course.alarm, say)
+        st.warning(why, icon=":material/notification_important:", title=say("long_term.due"))
+    if not stream_course.steps:
+        st.caption(say("long_term.no_steps"))
+        return
+    if rest_may_follow():
+        show_figure(course_figure(stream_course, colours(), say), f"course-{key}")
+
+
+def draw_compare(key: UnitKey, stored: StoredCalibration) -> None:
+    """Draw the numbers of this unit and another one, and their maps in one picture."""
+    asked = str(st.query_params.get("with", ""))
+    text = str(st.text_input(say("unit.find"), key=f"compare-find-{key}", icon=":material/search:") or "").strip()
+    offered = list(dict.fromkeys([*(() if text else named_units(asked)), *_others(key, text)]))
+    if not offered:
+        empty("empty.units")
+        return
+    other = st.selectbox(
+        say("choose.unit"),
+        offered,
+        format_func=lambda unit: f"{unit.serial} · {unit.lot_id}",
+        key=f"compare-with-{key}-{text}",
+    )
+    st.query_params["with"] = str(other)
+    left, right = unit_view(registry(), key, stored.revision), unit_view(registry(), other)
+    one, two = _facts(left), _facts(right)
+    table([{say("compare.fact"): name, str(key): one[name], str(other): two[name]} for name in one])
+    if rest_may_follow():
+        figures_beside(
+            ("unit.map", maps_together((left, right), colours(), say), "compare-maps"),
+            ("compare.interval", predicted_over_load((left, right), colours(), say), "compare-interval"),
+        )
+
+
+def _others(key: UnitKey, text: str) -> list[UnitKey]:
+    units = [unit for unit in registry().pages.find_units(text) if unit != key]
+    return [unit for unit in units if registry().calibrations.history(unit.serial, unit.lot_id)]
+
+
+def _facts(view: UnitView) -> dict[str, str]:
+    errors, unit = view.stored.state.errors, view.lot.reference_unit
+    limit = view.stored.state.limit.maximum_rmse
+    return {
+        say("column.verdict"): verdict_word(view.stored.state.verdict),
+        say("column.revision"): str(view.stored.revision),
+        say("column.made"): instant(view.stored.made_at),
+        say("column.family"): view.stored.state.fit.family,
+        say("lot.predicted"): number(errors["predicted_rmse"], unit, limit),
+        say("column.before"): number(errors["before_rmse"], unit, limit),
+        say("column.after"): number(errors["after_rmse"], unit, limit),
+        say("column.own"): number(errors["own_rmse"], unit, limit),
+        say("column.reasons"): all_said(view.stored.state.decision.reasons, say),
+    }
