@@ -153,6 +153,7 @@ def test_all_forms_of_a_unit_agree_on_the_same_windows(
 
     sensor = open_sensor(network, unit)
     file, scale = sensor.unit_file, sensor.unit_file.scale
+    count = 10.0**sensor.network_file.network.output_exponent
     span = file.code_max - file.code_min
     start = rng.uniform(file.code_min - 0.2 * span, file.code_max + 0.2 * span, (600, 1))
     codes = np.clip(np.rint(start + np.cumsum(rng.normal(0, 0.01 * span, (600, 15)), axis=1)), 0, 65_535).astype(int)
@@ -166,9 +167,9 @@ def test_all_forms_of_a_unit_agree_on_the_same_windows(
     estimate, lower, upper, flag = session.run(names, onnx_input)
     inside = (flag == 0) & (numpy.flags == 0)
     assert inside.sum() > 200
-    full_scale = sensor.count * (file.out_max - file.out_min)
-    assert np.abs(estimate - sensor.count * numpy.value)[inside].max() < 0.005 * full_scale
-    reach = sensor.count * np.stack([numpy.value - numpy.lower, numpy.upper - numpy.value], axis=1)
+    full_scale = count * (file.out_max - file.out_min)
+    assert np.abs(estimate - count * numpy.value)[inside].max() < 0.005 * full_scale
+    reach = count * np.stack([numpy.value - numpy.lower, numpy.upper - numpy.value], axis=1)
     assert np.abs(np.stack([estimate - lower, upper - estimate], axis=1) - reach)[inside].max() < 0.02 * full_scale
     assert np.array_equal(flag & OUT_OF_RANGE, numpy.flags & OUT_OF_RANGE)
     assert np.mean((flag & CLAMPED) == (numpy.flags & CLAMPED)) > 0.95

@@ -15,7 +15,7 @@ from softcal.app.batch.compare import compare_on_lot
 from softcal.app.batch.front_door import lot_files
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
-from softcal.app.export.certificates.content import certificate_of
+from softcal.app.export.certificates.content import build_certificate
 from softcal.app.files.anchors import write_anchors
 from softcal.app.files.recording_file import write_columns
 from softcal.app.line.pressed_run import RunKeeper
@@ -81,8 +81,8 @@ def test_a_recording_says_by_which_method_a_station_proved_it(lot_folder, regist
     assert [revision["proof_method"] for revision in revisions] == [None, METHOD.id]
     pressed_unit, brought = UnitLoader(registry, ExportOptions()).load("A1"), UnitLoader(registry, ExportOptions())
     named = "method that proved the unit's recording"
-    assert certificate_of(pressed_unit).provenance.inputs[named] == METHOD.id
-    assert named not in certificate_of(brought.load("A2")).provenance.inputs
+    assert build_certificate(pressed_unit).provenance.inputs[named] == METHOD.id
+    assert named not in build_certificate(brought.load("A2")).provenance.inputs
 
 
 def batched(folder: Path, url: str, out: Path, *more: str) -> dict[str, dict[str, object]]:
