@@ -14,8 +14,6 @@ from softcal.core.words.reason import DOUBT
 from softcal.db.entries import Draw, UnitEntry
 from softcal.db.registry import Registry
 
-ACCEPTED = (Verdict.PASS, Verdict.CONDITIONAL)
-
 
 @dataclass(frozen=True)
 class Sample:
@@ -121,7 +119,7 @@ def draw_plan(
     accepted = {
         serial: float(unit.predicted_rmse or 0.0)
         for serial, unit in units.items()
-        if unit.verdict in ACCEPTED or serial in unchecked
+        if serial in unchecked or (unit.verdict and Verdict(unit.verdict).is_open)
     }
     if not accepted:
         raise InputError(f"lot {lot_id!r} has no accepted unit yet; calibrate its units first")

@@ -28,8 +28,6 @@ from softcal.core.unit.verdict import Limit, Verdict
 from softcal.core.words.reason import Reason
 from softcal.db.registry import Registry
 
-RELEASABLE = (Verdict.PASS, Verdict.CONDITIONAL)
-
 
 @dataclass(frozen=True)
 class AuditEvidence:
@@ -129,7 +127,8 @@ class AuditReader:
             for serial, (_, _, state) in own.items()
             if state.audit is not None and not state.fit.knowledge.is_anchored
         }
-        widening, limit = self._widening(qualification, lot_id), lot_limit(registry, lot_id)
+        samples, limit = self._samples(qualification, lot_id), lot_limit(registry, lot_id)
+        widening = fit_widening(samples, CONFIDENCE, self._config) if qualification.audits else Widening()
         seen, days = seen_gains(gains, self._config.min_others), self._days(lot, now)
         return AuditEvidence(self._config, qualification, limit, widening, seen, days, suspects, lines)
 
@@ -200,10 +199,6 @@ class AuditReader:
             unit = AuditedUnit(serial, state.fit.forecast.rmse, after, lot.id, part.sitting if part else "")
             audited[serial] = unit, at[serial], state
         return audited
-
-    def _widening(self, qualification: Qualification, lot_id: str) -> Widening:
-        samples = self._samples(qualification, lot_id)
-        return fit_widening(samples, CONFIDENCE, self._config) if qualification.audits else Widening()
 
     def _samples(self, qualification: Qualification, lot_id: str) -> Iterator[AuditedSamples]:
         """Yield the audits of a qualification, lot after lot: no more lots are read than are asked for."""

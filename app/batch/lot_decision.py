@@ -8,6 +8,7 @@ import msgspec
 from softcal.core.unit.lot_correction import LotCorrection
 from softcal.core.unit.state import SampleRelease
 from softcal.core.words.reason import Reason
+from softcal.db.provenance import Provenance
 from softcal.db.registry import Registry
 
 
@@ -42,6 +43,7 @@ class LotDecision:
         limit_rmse: stated limit that the statement was made for; None without one.
         source: which audits the statement rests on.
         statement: the statement itself.
+        provenance: what made the statement, from which networks and audits; None before the first.
     """
 
     fit: LotFitDecision = LotFitDecision()
@@ -51,14 +53,15 @@ class LotDecision:
     limit_rmse: float | None = None
     source: str = ""
     statement: Reason | None = None
+    provenance: Provenance | None = None
 
     def is_as(self, other: "LotDecision") -> bool:
-        """Whether another decision says the same, whatever its number."""
+        """Whether another decision says the same, whatever its number and whoever made it."""
         return self._without_numbers() == other._without_numbers()
 
     def _without_numbers(self) -> "LotDecision":
         following = self.next_unit and replace(self.next_unit, number=0)
-        return replace(self, correction=replace(self.correction, number=0), next_unit=following)
+        return replace(self, correction=replace(self.correction, number=0), next_unit=following, provenance=None)
 
 
 def decision_in_force(registry: Registry, lot_id: str) -> LotDecision:

@@ -7,21 +7,19 @@ whatever else happens, to the lot or to one of its units, can only withdraw unit
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
-from typing import Any
 
 import msgspec
 import numpy as np
 
-from softcal.app.batch.audit_evidence import RELEASABLE, AuditEvidence, AuditReader
-from softcal.app.batch.lot_decision import decision_in_force, next_number
+from softcal.app.batch.audit_evidence import AuditEvidence, AuditReader
+from softcal.app.batch.lot_decision import LotDecision, decision_in_force, next_number
 from softcal.app.bootstrap import current_user
 from softcal.app.registry.limit import limit_or_none, lot_limit
-from softcal.app.registry.lot_recordings import audit_of, newest_audits, source_recording, target_serials, unlabelled
+from softcal.app.registry.lot_recordings import audit_of, measure_unit, newest_audits, source_recording, target_serials
 from softcal.core.quality.lot_release import LotRelease, release_lot
 from softcal.core.quality.lot_standing import LotStanding, UnitInLot
 from softcal.core.quality.qualification import NONE
 from softcal.core.quality.release import min_passing
-from softcal.core.unit.audit import measure, measure_again
 from softcal.core.unit.lot_correction import LotCorrection
 from softcal.core.unit.state import SampleRelease, UnitState
 from softcal.core.words.reason import reason
@@ -50,18 +48,10 @@ def decide_lot(
         if correction.lines == before.correction.lines:
             correction = before.correction
         lot.correct(correction)
-        evidence = lot.evidence()
-        decided = lot.decided(evidence, correction)
+        decided = lot.decided(lot.evidence(), correction)
         following = decided.next_unit(number)
-        said = replace(
-            before,
-            correction=correction,
-            next_unit=following,
-            released=decided.released,
-            limit_rmse=decided.limit.stated_rmse,
-            source=evidence.qualification.source,
-            statement=decided.statement,
-        )
+        said = lot.following(before, decided, next_unit=following, released=decided.released)
+        said = replace(said, correction=correction)
         if said.is_as(before):
             number = before.next_unit.number if before.next_unit else number
         elif said.next_unit or before.next_unit or correction is not before.correction:
@@ -71,35 +61,27 @@ def decide_lot(
         return decided
 
 
-def redecide_lot(registry: Registry, lot_id: str, actor: str | None = None, now: datetime | None = None) -> None:
+def redecide_lot(registry: Registry, lot_id: str, actor: str | None = None) -> None:
     """Decide on the units of a lot again after something changed that they rest on: limit, audits, golden runs.
 
     Nothing is released by sample that was not before, and no correction is made; units are withdrawn where the audits
     no longer carry them. A stated limit that changes is the one exception: the statement in force is made for it anew.
     """
     with registry.transaction():
-        lot = _Lot.read(registry, lot_id, actor, now)
+        lot = _Lot.read(registry, lot_id, actor)
         in_force = decision_in_force(registry, lot_id)
         if not lot.states or in_force.source in ("", NONE):
             return
-        evidence = lot.evidence()
-        decided = lot.decided(evidence, in_force.correction)
+        decided = lot.decided(lot.evidence(), in_force.correction)
         is_new_limit = in_force.limit_rmse != decided.limit.stated_rmse
         released = set(decided.released) if is_new_limit else set(in_force.released) & set(decided.released)
         # A unit that the audits say nothing of any more, as it was trimmed or measured, is its own affair.
         lost = {serial for serial in in_force.released if serial in decided.forecasts} - released
-        if not lost and not is_new_limit and evidence.qualification.is_given:
+        if not lost and not is_new_limit and decided.qualification.is_given:
             return
         number = next_number(registry, lot_id)
         following = decided.next_unit(number) if released else None
-        said = replace(
-            in_force,
-            next_unit=following,
-            released=tuple(sorted(released)),
-            limit_rmse=decided.limit.stated_rmse,
-            source=evidence.qualification.source,
-            statement=decided.statement,
-        )
+        said = lot.following(in_force, decided, next_unit=following, released=tuple(sorted(released)))
         registry.decisions.add(lot_id, msgspec.to_builtins(said), action="withhold", actor=actor, reason=WHY)
         following_states = {}
         for serial, state in lot.open().items():
@@ -206,14 +188,15 @@ def _rows(
     return rows
 
 
-def statement_provenance(registry: Registry, lot_id: str) -> Provenance:
-    """Return what a statement on a lot with calibrated units rests on that is made now."""
-    standings = registry.pages.standings(lot_id, target_serials(registry, lot_id), has_stale=True)
-    fits = [state.fit for state in _states(standings).values()]
-    inputs = {f"network {one[:12]}": one for one in sorted({fit.network_id for fit in fits})}
-    audits = newest_audits(registry, lot_id)
-    inputs |= {f"audit of {serial}": entry.sha256 for serial, entry in sorted(audits.items())}
-    return record_provenance(fits[0].method.id, inputs, current_user())
+def statement_provenance(registry: Registry, standing: LotStanding) -> Provenance:
+    """Return what the statement on a lot with calibrated units rests on: the stored one, else one that is made now."""
+    stored = decision_in_force(registry, standing.lot_id).provenance
+    if stored is not None and is_decided(registry, standing):
+        return stored
+    states = _states(
+        registry.pages.standings(standing.lot_id, [unit.serial for unit in standing.units], has_stale=True)
+    )
+    return _Lot(registry, standing.lot_id, states, len(states), current_user()).provenance()
 
 
 def is_decided(registry: Registry, standing: LotStanding) -> bool:
@@ -249,6 +232,23 @@ class _Lot:
         method = next(iter(self.states.values())).fit.method
         return AuditReader(self.registry, method).evidence(self.lot_id, self.now)
 
+    def following(
+        self, before: LotDecision, decided: LotRelease, *, next_unit: SampleRelease | None, released: tuple[str, ...]
+    ) -> LotDecision:
+        """Return the decision that follows one, with the statement that is made now."""
+        limit, source = decided.limit.stated_rmse, decided.qualification.source
+        said = replace(before, limit_rmse=limit, source=source, statement=decided.statement)
+        return replace(said, next_unit=next_unit, released=released, provenance=self.provenance())
+
+    def provenance(self) -> Provenance:
+        """Return what a statement that is made now rests on."""
+        networks = sorted({state.fit.network_id for state in self.states.values()})
+        audits = sorted(newest_audits(self.registry, self.lot_id).items())
+        inputs = {f"network {one[:12]}": one for one in networks}
+        inputs |= {f"audit of {serial}": entry.sha256 for serial, entry in audits}
+        method = next(iter(self.states.values())).fit.method.id
+        return record_provenance(method, inputs, self.actor or self.registry.settings.actor)
+
     def open(self) -> dict[str, UnitState]:
         """Return the units that audits of others may release: not measured, and nothing stands against them."""
         return {
@@ -259,7 +259,7 @@ class _Lot:
 
     def decided(self, evidence: AuditEvidence, correction: LotCorrection) -> LotRelease:
         units = self.open()
-        held = [s for s in self.states.values() if s.decision.is_audited and s.verdict in RELEASABLE]
+        held = [s for s in self.states.values() if s.decision.is_audited and s.verdict.is_open]
         days = {} if evidence.days is None else {s: evidence.day_rmse(one.fit.load_rms) for s, one in units.items()}
         return release_lot(
             {serial: state.fit.forecast.rmse for serial, state in units.items()},
@@ -290,7 +290,7 @@ class _Lot:
                 audit = audit_of(self.registry, audits.get(serial))
                 if audit is None or audit.sha256 != corrected.audit.recording_sha256:
                     continue
-                corrected = measure_again(self._network(state), corrected, audit, self._recording(state))
+                corrected = measure_unit(self.registry, corrected, audit)
             self.put(serial, corrected, WHY)
 
     def put_all(self, states: Mapping[str, UnitState], why: str) -> None:
@@ -323,8 +323,7 @@ class _Lot:
             audit = audit_of(registry, entry)
             if audit is not None:
                 whole = replace(self._with_arrays(serial), unreadable_audit=None)
-                scored = measure(self._network(whole), whole, audit, self._recording(whole))
-                self.put(serial, scored, "scored on a newer audit")
+                self.put(serial, measure_unit(registry, whole, audit), "scored on a newer audit")
         suspects = self.evidence().suspects
         for serial, state in list(self.states.items()):
             if state.suspect_audit != suspects.get(serial):
@@ -337,12 +336,6 @@ class _Lot:
             state = replace(state, fit=self.registry.calibrations.get(serial, lot_id=self.lot_id).state.fit)
             self.states[serial] = state
         return state
-
-    def _network(self, state: UnitState) -> Any:
-        return self.registry.networks.get(state.fit.network_id)
-
-    def _recording(self, state: UnitState) -> Any:
-        return unlabelled(self.registry.recordings.get(state.fit.recording_sha256))
 
 
 def _says(decided: LotRelease, state: UnitState, number: int) -> SampleRelease | None:

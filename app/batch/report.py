@@ -3,6 +3,7 @@
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 from softcal.app.batch.audit import LotAudit, audit_json, audit_line
 from softcal.app.batch.changes import Changes
@@ -47,6 +48,21 @@ class UnitResult:
     def errors(self) -> dict[str, float | None]:
         """Its errors in the lot's reference unit, by `UNIT_ERRORS`; None where there is none."""
         return dict.fromkeys(UNIT_ERRORS) if self.state is None else self.state.errors
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what every machine-readable result says of the unit."""
+        state = self.state
+        return {
+            "serial": self.serial,
+            "verdict": self.verdict,
+            "reasons": [str(why) for why in self.reasons],
+            "reason_codes": [why.code for why in self.reasons],
+            "released": self.verdict == Verdict.PASS,
+            "audited": self.is_audited,
+            "knowledge": state and str(state.knowledge),
+            "fit_s": state and state.fit.fit_s,
+            **self.errors,
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,19 +127,11 @@ def report_json(report: BatchReport) -> dict[str, object]:
         }
         units.append(
             {
-                "serial": unit.serial,
-                "verdict": unit.verdict,
-                "reasons": [str(why) for why in unit.reasons],
-                "reason_codes": [why.code for why in unit.reasons],
-                **unit.errors,
-                "fit_s": state and state.fit.fit_s,
+                **unit.to_json(),
                 "map": made_by,
-                "audited": unit.is_audited,
                 "audit_scores": None if state is None or state.scores is None else asdict(state.scores),
                 "predicted_verdict": state and str(state.decision.predicted.verdict),
-                "knowledge": state and str(state.knowledge),
                 "missing": None if state is None or state.fit.missing is None else state.fit.missing.numbers(),
-                "released": report.releases(unit),
                 "method": state and state.fit.method.id,
                 "is_new": unit.is_new,
                 "provenance": summary and summary.provenance.to_json(),

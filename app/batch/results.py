@@ -9,7 +9,6 @@ import pyarrow.parquet as pq
 
 from softcal.app.batch.report import UnitResult
 from softcal.app.registry.lot_recordings import target_serials
-from softcal.core.unit.verdict import Release
 from softcal.db.registry import Registry
 
 SCHEMA_NAME = "softcal.results/1"
@@ -38,7 +37,7 @@ RESULTS = pa.schema(
 """Columns in their order. A unit without a result has null where a result would stand."""
 
 
-def lot_results(registry: Registry, lot_id: str, release: Release = Release.PASS) -> pa.Table:
+def lot_results(registry: Registry, lot_id: str) -> pa.Table:
     """Return the results of a lot's target units by serial.
 
     Raises:
@@ -50,26 +49,20 @@ def lot_results(registry: Registry, lot_id: str, release: Release = Release.PASS
     rows: list[dict[str, Any]] = []
     for serial in serials:
         standing = standings.get(serial)
-        summary = None if standing is None else standing.summary
-        unit = UnitResult(serial, "", (), summary)
-        state = unit.state
+        unit = UnitResult(serial, "", ())
+        if standing is not None:
+            unit = UnitResult(serial, standing.verdict, standing.reasons, standing.summary)
+        summary, state = unit.summary, unit.state
         rows.append(
             {
+                **unit.to_json(),
                 "lot": lot_id,
-                "serial": serial,
-                "verdict": standing and standing.verdict,
-                "reasons": [str(why) for why in standing.reasons] if standing else [],
-                "reason_codes": [why.code for why in standing.reasons] if standing else [],
-                "released": summary is not None and standing is not None and release.releases(standing.verdict),
-                "audited": unit.is_audited,
-                "knowledge": state and str(state.knowledge),
+                "verdict": unit.verdict or None,
                 "map_family": state and state.fit.family,
                 "made_at": standing and standing.made_at,
                 "revision": summary and summary.revision,
                 "map_sha256": summary and summary.map_sha256,
                 "method_id": state and state.fit.method.id,
-                "fit_s": state and state.fit.fit_s,
-                **unit.errors,
             }
         )
     facts = {

@@ -3,6 +3,7 @@
 import time
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
 from softcal.app.batch.calibrating import LotFacts, Refusal, Result, UnitInputs, calibrate_unit
@@ -110,26 +111,19 @@ def work_on(shared: SharedWork, chunk: Chunk) -> ChunkOutcome:
 def _work_on_unit(shared: SharedWork, task: UnitTask) -> UnitOutcome:
     lot, names, file, audit = shared.lot, shared.names, task.recording, task.audit
     units, config = (lot.output_unit, lot.reference_unit), shared.facts.source.method.inspection
+    of_lot = partial(inspect_recording, serial=task.serial, sample_rate_Hz=lot.sample_rate_Hz, units=units)
+    inspect = partial(of_lot, names=names, config=config)
     try:
         if file is None:
             raise InputError(task.problem)
-        unit = inspect_recording(file.path, task.serial, lot.sample_rate_Hz, units, file.content, names, config=config)
+        unit = inspect(file.path, content=file.content)
     except InputError as error:
         refusal = Refusal(Verdict.RETEST, reason("unreadable", error=str(error)))
         return UnitOutcome(task.item_id, task.serial, refusal)
     facts, recording, files, at = task.facts, unit.recording, [ReadFile.from_recording(unit)], None
     if audit is not None:
         try:
-            read = inspect_recording(
-                audit.path,
-                task.serial,
-                lot.sample_rate_Hz,
-                units,
-                audit.content,
-                names,
-                with_reference=True,
-                config=config,
-            )
+            read = inspect(audit.path, content=audit.content, with_reference=True)
             at = measured_at(read, task.stated)
             facts = replace(facts, audit=read.labelled(lot.reference_unit))
             beside = compare_recordings(shared.facts.source.source, read.labelled(lot.reference_unit))

@@ -27,7 +27,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add = change.add_argument
     add("name", metavar="NAME")
     add("--role", choices=ROLES, help="needed for a new account")
-    add("--reason", required=True, help="lands in the audit trail")
+    add_shared(change, "reason")
     add("--pin-file", metavar="FILE", help="the new PIN is its first line; - for standard input")
     add("--new-pin", action="store_true", help="ask for a new PIN of an account that is there")
     active = change.add_mutually_exclusive_group()

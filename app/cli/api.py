@@ -48,7 +48,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_shared(listing, "csv")
     withdraw = token("withdraw", "make a token useless from now on", _withdraw)
     withdraw.add_argument("token", metavar="ID")
-    withdraw.add_argument("--reason", required=True, help="lands in the audit trail")
+    add_shared(withdraw, "reason")
     for each in (create, listing, withdraw):
         add_shared(each, "registry", "json")
 

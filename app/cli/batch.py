@@ -40,12 +40,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add("lot", type=Path, metavar="LOT", help="lot folder")
     add_shared(parser, "registry")
     add("--out", **DIR, help="write calibration files of the released units here")
-    add(
-        "--release",
-        choices=("pass", "conditional"),
-        default="pass",
-        help="which verdicts release files: pass (default), or conditional too, whose error is within the limit",
-    )
+    add_shared(parser, "release")
     add("--plots", **DIR, help="write a figure per unit: why its verdict")
     add("--jobs", default=1, **COUNT, help="worker processes (default 1)")
     add("--engine", choices=("local", "dask"), default="local")
@@ -119,7 +114,7 @@ def run(options: argparse.Namespace) -> int:
             from softcal.app.batch.results import lot_results, parquet_bytes
             from softcal.app.files.atomic import write_bytes
 
-            write_bytes(options.parquet, parquet_bytes(lot_results(registry, report.lot_id, report.release)))
+            write_bytes(options.parquet, parquet_bytes(lot_results(registry, report.lot_id)))
             say(f"{options.parquet}: results of lot {report.lot_id}")
         if options.plots is not None:
             from softcal.app.charts.why import explain_units

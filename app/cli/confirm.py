@@ -1,6 +1,5 @@
 """Acts that change verdicts: the command prints what would change, and asks."""
 
-import argparse
 import sys
 from typing import TYPE_CHECKING
 
@@ -18,11 +17,6 @@ NOT_CONFIRMED = 2
 
 MOST_TOLD = 20
 """So many changes are printed one by one."""
-
-
-def add_yes(parser: argparse.ArgumentParser) -> None:
-    """Add `--yes`."""
-    parser.add_argument("--yes", action="store_true", help="do it without asking; needed where there is no terminal")
 
 
 def print_changes(changes: "Changes") -> None:

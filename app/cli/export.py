@@ -43,12 +43,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add("--serial", action="append", default=[], metavar="S", help="a unit; may be repeated")
     add("--lot", metavar="ID", help="every unit of a lot that is released; with --serial: its lot")
     add("--revision", **COUNT, help="an older calibration; default: the one in use")
-    add(
-        "--release",
-        choices=("pass", "conditional"),
-        default="pass",
-        help="which verdicts release device files: pass (default), or conditional too, whose error is within the limit",
-    )
+    add_shared(units, "release")
     add("--failed-too", action="store_true", help="device files of every unit, for the laboratory")
     add = parser.add_argument
     add("--format", action="append", default=[], choices=formats(), help="may be repeated")

@@ -313,7 +313,7 @@ def _forecast(shrink: "Shrink") -> str:
 
 
 def _report(diagnosis: "Diagnosis[Any]", options: argparse.Namespace) -> dict[str, object]:
-    """Return the report of a diagnosis with what made it and the hashes of what was read."""
+    """Return the report on a simulator with what made it and the hashes of what was read."""
     from softcal.app.gap.diagnose import case_provenance
 
     return diagnosis.report() | {"provenance": case_provenance(options.case, options.simulator).to_json()}
@@ -323,7 +323,7 @@ def _show_twin(diagnosis: "Diagnosis[TwinModel]", options: argparse.Namespace) -
     """Print the diagnosis as tables, then write its report; `--json -` prints the report alone."""
     if options.json != "-":
         _show_tables(diagnosis)
-    write_json(options.json, _report(diagnosis, options))
+    write_json(options.json, diagnosis.report())
 
 
 def _show_tables(diagnosis: "Diagnosis[TwinModel]") -> None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from softcal.app.cli.confirm import NOT_CONFIRMED, add_yes, is_confirmed, may_do, print_changes, withdraw_files
+from softcal.app.cli.confirm import MOST_TOLD, NOT_CONFIRMED, is_confirmed, may_do, print_changes, withdraw_files
 from softcal.app.cli.lot_fit import add_fit
 from softcal.app.cli.options import (
     COUNT,
@@ -32,9 +32,7 @@ from softcal.app.texts.catalogue import here
 from softcal.core.errors import InputError, NotCalibrated, RegistryReadOnly
 from softcal.core.quality.line_rules import LETTERS, RETESTS
 
-DONE, SOME_UNIT_NOT_PASSED, REFUSED = 0, 1, 2
-MOST_TOLD = 20
-"""So many units are named one by one in a terminal."""
+DONE, SOME_UNIT_NOT_PASSED = 0, 1
 
 EXAMPLES = """examples:
   softcal lot watch lot-1                        calibrate units as their recordings land, until Ctrl-C
@@ -93,7 +91,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     new = limit.add_mutually_exclusive_group()
     new.add_argument("--rmse", type=float, help="new limit in the lot's reference unit")
     new.add_argument("--withdraw", action="store_true", help="take the limit back: then no unit passes")
-    add_yes(limit)
+    add_shared(limit, "yes")
     limit.add_argument("--reason", help="why; needed with a new limit")
     limit.add_argument("--expect", type=int, metavar="VERSION", help="refuse when somebody changed it since")
     network = action("network", "show or decide which network of a lot the line uses", _network)
@@ -135,9 +133,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--confirm", metavar="SERIAL", help="the audit of this unit is right in spite of the doubt")
     add("--reason", default="", help="why; needed with --confirm")
-    add_yes(brought)
     add_layout(brought)
-    add_shared(brought, "registry", "json")
+    add_shared(brought, "yes", "registry", "json")
     audit = action(
         "audit-plan",
         "draw which few units to check with the load cell; show how far the checks are and what they say",
@@ -208,7 +205,7 @@ def _release(options: argparse.Namespace) -> int:
         print_table(("audited", "lot", "forecast", "measured", "measured/forecast", "verdict"), rows)
         print(decided.statement)
         print(f"sample: {facts.sample.render(partial(text, 'en'))}")
-        print(f"released by sample: {', '.join(decided.released) or 'none'}")
+        print(f"released by sample: {', '.join(unit.serial for unit in standing.on(Way.SAMPLED)) or 'none'}")
         for name, units in (("waiting", standing.on(Way.WAITING)), ("withdrawn", standing.withdrawn)):
             for unit in units[:MOST_TOLD]:
                 print(f"{name}: {unit.serial}: {'; '.join(map(str, unit.reasons))}")
@@ -301,7 +298,7 @@ def _limit(options: argparse.Namespace) -> int:
     if answer(options, "lot.limit/1", facts):
         rows = [[e.version, e.rmse, here(e.made_at), e.actor, e.reason] for e in versions]
         print_table(("version", f"limit {unit}", "set", "by", "reason"), rows)
-    return REFUSED if is_new and not is_done else DONE
+    return NOT_CONFIRMED if is_new and not is_done else DONE
 
 
 def _network(options: argparse.Namespace) -> None:
@@ -437,7 +434,7 @@ def _bring(options: argparse.Namespace) -> int:
         say(f"an older audit of {', '.join(replaced)} was replaced")
     say(f"{len(taken)} of {len(looked)} files taken; {then}")
     say_unused(not_used, remarks)
-    return DONE if len(taken) == len(looked) else REFUSED
+    return DONE if len(taken) == len(looked) else InputError.exit_code
 
 
 def _check_rate(stated_Hz: float | None, lot_Hz: float) -> None:

@@ -3,7 +3,7 @@
 import argparse
 from functools import partial
 
-from softcal.app.cli.confirm import MOST_TOLD, NOT_CONFIRMED, add_yes, is_confirmed, print_changes
+from softcal.app.cli.confirm import MOST_TOLD, NOT_CONFIRMED, is_confirmed, print_changes
 from softcal.app.cli.options import Action, add_shared, answer, lot_id_of, registry_of
 from softcal.app.output import print_table
 from softcal.core.errors import InputError
@@ -15,8 +15,7 @@ def add_fit(action: Action) -> None:
     fit.add_argument("lot", metavar="LOT", help="lot in the registry, or its folder")
     fit.add_argument("--withdraw", action="store_true", help="give every unit back the map of its own")
     fit.add_argument("--reason", default="", help="why; needed with --withdraw")
-    add_yes(fit)
-    add_shared(fit, "registry", "json")
+    add_shared(fit, "yes", "registry", "json")
 
 
 def _fit(options: argparse.Namespace) -> int:

@@ -56,6 +56,13 @@ SHARED: dict[str, dict[str, Any]] = {
     "csv": {"metavar": "FILE", "help": "write the table as .csv or .xlsx; - for CSV on standard output"},
     "lot": {"metavar": "ID", "help": "lot of the unit; needed where the serial stands in several"},
     "serial": {"required": True, "metavar": "S"},
+    "reason": {"required": True, "help": "lands in the audit trail"},
+    "release": {
+        "choices": ("pass", "conditional"),
+        "default": "pass",
+        "help": "which verdicts release files: pass (default), or conditional too, whose error is within the limit",
+    },
+    "yes": {"action": "store_true", "help": "do it without asking; needed where there is no terminal"},
     "depth": {"type": positive, "default": 3.5, "metavar": "MM", "help": "deepest press (default 3.5 mm)"},
     "profile-seed": {"type": int, "default": 0, "help": "draws the random presses (default 0)"},
     "spool": {**DIR, "help": "where samples go as they come; default: the user's data folder"},
@@ -63,7 +70,7 @@ SHARED: dict[str, dict[str, Any]] = {
 """Options of several commands, without dashes. `csv` is of those that answer with one table."""
 
 
-def add_shared(parser: argparse.ArgumentParser, *names: str) -> None:
+def add_shared(parser: argparse._ActionsContainer, *names: str) -> None:
     """Add options of `SHARED` to a command."""
     for name in names:
         parser.add_argument(f"--{name}", **SHARED[name])

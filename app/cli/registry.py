@@ -5,7 +5,7 @@ import time
 from functools import partial
 
 from softcal.app.bootstrap import registry_url
-from softcal.app.cli.confirm import NOT_CONFIRMED, RECALL_HEADER, add_yes, may_do, withdraw_files
+from softcal.app.cli.confirm import NOT_CONFIRMED, RECALL_HEADER, may_do, withdraw_files
 from softcal.app.cli.options import FILE, actions_of, add_shared, answer, registry_of, say_unused, say_written
 from softcal.app.output import print_table, say, shown
 from softcal.core.errors import RegistryError
@@ -50,8 +50,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_shared(rollback, "lot")
     rollback.add_argument("--to", required=True, type=int, metavar="REVISION")
     rollback.add_argument("--origin", metavar="REGISTRY", help="who made it, where two registries made this revision")
-    rollback.add_argument("--reason", required=True, help="lands in the audit trail")
-    add_yes(rollback)
+    add_shared(rollback, "reason", "yes")
     recall = action("recall", "units whose files went out and no longer hold", _recall)
     recall.add_argument("--lot", metavar="ID", help="only this lot")
     add_shared(recall, "csv")

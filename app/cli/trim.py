@@ -3,7 +3,7 @@
 import argparse
 from functools import partial
 
-from softcal.app.cli.confirm import NOT_CONFIRMED, add_yes, may_do, withdraw_files
+from softcal.app.cli.confirm import NOT_CONFIRMED, may_do, withdraw_files
 from softcal.app.cli.options import FILE, add_layout, add_shared, answer, registry_of, say_layout, table_options
 from softcal.app.output import say
 
@@ -20,8 +20,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_shared(parser, "serial")
     parser.add_argument("--loads", required=True, **FILE, help="CSV or Parquet: output, reference")
     add_layout(parser)
-    add_yes(parser)
-    add_shared(parser, "lot", "registry", "json")
+    add_shared(parser, "yes", "lot", "registry", "json")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -33,6 +33,7 @@ STATION = {
     "State": "state",
     "Serial": "serial",
     "LastSerial": "last_serial",
+    "LastLot": "last_lot",
     "LastVerdict": "last_verdict",
     "Lot": "lot",
 }

@@ -18,7 +18,7 @@ def stations_json(registry: Registry) -> list[dict[str, Any]]:
 
 
 def station_json(registry: Registry, heartbeat: Heartbeat) -> dict[str, Any]:
-    """Return a station: its state, its unit, the last unit it decided, its lot."""
+    """Return a station: its state, its unit, the last unit it decided with its lot, which may be an earlier one."""
     queue = registry.order_queue
     active = queue.active(heartbeat.station)
     decided = next((o for o, p in queue.runs(heartbeat.station, NEWEST) if o.kind.is_about_unit and p.verdict), None)
@@ -32,6 +32,7 @@ def station_json(registry: Registry, heartbeat: Heartbeat) -> dict[str, Any]:
         "reasons": [str(why) for why in heartbeat.reasons],
         "serial": active[0].serial if active else None,
         "last_serial": decided.serial if decided else None,
+        "last_lot": decided.lot_id or None if decided else None,
         "last_verdict": status.verdict if status else None,
         "lot": lot_id or None,
         "counts": registry.pages.verdict_counts(lot_id) if lot_id in registry.lots.ids() else {},

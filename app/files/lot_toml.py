@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from datetime import datetime
 from pathlib import Path
 from typing import get_type_hints
@@ -17,12 +17,12 @@ from softcal.app.tables.options import TableOptions
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.maps.catalogue import check_family
-from softcal.core.unit.budget import DAYS, NUMBERS, SIMULATED, Reference
+from softcal.core.unit.budget import SIMULATED, Reference
 from softcal.core.unit.line_spread import LineSpread
 
 NAME = "lot.toml"
 
-STATED = {"cell", "certificate", "laboratory", *DAYS, *NUMBERS}
+STATED = {one.name for one in fields(Reference)} - {"is_simulated"}
 """What lot.toml says of the instrument behind the reference."""
 
 COLUMN_KEYS = ("output", "reference", "time", "stage")

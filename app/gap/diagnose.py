@@ -3,6 +3,7 @@
 import json
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -44,7 +45,8 @@ def diagnose_case(
     Raises:
         InputError: the case cannot be read, or a table comes without its electronics.
     """
-    return diagnose(_opened(place, readout, table), progress)
+    diagnosis = diagnose(_opened(place, readout, table), progress)
+    return replace(diagnosis, provenance=case_provenance(place).to_json())
 
 
 def check_case(

@@ -173,7 +173,7 @@ def compare(registry: Registry, job: Job, tell: Teller) -> Outcome:
 def diagnose(registry: Registry, job: Job, tell: Teller) -> Outcome:
     """Diagnose a case; request: case, experiment to press once more on a sealed rig."""
     from softcal.app.gap.desk import ask_case, kept_of
-    from softcal.app.gap.diagnose import case_provenance, diagnose_case
+    from softcal.app.gap.diagnose import diagnose_case
 
     folder = Path(job.request["case"])
     if experiment := job.request.get("experiment"):
@@ -187,7 +187,7 @@ def diagnose(registry: Registry, job: Job, tell: Teller) -> Outcome:
         tell(min(0.95, 1 - 0.9**steps), text)
 
     report, arrays = kept_of(diagnose_case(folder, on_step))
-    return Outcome(report["verdict"], report | {"provenance": case_provenance(folder).to_json()}, arrays)
+    return Outcome(report["verdict"], report, arrays)
 
 
 def check(registry: Registry, job: Job, tell: Teller) -> Outcome:

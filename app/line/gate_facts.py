@@ -8,6 +8,7 @@ import numpy as np
 from softcal.app.line.qualification import newest_qualification
 from softcal.app.registry.unit import calibrated_unit
 from softcal.core.errors import InputError
+from softcal.core.lot import UnitKey
 from softcal.core.metrics import rmse
 from softcal.core.orders import OrderKind
 from softcal.core.quality.control_chart import control_chart
@@ -29,7 +30,7 @@ from softcal.core.unit.verdict import default_limit
 from softcal.core.words.reason import Reason, reason
 from softcal.db.entries import GoldenRun
 from softcal.db.registry import Registry
-from softcal.db.schema.deadline import has_passed, is_silent
+from softcal.db.schema.deadline import MAX_CLOCK_ERROR, has_passed
 from softcal.station.devices.config import StationConfig
 
 FIRST_RUNS = 8
@@ -65,8 +66,7 @@ class StationGate:
     def __call__(self, kind: OrderKind, rig: RigFacts) -> Gate:
         """Return whether an order of this kind may run now."""
         now, rules, config = datetime.now(UTC), self._rules, self._config
-        golden = self._registry.stations.golden_runs(self._station, since=now - rules.shift)
-        golden = [run for run in golden if not is_silent(run.made_at, now, rules.shift)]
+        golden = golden_checks(self._registry, self._station, now, now - rules.shift)
         entries = () if config.force is None else self._registry.stations.certificates(config.force.serial)
         certificate = None
         if entries:
@@ -79,7 +79,7 @@ class StationGate:
             certificate=certificate,
             largest_force_N=config.safety.force_N,
             shift_began=now - rules.shift,
-            golden=_check(golden[-1]) if golden else None,
+            golden=golden[-1] if golden else None,
             qualification=newest_qualification(self._registry, self._station),
             rig=rig,
             zero_return_limit_N=config.safety.zero_return_N,
@@ -158,14 +158,27 @@ def check_golden(
 
 
 def quarantine(registry: Registry, station: str, now: datetime) -> tuple[str, ...]:
-    """Return the serials a station pressed since its last good golden unit, once one has failed."""
+    """Return the units, as LOT/SERIAL, that a station pressed since its last good golden unit, once one has failed."""
     pressed = [
-        (order.serial, order.created)
+        (str(UnitKey(order.lot_id, order.serial)).removeprefix("/"), order.created)
         for order, progress in registry.order_queue.runs(station, 10_000)
         if order.kind is OrderKind.UNIT and progress.recording_sha256 and order.created is not None
     ]
-    return quarantined(pressed, [_check(run) for run in registry.stations.golden_runs(station)], now)
+    return quarantined(pressed, golden_checks(registry, station, now), now)
 
 
-def _check(run: GoldenRun) -> GoldenCheck:
-    return GoldenCheck(run.made_at, run.serial, run.passed)
+def golden_checks(registry: Registry, station: str, now: datetime, since: datetime | None = None) -> list[GoldenCheck]:
+    """Return the checks of a station that count, oldest first; of those stamped `since` or later.
+
+    One that is stamped after `now`, or after a check that was stored later, was stamped by a clock that was ahead. When
+    it was made nobody knows: a good one says nothing, a failed one counts until the next one that was stored.
+    """
+    checks: list[GoldenCheck] = []
+    for runs in registry.stations.stored_checks(station, since).values():
+        latest = now
+        for run in reversed(runs):
+            is_ahead = run.made_at > latest + MAX_CLOCK_ERROR
+            latest = min(latest, run.made_at)
+            if not is_ahead or not run.passed:
+                checks.append(GoldenCheck(latest, run.serial, run.passed))
+    return sorted(reversed(checks), key=lambda check: check.at)

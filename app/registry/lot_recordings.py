@@ -4,8 +4,10 @@ from softcal.app.registry.golden import golden_of
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.unit.audit import measure
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel, make_source_model
+from softcal.core.unit.state import UnitState
 from softcal.core.words.reason import reason
 from softcal.db.entries import RecordingEntry
 from softcal.db.registry import Registry
@@ -63,6 +65,12 @@ def newest_audits(registry: Registry, lot_id: str, serial: str | None = None) ->
     given = golden_of(registry, lot_id, {one.serial for one in entries})
     checks |= {golden for _, golden in given.values()}
     return {one.serial: one for one in entries if one.serial not in units and one.sha256 not in checks}
+
+
+def measure_unit(registry: Registry, state: UnitState, audit: LabelledRecording) -> UnitState:
+    """Return the state of a unit with an audit of its map in force."""
+    recording = unlabelled(registry.recordings.get(state.fit.recording_sha256))
+    return measure(registry.networks.get(state.fit.network_id), state, audit, recording)
 
 
 def audit_of(registry: Registry, entry: RecordingEntry | None) -> LabelledRecording | None:

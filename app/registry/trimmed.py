@@ -8,13 +8,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
-from softcal.app.registry.lot_recordings import audit_of, newest_audits, source_recording, unlabelled
+from softcal.app.registry.lot_recordings import audit_of, measure_unit, newest_audits, source_recording, unlabelled
 from softcal.core.errors import InputError, MapsConflict
 from softcal.core.maps.interface import Anchors, FitProblem
-from softcal.core.unit.audit import measure
 from softcal.core.unit.state import Trim, UnitState
 from softcal.core.unit.trim import NeedlessTrim, trim
-from softcal.core.words.reason import reason
+from softcal.core.words.reason import Reason, reason
 from softcal.db.entries import StoredCalibration
 from softcal.db.registry import Registry
 
@@ -50,7 +49,8 @@ def trim_state(registry: Registry, stored: StoredCalibration, loads: Anchors) ->
     recording = unlabelled(registry.recordings.get(fit.recording_sha256))
     problem = FitProblem(source, network, recording, config=fit.method.map)
     result = trim(problem, fitted.unit_map, fitted.interval, loads)
-    return replace(result, audit_sha256=_newest_audit(registry, stored))
+    entry = newest_audits(registry, stored.lot_id, stored.serial).get(stored.serial)
+    return replace(result, audit_sha256="" if entry is None else entry.sha256)
 
 
 def put_trim(registry: Registry, stored: StoredCalibration, new: Trim, why: str, actor: str | None) -> None:
@@ -59,10 +59,7 @@ def put_trim(registry: Registry, stored: StoredCalibration, new: Trim, why: str,
     entry = newest_audits(registry, stored.lot_id, stored.serial).get(stored.serial)
     audit = None if entry is None or entry.sha256 == new.audit_sha256 else audit_of(registry, entry)
     if audit is not None and entry is not None and new.left_out is None and not state.fit.rules:
-        network = registry.networks.get(state.fit.network_id)
-        recording = unlabelled(registry.recordings.get(state.fit.recording_sha256))
-        state = replace(state, unreadable_audit=None)
-        state = measure(network, state, audit, recording)
+        state = measure_unit(registry, replace(state, unreadable_audit=None), audit)
     registry.calibrations.put_state(stored.lot_id, state, DECIDED_BY, actor=actor, reason=why)
 
 
@@ -81,20 +78,20 @@ def trim_kept(registry: Registry, lot_id: str, serial: str, actor: str | None) -
         stored = registry.calibrations.get(serial, lot_id=lot_id)
         if stored.state.trim is not None:
             return
-        count = len(before.output)
-        if before.recording_sha256 != stored.state.fit.recording_sha256:
-            left_out = replace(before, left_out=reason("trim.older", loads=count), is_blocking=True)
-            put_trim(registry, stored, left_out, "trim.older", actor)
-            return
-        try:
-            new = replace(trim_state(registry, stored, before.loads), audit_sha256=before.audit_sha256)
-            put_trim(registry, stored, new, "the trim of this recording, behind its new map", actor)
-        except NeedlessTrim:
-            left_out = replace(before, left_out=reason("trim.read", loads=count), is_blocking=False)
-            put_trim(registry, stored, left_out, "trim.read", actor)
-        except InputError as error:
-            left_out = replace(before, left_out=reason("trim.left_out", error=str(error)), is_blocking=True)
-            put_trim(registry, stored, left_out, "trim.left_out", actor)
+        new = before
+        why: Reason | None = reason("trim.older", loads=len(before.output))
+        if before.recording_sha256 == stored.state.fit.recording_sha256:
+            try:
+                new = replace(trim_state(registry, stored, before.loads), audit_sha256=before.audit_sha256)
+                why = None
+            except NeedlessTrim:
+                why = reason("trim.read", loads=len(before.output))
+            except InputError as error:
+                why = reason("trim.left_out", error=str(error))
+        if why is not None:
+            new = replace(before, left_out=why, is_blocking=why.code != "trim.read")
+        said = "the trim of this recording, behind its new map" if why is None else why.code
+        put_trim(registry, stored, new, said, actor)
 
 
 def _trim_in_use(registry: Registry, lot_id: str, serial: str) -> Trim | None:
@@ -106,11 +103,6 @@ def _trim_in_use(registry: Registry, lot_id: str, serial: str) -> Trim | None:
     except MapsConflict:
         # A person decides first.
         return None
-
-
-def _newest_audit(registry: Registry, stored: StoredCalibration) -> str:
-    entry = newest_audits(registry, stored.lot_id, stored.serial).get(stored.serial)
-    return "" if entry is None else entry.sha256
 
 
 def _values(loads: Anchors) -> tuple[tuple[float, ...], tuple[float, ...]]:

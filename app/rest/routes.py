@@ -155,7 +155,7 @@ def release(registry: Known, _: Looking, lot: LotId) -> dict[str, Any]:
     standing = lot_standing(registry, lot)
     if standing.decided is None:
         return {"lot": lot, "release": None, "provenance": None}
-    provenance = statement_provenance(registry, lot).to_json()
+    provenance = statement_provenance(registry, standing).to_json()
     return {"lot": lot, "release": standing.to_json(), "provenance": provenance}
 
 
@@ -304,7 +304,7 @@ JobId = Annotated[str, Path(pattern=r"^[0-9a-f]{32}$")]
 @routes.get("/jobs/{job_id}", response_model=answers.JobAnswer, responses=_may_fail(404), tags=["jobs"])
 def job_of(registry: Known, _: Looking, job_id: JobId) -> dict[str, Any]:
     """Tell how far a job is, and its result once it is done."""
-    return _job_json(_job(registry, job_id))
+    return _job_json(registry.job_board.job(job_id))
 
 
 @routes.post(
@@ -312,7 +312,6 @@ def job_of(registry: Known, _: Looking, job_id: JobId) -> dict[str, Any]:
 )
 def cancel(registry: Known, _: Calibrating, job_id: JobId) -> dict[str, Any]:
     """Ask a job to stop; what it has registered stays. One that is over stays as it ended."""
-    _job(registry, job_id)
     registry.job_board.cancel(job_id)
     return _job_json(registry.job_board.job(job_id))
 
@@ -374,10 +373,6 @@ def _unit(registry: Registry, lot_id: str, serial: str) -> Any:
     if unit is None:
         raise NoSuchUnit(f"serial {serial!r} is not in lot {lot_id!r}")
     return unit
-
-
-def _job(registry: Registry, job_id: str) -> Job:
-    return registry.job_board.job(job_id)
 
 
 def _job_json(job: Job) -> dict[str, Any]:

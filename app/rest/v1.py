@@ -185,6 +185,7 @@ class StationAnswer(_Answer):
     reasons: list[str]
     serial: str | None
     last_serial: str | None
+    last_lot: str | None
     last_verdict: Verdicts | None
     lot: str | None
     counts: dict[str, int]

@@ -136,8 +136,7 @@ def _do_again(card: Card) -> str:
 def _do_put_on(card: Card) -> str:
     """Name the load: which of how many, and how well it must be known."""
     load, message = card.facts.load or KnownLoad(0.0), card.run[1].message if card.run else ()
-    known = f" ± {load.expanded:g}" if load.expanded else ""
-    shown = f"{load.value:.5g}{known} {message[0].values.get('unit', '')}"
+    shown = f"{load} {message[0].values.get('unit', '')}"
     key = "line.load.do" if load.value else "line.load.do.nothing"
     return card.do(key, step=card.facts.load_step, of=len(asked_loads(message)), load=shown)
 

@@ -5,9 +5,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 
+import msgspec
+
 from softcal.app.texts.reasons import Words, said
 from softcal.core.quality.lot_standing import LotStanding, UnitInLot, Way
 from softcal.core.words.reason import Reason
+from softcal.db.provenance import Provenance
 from softcal.db.registry import Registry
 from softcal.db.truth.in_use import STALE
 
@@ -50,20 +53,16 @@ def release_record(registry: Registry, standing: LotStanding) -> ReleaseRecord |
     if not released:
         return None
     entry = registry.decisions.in_force(standing.lot_id)
-    if entry is not None and entry.decision.get("released"):
-        return ReleaseRecord(entry.made_at, entry.actor, released)
+    if entry is not None and entry.decision.get("released") and (told := entry.decision.get("provenance")):
+        # Of the statement, not of the entry: whoever fitted the lot since, or took that back, released nothing.
+        made = msgspec.convert(told, Provenance)
+        return ReleaseRecord(datetime.fromisoformat(made.made_at), made.actor, released)
     runs = [run for run in registry.lots.runs(standing.lot_id) if run.serial in set(released)]
     newest = max(runs, key=lambda run: run.made_at, default=None)
     if newest is None:
         return ReleaseRecord(None, "", released)
     actor = registry.calibrations.get(newest.serial, lot_id=standing.lot_id).actor
     return ReleaseRecord(newest.made_at, actor, released)
-
-
-def releasable(standing: LotStanding) -> tuple[str, ...]:
-    """Return the serials that a release of the lot would let pass and that do not pass yet."""
-    decided = set(standing.decided.released if standing.decided else ())
-    return tuple(unit.serial for unit in standing.units if unit.serial in decided and unit.verdict != "pass")
 
 
 def next_step(registry: Registry, standing: LotStanding, unmeasured: Sequence[str] | None) -> NextStep:
@@ -86,7 +85,7 @@ def next_step(registry: Registry, standing: LotStanding, unmeasured: Sequence[st
         return NextStep("confirm", "audit", _named(suspects))
     if unmeasured:
         return NextStep("measure", "audit", _listed(unmeasured))
-    if becoming := releasable(standing):
+    if becoming := standing.releasable:
         return NextStep("release", "release", _listed(becoming))
     if waiting and all(unit.reasons[:1] and unit.reasons[0].code in STALE for unit in waiting):
         return NextStep("again", values={"count": len(waiting)})

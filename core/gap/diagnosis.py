@@ -74,6 +74,7 @@ class Diagnosis(Generic[M]):
         residual: empirical terms for what no named cause explains, if they hold on runs held back.
         told: what the runs tell of the base and of every effect; None where there is a mistake.
         list_complete: probability that nothing unmodelled is left.
+        provenance: what made it and from what, as JSON values; None of what was read from no file.
     """
 
     model: M
@@ -97,6 +98,7 @@ class Diagnosis(Generic[M]):
     residual: LearnedResidual[Any] | None = None
     told: Identifiability | None = None
     list_complete: float = 0.0
+    provenance: Mapping[str, object] | None = None
 
     @classmethod
     def stopped(cls, model: M, base: Fit, mistakes: tuple[DataMistake, ...]) -> Self:
@@ -153,7 +155,7 @@ class Diagnosis(Generic[M]):
             "list_complete": self.list_complete,
             "on_bound": self.on_bound,
         }
-        return report | self.model.report(self)
+        return report | self.model.report(self) | ({"provenance": self.provenance} if self.provenance else {})
 
 
 def diagnose(

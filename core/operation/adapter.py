@@ -100,11 +100,6 @@ class Adapter(StreamEstimator):
             DriftTracker(operation, method),
         )
 
-    @property
-    def calibrated_operation(self) -> CalibratedOperation:
-        """What the calibration recording taught about the unit's use."""
-        return self._operation
-
     def _mapped(self, windows: Array) -> Array:
         correction = AffineMap(self._current.gain, self._current.offset)
         return self._calibration.unit_map.apply(correction.apply(windows))

@@ -129,18 +129,19 @@ def may_run(facts: StationFacts, kind: OrderKind = OrderKind.UNIT) -> Gate:
 def quarantined(
     pressed: Sequence[tuple[str, datetime]], checks: Sequence[GoldenCheck], now: datetime
 ) -> tuple[str, ...]:
-    """Return the serials pressed since the last good check, once a check has failed (ISO/IEC 17025, 6.4.9).
+    """Return the names of the units pressed since the last good check, once a check has failed (ISO/IEC 17025, 6.4.9).
 
-    Units, (serial, when), and checks of golden units may come in any order; those after `now` do not count. Serials
-    come in the order they were pressed; none while the newest check is good.
+    Units, (name, when), and checks of golden units may come in any order. What is stamped after `now` was stamped by
+    a clock that was ahead: a failed check counts as one of now, a unit as pressed since, a good check does not count.
+    Names come in the order they were pressed; none while the newest check is good.
     """
-    known = sorted((check for check in checks if check.at <= now), key=lambda check: check.at)
+    known = sorted((c for c in checks if c.at <= now or not c.is_in_control), key=lambda check: check.at)
     if not known or known[-1].is_in_control:
         return ()
     # Between the last good and the first bad check nobody knows when the station went wrong: all of them are suspect.
     good = [check.at for check in known if check.is_in_control]
     since = good[-1] if good else datetime.min.replace(tzinfo=now.tzinfo)
-    return tuple(serial for serial, at in sorted(pressed, key=lambda unit: unit[1]) if since < at <= now)
+    return tuple(serial for serial, at in sorted(pressed, key=lambda unit: unit[1]) if since < at)
 
 
 def _certificate(facts: StationFacts) -> list[Condition]:

@@ -22,10 +22,14 @@ REPEATED = ("load.unsteady", "load.unloaded", "load.same")
 
 @dataclass(frozen=True)
 class KnownLoad:
-    """One weight with its expanded uncertainty U (k = 2), in the reference unit of the lot."""
+    """One weight with its expanded uncertainty U (k = 2), in the reference unit of the lot; 0 where nobody stated U."""
 
     value: float
     expanded: float = 0.0
+
+    def __str__(self) -> str:
+        """Return load and U; the load alone where nobody stated U."""
+        return f"{self.value:.5g} ± {self.expanded:.2g}" if self.expanded else f"{self.value:.5g}"
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.value) and self.value >= 0):

@@ -88,13 +88,24 @@ class LotStanding:
         audited = [unit for unit in self.units if unit.audited_at is not None]
         return tuple(sorted(audited, key=lambda u: (u.doubt is None, -(u.measured_rmse or 0.0), u.serial)))
 
+    @property
+    def releasable(self) -> tuple[str, ...]:
+        """Serials that a release of the lot would let pass and that do not pass yet."""
+        decided = set(self.decided.released if self.decided else ())
+        return tuple(unit.serial for unit in self.units if unit.serial in decided and unit.verdict != "pass")
+
     def on(self, way: Way) -> tuple[UnitInLot, ...]:
         return tuple(unit for unit in self.units if unit.way == way)
 
     def to_json(self) -> dict[str, object]:
-        """Return it as JSON values: what is decided on unmeasured units, with the standing of all beside it."""
+        """Return it as JSON values: what is decided on unmeasured units, with the standing of all beside it.
+
+        A statement that nobody has made yet is none: until then it would promise units that are not released.
+        """
         return {
             **({} if self.decided is None else self.decided.to_json()),
+            **({"statement": None, "statement_reason": None} if self.releasable else {}),
+            "releasable": list(self.releasable),
             "released": [unit.serial for unit in self.units if unit.verdict == "pass"],
             "limit": None if self.limit is None else self.limit.to_json(),
             "counts": self.counts,

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from softcal.core.identity import content_sha256
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
@@ -30,8 +29,12 @@ def measure(
 
     Args:
         recording: the one that the unit was calibrated from.
-        own: how a network of the unit's own is trained on the audit, for comparison; or the error of one that was.
+        own: how a network of the unit's own is trained on the audit, for comparison; or the error of one that was; of
+            the audit that the state has already, the one that is known is kept.
     """
+    before = state.audit
+    if own is None and before is not None and before.recording_sha256 == audit.sha256:
+        own = None if before.scores.own is None else before.scores.own.own
     method = state.fit.method
     before_widening = replace(state, release=None)
     value, half = _estimates(network, before_widening, audit)
@@ -45,7 +48,6 @@ def measure(
         map_id=state.map_id,
         recording_sha256=audit.sha256,
         output_sha256=audit.output_sha256,
-        reference_sha256=content_sha256({"reference": audit.reference}, {}),
         scores=score_map(network, state.unit_map, audit, method.decision, own),
         line=load_line(value, audit.reference),
         fitted_line=load_line(fitted_value, audit.reference),
@@ -56,15 +58,6 @@ def measure(
         half=_short(half[spread]),
     )
     return replace(state, audit=result)
-
-
-def measure_again(
-    network: Network, state: UnitState, audit: LabelledRecording, recording: OutputRecording
-) -> UnitState:
-    """Return the state with its own audit scored on the map in force, as after a correction."""
-    before = state.audit
-    own = None if before is None or before.scores.own is None else before.scores.own.own
-    return measure(network, state, audit, recording, own)
 
 
 def _estimates(network: Network, state: UnitState, audit: LabelledRecording) -> tuple[Array, Array]:

@@ -1,7 +1,7 @@
 """What an estimate is traced to and how uncertain it is (GUM, JCGM 100:2008): reference, f, map, quantisation."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import date
 from enum import StrEnum
 
@@ -139,18 +139,7 @@ class Reference:
         return {key: value.isoformat() if isinstance(value, date) else value for key, value in vars(self).items()}
 
 
-DAYS = {"issued_on", "due_on", "used_on"}
-NUMBERS = (
-    "uncertainty",
-    "coverage_factor",
-    "capacity",
-    "drift",
-    "temperature_per_K",
-    "temperature_K",
-    "contact",
-    "repeatability",
-    "bandwidth",
-)
+NUMBERS = tuple(one.name for one in fields(Reference) if one.type in (float, float | None))
 SIMULATED = Reference(is_simulated=True)
 
 DIVISORS = {"normal": 1.0, "rectangular": float(np.sqrt(3))}

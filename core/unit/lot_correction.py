@@ -65,10 +65,10 @@ class LotCorrection:
     number: int
     lines: Mapping[str, AuditedLine] = field(default_factory=dict)
 
-    def line_of(self, serial: str, level: OutputLevel | None, min_audits: int) -> "CommonLine | None":
+    def line_of(self, serial: str, level: OutputLevel | None, min_audits: int) -> Correction | None:
         """Return what is taken off a unit whose output stands at a level: what the other audited units say.
 
-        None where they are fewer than `min_audits`, or where chance explains all of it.
+        None where they are fewer than `min_audits`, or where chance explains all of it. `apply` puts it behind a map.
         """
         lines = [line for name, line in self.lines.items() if name != serial]
         if len(lines) < min_audits:
@@ -78,7 +78,13 @@ class LotCorrection:
         zero, zero_error = zeros.at(None if level is None else level.rest)
         if not log_gain and not zero:
             return None
-        return CommonLine(LoadLine(float(np.exp(log_gain)), zero), gain_error, zero_error, len(lines))
+        return Correction(
+            number=self.number,
+            line=LoadLine(float(np.exp(log_gain)), zero),
+            gain_error=gain_error,
+            zero_error=zero_error,
+            audits=len(lines),
+        )
 
     def apply(self, state: UnitState, source: LabelledRecording) -> UnitState:
         """Return the state of a unit with this correction.
@@ -93,26 +99,7 @@ class LotCorrection:
         read = np.array([state.fitted.interval.low, state.fitted.interval.high])
         was, now = levels.at(read), levels.at((read - common.line.zero) / common.line.gain)
         gain = float((now[1] - now[0]) / (was[1] - was[0]))
-        correction = Correction(
-            number=self.number,
-            line=common.line,
-            gain_error=common.gain_error,
-            zero_error=common.zero_error,
-            audits=common.audits,
-            gain=gain,
-            offset=float(now[0] - gain * was[0]),
-        )
-        return replace(state, correction=correction)
-
-
-@dataclass(frozen=True)
-class CommonLine:
-    """A gain and a zero that audited units read alike, with their standard uncertainties, and the number of units."""
-
-    line: LoadLine
-    gain_error: float
-    zero_error: float
-    audits: int
+        return replace(state, correction=replace(common, gain=gain, offset=float(now[0] - gain * was[0])))
 
 
 def _trends(lines: Sequence[AuditedLine]) -> tuple[Trend, Trend]:

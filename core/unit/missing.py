@@ -49,24 +49,18 @@ class MissingShares:
 
 
 @dataclass(frozen=True)
-class MissingSamples:
-    """What is missing of a recording.
+class MissingSamples(MissingShares):
+    """What is missing of a recording, and where.
 
     Args:
-        masked: samples that were left out, by kind.
         gaps: stretches without rows in its file.
         pauses: such stretches at rest: nobody pressed, and nothing is lost.
         slow: stretches at a slower rate than the rest.
-        share: of the samples that its time would hold, those that are masked or in no row.
-        window_share: of the windows that its rows would fill, those that are left.
     """
 
-    masked: dict[str, int]
     gaps: tuple[InspectionFinding, ...]
     pauses: tuple[InspectionFinding, ...]
     slow: tuple[InspectionFinding, ...]
-    share: float
-    window_share: float
 
     @property
     def is_any(self) -> bool:
@@ -89,7 +83,7 @@ def missing_samples(recording: OutputRecording, config: InspectionConfig) -> Mis
     absent = float(np.sum(np.maximum(np.round(steps) - 1, 0))) - sum(pause.amount for pause in pauses)
     windows, _ = lost_windows(recording)
     share = (len(recording.masked) + absent) / (valid + len(recording.masked) + absent)
-    return MissingSamples(recording.masked.counts, gaps, pauses, slow, share, windows)
+    return MissingSamples(recording.masked.counts, share, windows, gaps, pauses, slow)
 
 
 @lru_cache(maxsize=CACHED)

@@ -171,8 +171,8 @@ class Correction:
     gain_error: float
     zero_error: float
     audits: int
-    gain: float
-    offset: float
+    gain: float = 1.0
+    offset: float = 0.0
 
     def variance(self, interval: Interval) -> Array:
         """Return the (LEVELS,) variance of the correction at the load levels, in squares of the reference unit."""
@@ -241,7 +241,7 @@ class AuditResult:
 
     Args:
         map_id: of the state that was measured; another map has no measured error.
-        recording_sha256, output_sha256, reference_sha256: of the audit, of its output and its reference alone.
+        recording_sha256, output_sha256: of the audit, and of its output alone.
         scores: errors of f on raw and mapped windows, with their rows.
         line: of the estimates over the reference (least squares): gain 1 reads the loads in full.
         fitted_line: the same of the map as it was fitted, before anything was taken off it.
@@ -253,7 +253,6 @@ class AuditResult:
     map_id: str
     recording_sha256: str
     output_sha256: str
-    reference_sha256: str
     scores: Scores
     line: LoadLine
     fitted_line: LoadLine

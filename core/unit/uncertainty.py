@@ -18,10 +18,8 @@ NORMAL_90 = 1.645
 """Half-width of a 90 % interval in standard deviations of a normal distribution."""
 
 DIRECTIONS = ("unloading", "hold", "loading")
-_NUMBERS = ("low", "high", "slope_limit", "sensitivity", "familiar_distance")
-_SUPPORT_ARRAYS = ("origin", "step", "distance_grid")
-_SUPPORT_NUMBERS = ("output_mean", "output_scale", "bend_limit", "roughness_limit")
-"""Fields as a calibration keeps them."""
+_OF_SUPPORT = "support_"
+"""Begins the names of a support's fields among those of its interval, as a calibration keeps them."""
 
 
 def _polynomials() -> Array:
@@ -151,20 +149,23 @@ class Interval:
         return replace(self, half_width=np.sqrt(self.half_width**2 + NORMAL_90**2 * variance))
 
     def arrays(self) -> Arrays:
-        support = {f"support_{name}": getattr(self.support, name) for name in _SUPPORT_ARRAYS}
-        return {"half_width": self.half_width, **support}
+        return {name: value for name, value in self._values().items() if isinstance(value, np.ndarray)}
 
     def settings(self) -> dict[str, float]:
-        support = {f"support_{name}": getattr(self.support, name) for name in _SUPPORT_NUMBERS}
-        return {name: float(getattr(self, name)) for name in _NUMBERS} | support
+        return {name: float(value) for name, value in self._values().items() if not isinstance(value, np.ndarray)}
+
+    def _values(self) -> dict[str, Any]:
+        support = {f"{_OF_SUPPORT}{name}": value for name, value in vars(self.support).items()}
+        return {name: value for name, value in vars(self).items() if name != "support"} | support
 
     @classmethod
     def from_arrays(cls, arrays: Arrays, settings: Settings) -> "Interval":
         """Read what `arrays` and `settings` gave."""
-        support: dict[str, Any] = {name: float(str(settings[f"support_{name}"])) for name in _SUPPORT_NUMBERS}
-        support |= {name: np.asarray(arrays[f"support_{name}"], np.float64) for name in _SUPPORT_ARRAYS}
-        numbers = {name: float(str(settings[name])) for name in _NUMBERS}
-        return cls(Support(**support), np.asarray(arrays["half_width"], np.float64), **numbers)
+        values: dict[str, Any] = {name: np.asarray(array, np.float64) for name, array in arrays.items()}
+        values |= {name: float(str(number)) for name, number in settings.items()}
+        of_support = [name for name in values if name.startswith(_OF_SUPPORT)]
+        support = Support(**{name.removeprefix(_OF_SUPPORT): values.pop(name) for name in of_support})
+        return cls(support=support, **values)
 
 
 @dataclass(frozen=True)

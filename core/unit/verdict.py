@@ -13,7 +13,7 @@ from softcal.core.errors import InputError
 from softcal.core.unit.measured_error import Scores
 from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.uncertainty import ErrorForecast
-from softcal.core.words.reason import Reason, reason
+from softcal.core.words.reason import Reason, Value, reason
 
 
 class Verdict(StrEnum):
@@ -241,41 +241,18 @@ def compare_with_limit(
     Nothing passes by a limit that nobody stated.
     """
     relation, stated = _STATED[statement(error, limit)]
-    if not limit.is_stated and stated is not Verdict.FAIL:
-        return _decide_without_limit(error, limit, findings, source)
     ordered = sorted(findings, key=lambda finding: -finding.best.severity)
-    said = reason(
-        "statement",
-        source=Reason(f"part.{source}"),
-        rmse=error.rmse,
-        lower=error.lower,
-        upper=error.upper,
-        unit=limit.unit,
-        relation=Reason(relation),
-        limit=limit.maximum_rmse,
-        origin=limit.origin,
-    )
-    word = worst_of([stated, *(finding.best for finding in findings)])
+    seen, bounds = [finding.reason for finding in ordered], [finding.best for finding in findings]
+    numbers: dict[str, Value] = {"source": Reason(f"part.{source}"), **vars(error), "unit": limit.unit}
+    if not limit.is_stated and stated is not Verdict.FAIL:
+        said = reason("no_limit", share=error.rmse / (limit.full_range or np.nan), **numbers)
+        return Judgement(worst_of([Verdict.CONDITIONAL, *bounds]), (*seen, said))
+    numbers |= {"relation": Reason(relation), "limit": limit.maximum_rmse, "origin": limit.origin}
+    said, word = reason("statement", **numbers), worst_of([stated, *bounds])
     # An error beyond the limit is the first thing to say; else what was found is.
-    seen = [finding.reason for finding in ordered]
     if limit.acceptance_rmse < error.upper <= limit.maximum_rmse:
         seen.append(reason("reference_uncertain", expanded=limit.reference_expanded or 0.0, unit=limit.unit))
     return Judgement(word, (said, *seen) if stated is Verdict.FAIL and word is Verdict.FAIL else (*seen, said))
-
-
-def _decide_without_limit(error: ErrorForecast, limit: Limit, findings: tuple[Finding, ...], source: str) -> Judgement:
-    ordered = sorted(findings, key=lambda finding: -finding.best.severity)
-    said = reason(
-        "no_limit",
-        source=Reason(f"part.{source}"),
-        share=error.rmse / (limit.full_range or np.nan),
-        rmse=error.rmse,
-        lower=error.lower,
-        upper=error.upper,
-        unit=limit.unit,
-    )
-    word = worst_of([Verdict.CONDITIONAL, *(finding.best for finding in findings)])
-    return Judgement(word, (*(finding.reason for finding in ordered), said))
 
 
 def compare_with_audit(scores: Scores, limit: Limit, findings: tuple[Finding, ...] = ()) -> Judgement:

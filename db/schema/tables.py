@@ -140,6 +140,13 @@ def declared(name: str, key: dict[str, Any], *values: Sequence[Column[Any]]) -> 
     return table(name, *made, *chain.from_iterable(values), *lot)
 
 
+def numbered(name: str, number: str, *values: Sequence[Column[Any]]) -> Table:
+    """Return a table of what is set or decided of lots, 1, 2, 3 ... each, by whichever registry."""
+    key = [Column("lot_id", ForeignKey("lots.id"), primary_key=True), *keys(**{number: Integer, "origin": ORIGIN})]
+    made = needed(made_at=UtcTime, actor=Text, reason=Text)
+    return table(name, *key, *chain(*values), *made, CheckConstraint(f"{number} >= 1", name=number))
+
+
 registry_info = table("registry_info", *keys(key=NAME), *needed(value=Text))
 
 blobs = Table("blobs", metadata, *keys(sha256=SHA256), *needed(kind=String(16), size=Integer, data=sa.LargeBinary))
@@ -151,22 +158,8 @@ lots = table(
     *needed(reference_unit=Text, output_unit=Text, added_at=UtcTime),
 )
 
-limits = table(
-    "limits",
-    Column("lot_id", ForeignKey("lots.id"), primary_key=True),
-    *keys(version=Integer, origin=ORIGIN),
-    *optional(rmse=Double),
-    *needed(made_at=UtcTime, actor=Text, reason=Text),
-    CheckConstraint("version >= 1", name="version"),
-)
-
-line_rules = table(
-    "line_rules",
-    Column("lot_id", ForeignKey("lots.id"), primary_key=True),
-    *keys(version=Integer, origin=ORIGIN),
-    *needed(rules=CanonicalJson, made_at=UtcTime, actor=Text, reason=Text),
-    CheckConstraint("version >= 1", name="version"),
-)
+limits = numbered("limits", "version", optional(rmse=Double))
+line_rules = numbered("line_rules", "version", needed(rules=CanonicalJson))
 
 units = table(
     "units",
@@ -243,13 +236,7 @@ refusals = table(
     CheckConstraint("verdict IN ('fail', 'retest')", name="verdict"),
 )
 
-lot_decisions = table(
-    "lot_decisions",
-    Column("lot_id", ForeignKey("lots.id"), primary_key=True),
-    *keys(number=Integer, origin=ORIGIN),
-    *needed(made_at=UtcTime, actor=Text, reason=Text, version=Text, build=Text, decision=CanonicalJson),
-    CheckConstraint("number >= 1", name="number"),
-)
+lot_decisions = numbered("lot_decisions", "number", needed(version=Text, build=Text, decision=CanonicalJson))
 """What was decided on a lot as a whole: its correction, and the statement on the units that nobody measured."""
 
 declared("line_spreads", OF_LOT, needed(load=Double, day=Double))

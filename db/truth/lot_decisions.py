@@ -64,5 +64,6 @@ def decision_conflicts(database: Database) -> list[str]:
         + ", ".join(f"{row['origin']} ({row['made_at']:%Y-%m-%d %H:%M:%S} UTC)" for row in rows)
         + "; the last one is in force; decide by `softcal lot release` or a batch"
         for (lot_id, number), rows in made.items()
-        if len({canonical_json(row["decision"]) for row in rows}) > 1
+        # Who made it, and when, is no part of what it says.
+        if len({canonical_json(dict(row["decision"]) | {"provenance": None}) for row in rows}) > 1
     ]

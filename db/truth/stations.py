@@ -9,8 +9,9 @@ from softcal.core.errors import InputError
 from softcal.core.words.reason import to_kept
 from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.db.schema.arrays import get_bytes, put_bytes
-from softcal.db.schema.database import Database, given
-from softcal.db.schema.tables import certificates, golden_runs
+from softcal.db.schema.database import Database, given, parts
+from softcal.db.schema.tables import audit, canonical_json, certificates, golden_runs
+from softcal.db.truth.history import row_key
 from softcal.db.truth.registry_base import RegistryBase, of_row
 
 
@@ -71,6 +72,28 @@ class StationTables(RegistryBase):
         query = query if since is None else query.where(c.made_at >= since)
         rows = self.database.rows(query.order_by(c.made_at, c.station, c.lot_id, c.serial))
         return [of_row(GoldenRun, row, reasons=tuple(row["reasons"])) for row in rows]
+
+    def stored_checks(self, station: str, since: datetime | None = None) -> dict[str, list[GoldenRun]]:
+        """Return the checks of a station by the registry that stored them, in the order of its chain.
+
+        Args:
+            since: of those stamped then or later.
+        """
+        c, stored = golden_runs.c, list[RowMapping]()
+        query = select(golden_runs).where(c.station == station)
+        with self.database.reading():
+            found = self.database.rows(query if since is None else query.where(c.made_at >= since))
+            rows = {canonical_json(row_key(golden_runs, dict(row))): row for row in found}
+            for part in parts(list(rows)):
+                told = select(audit).where(audit.c.entity == golden_runs.name, audit.c.key.in_(part))
+                stored += self.database.rows(told)
+        checks: dict[str, list[GoldenRun]] = {}
+        for entry in sorted(stored, key=lambda entry: entry["seq"]):
+            row = rows[entry["key"]]
+            if entry["origin"] == row["origin"]:
+                run = of_row(GoldenRun, row, reasons=tuple(row["reasons"]))
+                checks.setdefault(row["origin"], []).append(run)
+        return checks
 
 
 def _certificate(database: Database, row: RowMapping) -> CellCertificate:

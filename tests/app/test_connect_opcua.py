@@ -132,7 +132,7 @@ def test_a_station_shows_its_state_its_unit_and_the_verdict_of_the_last_one(regi
 
     async def look() -> dict[str, object]:
         async with opcua_server(registry, settings) as server, Client(settings.endpoint) as client:
-            names = ("State", "Serial", "LastSerial", "LastVerdict", "Lot", "Retest")
+            names = ("State", "Serial", "LastSerial", "LastLot", "LastVerdict", "Lot", "Retest")
             first = {name: await value(client, f"Stations/line%201/{name}") for name in names}
             judge(registry, 2, 3)
             await server.follow()
@@ -142,7 +142,8 @@ def test_a_station_shows_its_state_its_unit_and_the_verdict_of_the_last_one(regi
     shown = run(look())
     # The run said pass when it was pressed; what holds now is what every page says.
     assert shown == {
-        "State": "running", "Serial": "U2", "LastSerial": "U1", "LastVerdict": "retest", "Lot": "L1", "Retest": 1,
+        "State": "running", "Serial": "U2", "LastSerial": "U1", "LastLot": "L1", "LastVerdict": "retest", "Lot": "L1",
+        "Retest": 1,
         "lot Fail": 3, "lot Retest": 1, "lot Pass": 0,
     }  # fmt: skip
 

@@ -21,10 +21,12 @@ from softcal.app.batch.audit_evidence import AuditReader
 from softcal.app.batch.judging import redecide
 from softcal.app.batch.known import stated_line
 from softcal.app.batch.lot_decision import decision_in_force
-from softcal.app.batch.release import decide_lot, decide_unit, lot_standing
+from softcal.app.batch.release import decide_lot, decide_unit, lot_standing, statement_provenance
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.export.certificates.content import build_certificate
+from softcal.app.export.certificates.lot_statement import build_lot_statement
+from softcal.app.registry.lot_recordings import newest_audits
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import said
 from softcal.core.quality.widening import AuditedSamples, fit_widening
@@ -464,6 +466,24 @@ def test_the_statement_is_one_page_and_kept_in_the_registry(make_lot, batch, reg
     told = json.loads(file.read_text())
     assert told["statement"] in capsys.readouterr().out and len(told["units"]["sampled"]) == 4
     assert len(registry.decisions.of_lot("large")) == 1
+
+
+def test_the_statement_says_who_made_it_when_and_from_what_and_not_who_reads_it(
+    make_lot, batch, registry_url, monkeypatch, registry, capsys
+):
+    batch(make_lot())
+    (made,) = {one.made_at for one in registry.decisions.of_lot("large") if one.decision["released"]}
+    audits = {f"audit of {serial}": one.sha256 for serial, one in newest_audits(registry, "large").items()}
+    monkeypatch.setattr("softcal.app.batch.release.current_user", lambda: "a reader")
+    capsys.readouterr()
+    main(["lot", "release", "large", "--registry", registry_url, "--json", "-"])
+    told = json.loads(capsys.readouterr().out)["provenance"]
+    assert told["actor"] != "a reader" and abs(datetime.fromisoformat(told["made_at"]) - made) < timedelta(seconds=2)
+    assert audits.items() <= told["inputs"].items()
+    # The page and the programs read the same record.
+    standing = lot_standing(registry, "large")
+    assert statement_provenance(registry, standing).to_json() == told
+    assert build_lot_statement(registry, standing, standing.decided).provenance.to_json() == told
 
 
 def test_the_plan_draws_as_many_audits_as_the_promise_takes(make_lot, batch, registry_url, tmp_path):

@@ -105,3 +105,14 @@ def test_a_simulated_lot_is_marked_in_korean_and_no_character_of_its_name_breaks
 
 def test_equal_facts_make_equal_bytes() -> None:
     assert lot_statement_pdf(FACTS) == lot_statement_pdf(replace(FACTS))
+
+
+def test_a_release_that_nobody_made_yet_is_neither_printed_nor_said() -> None:
+    """What would be decided promises units that are conditional until somebody decides it."""
+    units = [replace(unit, verdict="conditional") for unit in FACTS.standing.units]
+    undecided = replace(FACTS, standing=replace(FACTS.standing, units=units))
+    text, _ = _read(lot_statement_pdf(undecided))
+    assert say("paper.given") not in text.replace(say("paper.not_given"), "") and "SERIAL-00019" not in text
+    told, decided = undecided.standing.to_json(), FACTS.standing.to_json()
+    assert (told["released"], told["statement"], told["statement_reason"]) == ([], None, None)
+    assert told["releasable"] == decided["released"] and decided["releasable"] == [] and decided["statement"]

@@ -7,11 +7,12 @@ from dataclasses import replace
 from datetime import UTC, date, datetime
 from functools import partial
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
-from softcal.app.batch.report import BatchReport, UnitResult, table_row
+from softcal.app.batch.report import BatchReport, UnitResult, report_json, table_row
 from softcal.app.charts.palette import palette
 from softcal.app.charts.why import why_figure
 from softcal.app.cli.main import main
@@ -151,6 +152,9 @@ def test_every_surface_says_the_same_word(lot, rng):
         assert report.counts == {str(v): int(v is word) for v in Verdict}
         assert report.releases(result) == (word is Verdict.PASS)
         assert replace(report, release=Release.CONDITIONAL).releases(result) == (word in ("pass", "conditional"))
+        # Files may be asked for of conditional units; released they are not.
+        (row,) = report_json(replace(report, release=Release.CONDITIONAL, network=Mock()))["units"]
+        assert row["released"] == (word is Verdict.PASS)
         assert bool(caution(registry, stored, "test")) == (word is not Verdict.PASS)
         last = lot_yields(registry, lot_id).last_pass.count
         others = sum(

@@ -7,16 +7,21 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
 import softcal
+from softcal.app.batch.lot_decision import LotDecision
 from softcal.app.bootstrap import current_user
 from softcal.app.cli.main import main
+from softcal.app.views.next_step import release_record
 from softcal.core import profiles
 from softcal.core.gap.method import METHOD as GAP_METHOD
+from softcal.core.lot import Lot
+from softcal.core.quality.lot_standing import LotStanding, UnitInLot
 from softcal.db.connection import open_registry
-from softcal.db.provenance import build_id
+from softcal.db.provenance import Provenance, build_id
 from tests.app.pdf_text import read_text
 from tests.app.test_gap_command import write_run
 from tests.app.test_trim_command import drifted_V
@@ -113,6 +118,26 @@ def test_a_gap_report_and_the_twin_of_it_have_the_whole_record(rig: Path, tmp_pa
         assert provenance["inputs"] == {
             name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in inputs.items()
         }
+
+
+def test_a_diagnosis_in_python_has_the_whole_record(rig: Path) -> None:
+    provenance = softcal.diagnose(rig).report()["provenance"]
+    assert set(provenance) == PARTS and provenance["method"] == GAP_METHOD.id
+    assert provenance["inputs"] == {
+        str(path.relative_to(rig)): hashlib.sha256(path.read_bytes()).hexdigest() for path in rig.rglob("recording.*")
+    }
+
+
+def test_whoever_fits_a_lot_after_its_release_did_not_release_it() -> None:
+    made = Provenance(version="1", build="", method="m", inputs={}, made_at="2026-05-01T09:00:00+00:00", actor="kim")
+    decision = LotDecision(released=("A1",), provenance=made)
+    with open_registry("sqlite://") as registry:
+        registry.lots.add(Lot("L1", "S0", 50.0))
+        registry.decisions.add("L1", msgspec.to_builtins(decision), action="release", actor="kim")
+        registry.decisions.add("L1", msgspec.to_builtins(decision), action="fit", actor="lee")
+        record = release_record(registry, LotStanding("L1", [UnitInLot("A1", "pass")], None, None))
+    assert record is not None
+    assert (record.actor, record.at) == ("kim", datetime(2026, 5, 1, 9, tzinfo=UTC))
 
 
 def test_a_rollback_says_which_program_made_it_and_not_which_made_the_map(

@@ -5,11 +5,12 @@ from datetime import UTC, date, datetime, timedelta
 import numpy as np
 import pytest
 
+from softcal.app.connect.stations import station_json
 from softcal.app.line.gate_facts import GateRules, StationGate, check_golden, quarantine
 from softcal.app.registry.golden import newest_golden
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
-from softcal.core.orders import Order, OrderKind, Progress, RunState
+from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
 from softcal.core.quality.gate import RigFacts
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.db.connection import open_registry
@@ -60,12 +61,12 @@ def test_a_failed_golden_unit_closes_the_gate_and_quarantines(registry):
     assert quarantine(registry, "s1", datetime.now(UTC)) == ("A1",)
 
 
-@pytest.mark.parametrize("passed", [True, False])
-def test_a_golden_unit_of_a_clock_that_was_a_day_ahead_decides_nothing(registry, passed):
+@pytest.mark.parametrize(("passed", "why"), [(True, "gate.no_golden"), (False, "gate.golden_bad")])
+def test_a_golden_unit_of_a_clock_that_was_a_day_ahead_opens_nothing(registry, passed, why):
     certify(registry)
     golden(registry, passed, NOW + timedelta(days=1))
     gate = StationGate(registry, "s1", CONFIG, GateRules())
-    assert [why.code for why in gate(OrderKind.UNIT, WARM).reasons] == ["gate.no_golden"]
+    assert [one.code for one in gate(OrderKind.UNIT, WARM).reasons] == [why]
     golden(registry, not passed)
     assert gate(OrderKind.UNIT, WARM).is_open is not passed
 
@@ -109,3 +110,48 @@ def test_a_golden_unit_without_calibration_cannot_judge(registry):
     recording = LabelledRecording(OutputRecording("G1", t_s, np.sin(t_s), 50.0), np.cos(t_s))
     with pytest.raises(InputError, match="G1"):
         check_golden(registry, "s1", recording)
+
+
+def test_a_failed_check_of_a_clock_that_was_ahead_holds_until_the_next_check(registry):
+    certify(registry)
+    golden(registry, True, NOW - timedelta(hours=2))
+    queue = registry.order_queue
+    queue.place(Order("o1", "s1", OrderKind.UNIT, "A1", created=NOW - timedelta(hours=1)))
+    queue.report(Progress("o1", RunState.DONE, recording_sha256="abc"))
+    golden(registry, False, NOW + timedelta(days=300))
+    gate = StationGate(registry, "s1", CONFIG, GateRules())
+    assert quarantine(registry, "s1", datetime.now(UTC)) == ("A1",)
+    assert [why.code for why in gate(OrderKind.UNIT, WARM).reasons] == ["gate.golden_bad"]
+    # The clock was set right, and the golden unit pressed again: whatever the stamp, that check came later.
+    golden(registry, True, datetime.now(UTC))
+    assert quarantine(registry, "s1", datetime.now(UTC)) == ()
+    assert gate(OrderKind.UNIT, WARM).is_open
+    assert quarantine(registry, "s1", NOW + timedelta(days=301)) == ()
+
+
+def test_a_good_check_of_a_clock_that_was_ahead_opens_nothing(registry):
+    certify(registry)
+    golden(registry, True, NOW + timedelta(hours=3))
+    golden(registry, False, NOW - timedelta(minutes=1))
+    gate = StationGate(registry, "s1", CONFIG, GateRules())
+    assert [why.code for why in gate(OrderKind.UNIT, WARM).reasons] == ["gate.golden_bad"]
+
+
+def test_units_of_two_lots_with_one_serial_are_held_each_by_its_own_name(registry):
+    queue = registry.order_queue
+    for number, lot_id in enumerate(("L1", "L2")):
+        pressed = NOW - timedelta(minutes=30 - number)
+        queue.place(Order(f"o{number}", "s1", OrderKind.UNIT, "A1", lot_id, created=pressed))
+        queue.report(Progress(f"o{number}", RunState.DONE, recording_sha256="abc"))
+    golden(registry, False)
+    assert quarantine(registry, "s1", datetime.now(UTC)) == ("L1/A1", "L2/A1")
+
+
+def test_the_last_unit_of_a_station_has_the_lot_that_it_is_of(registry):
+    queue = registry.order_queue
+    queue.place(Order("o1", "s1", OrderKind.UNIT, "A1", "L1", created=NOW - timedelta(minutes=5)))
+    queue.report(Progress("o1", RunState.DONE, verdict="pass"))
+    queue.place(Order("o2", "s1", OrderKind.UNIT, "A1", "L2"))
+    told = station_json(registry, Heartbeat("s1", StationState.RUNNING, datetime.now(UTC)))
+    assert (told["serial"], told["lot"]) == ("A1", "L2")
+    assert (told["last_serial"], told["last_lot"]) == ("A1", "L1")

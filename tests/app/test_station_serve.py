@@ -134,7 +134,7 @@ def test_a_golden_unit_is_judged_and_one_out_of_control_quarantines_what_was_pre
     line.registry.lots.set_limit("L1", 1e-6, reason="nothing is good enough")
     failed = line.order("golden", "G1")
     assert failed.verdict == "fail"
-    assert failed.message[-1] == reason("golden.held", serials="A5")
+    assert failed.message[-1] == reason("golden.held", serials="L1/A5")
     assert [run.passed for run in line.registry.stations.golden_runs("s1")] == [True, False]
     assert [row.action for row in line.registry.trail.rows()].count("quarantine") == 1
 

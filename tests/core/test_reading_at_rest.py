@@ -39,3 +39,7 @@ def test_a_level_that_says_nothing_is_refused(output, before, code):
 
 def test_the_unloaded_level_is_no_reading_without_a_load():
     assert read(np.full(60, 1.0), load=0.0) == 1.0
+
+
+def test_a_load_whose_uncertainty_nobody_stated_is_not_said_to_be_exact():
+    assert (str(KnownLoad(2.0)), str(KnownLoad(2.0, 0.0021))) == ("2", "2 ± 0.0021")

@@ -102,3 +102,13 @@ def test_units_since_the_last_good_check_are_quarantined():
     assert quarantined(pressed, checks, NOW) == ("A3", "A4")
     assert quarantined(pressed, checks[:2], NOW) == ()
     assert quarantined(pressed, checks[2:], NOW) == ("A2", "A3", "A4")
+
+
+def test_a_failed_check_of_a_clock_that_was_ahead_is_not_forgotten():
+    began, later = NOW - timedelta(hours=1), NOW + timedelta(days=300)
+    good, failed = GoldenCheck(began, "G1", True), GoldenCheck(later, "G1", False)
+    pressed = [("A1", began - timedelta(hours=1)), ("A2", NOW - timedelta(minutes=5)), ("A3", later)]
+    assert quarantined(pressed, [failed, good], NOW) == ("A2", "A3")
+    # A good check of such a clock says nothing of now.
+    ahead = replace(failed, is_in_control=True)
+    assert quarantined(pressed, [good, replace(failed, at=NOW), ahead], NOW) == ("A2", "A3")

@@ -52,7 +52,7 @@ def build_lot_statement(registry: Registry, standing: LotStanding, decided: LotR
     lot_id = standing.lot_id
     calibrated = next(u.serial for u in registry.lots.units(lot_id) if u.role == "target" and u.revision is not None)
     fit = registry.calibrations.get(calibrated, lot_id=lot_id).state.fit
-    provenance = statement_provenance(registry, lot_id)
+    provenance = statement_provenance(registry, standing)
     return LotStatement(
         lot=registry.lots.get(lot_id),
         standing=standing,
@@ -92,7 +92,8 @@ def lot_statement_pdf(statement: LotStatement, render: Words = ENGLISH) -> bytes
         if units:
             serials = [unit.serial for unit in units]
             lot_rows.append((render(f"paper.{name}"), _serials(serials, render, MAX_WITHHELD)))
-    verdict, word = ("pass", "paper.given") if statement.decided.released else ("fail", "paper.not_given")
+    sampled = [unit.serial for unit in standing.on(Way.SAMPLED)]
+    verdict, word = ("pass", "paper.given") if sampled else ("fail", "paper.not_given")
     colour = parts.VERDICT_COLOURS[verdict]
     story: list[Flowable] = [
         Paragraph(marked_up(page.title), parts.style(18, BOLD)),
@@ -101,7 +102,7 @@ def lot_statement_pdf(statement: LotStatement, render: Words = ENGLISH) -> bytes
         *parts.section(render("paper.lot"), parts.property_table(lot_rows)),
         *parts.section(render("paper.evidence"), parts.property_table(_evidence_rows(statement, render))),
         *parts.section(render("paper.audited"), _audit_table(statement, render)),
-        *parts.section(render("paper.released"), parts.paragraph(_serials(statement.decided.released, render), 7)),
+        *parts.section(render("paper.released"), parts.paragraph(_serials(sampled, render), 7)),
         *parts.section(render("paper.means"), parts.paragraph(render("paper.means.is"), 7)),
         *parts.section(render("paper.assumes"), parts.paragraph(render("paper.assumes.is"), 7)),
     ]

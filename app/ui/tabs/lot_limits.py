@@ -83,7 +83,7 @@ def draw_limits(lot_id: str) -> None:
             say("rules.target"): entry.rules.target,
             say("rules.badge"): say("trail.yes" if entry.rules.is_badge_needed else "trail.no"),
             say("rules.retests.column"): retests,
-            say("tab.known_loads"): ", ".join(f"{load.value:.5g} ± {load.expanded:.2g}" for load in entry.rules.loads),
+            say("tab.known_loads"): ", ".join(map(str, entry.rules.loads)),
         }
         rows.append(_row(entry, facts))
     table(rows, say("rules.none"))

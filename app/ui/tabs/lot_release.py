@@ -120,6 +120,9 @@ def _statement(standing: LotStanding) -> None:
                 }
                 for audit in sorted(audits, key=lambda audit: -audit.ratio)[:10]
             )
+    if standing.releasable:
+        # The page would promise units that nobody has released yet.
+        return
     make = partial(lot_statement_pdf, build_lot_statement(registry(), standing, decided), words())
     exported = ("lots", (lot_id,), {"file": "statement.pdf"})
     download(say("release.pdf"), f"{lot_id}-statement.pdf", make, "release-pdf", exported=exported)
