@@ -34,7 +34,7 @@ from softcal.app.batch.report import UnitResult
 from softcal.app.batch.train import train_or_find
 from softcal.app.files.lot_folder import LotFolder, open_lot_folder
 from softcal.app.files.lot_toml import write_lot_toml
-from softcal.app.files.recording_file import read_recording
+from softcal.app.files.recording_file import inspect_recording
 from softcal.app.line.recover import recover
 from softcal.app.line.rig import chosen_bench, profile_for, record_to_files
 from softcal.core.lot import Lot
@@ -372,7 +372,7 @@ def kill_stations(kills: int, moments: random.Random) -> Row:
         run_s = time.monotonic() - start_s
         for turn in range(1, kills + 1):
             acknowledged += killed(partial(press, root, turn), moments, 1.1 * run_s, False)
-        rows = {path.name: len(read_recording(path, path.stem, 50.0)) for path in root.glob("*.csv")}
+        rows = {path.name: len(inspect_recording(path, path.stem, 50.0).recording) for path in root.glob("*.csv")}
         recovered = recover(root / "spool", root / "recovered")
         spools = len(list((root / "spool").glob("*.spool")))
     lost = sum(str(rows.get(line.split()[0])) != line.split()[1] for line in acknowledged)

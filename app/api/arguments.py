@@ -48,8 +48,7 @@ def file_path(name: str, value: Any) -> Path:
     Raises:
         InputError: it is neither, or empty.
     """
-    expect(name, value, str | os.PathLike, "a path: text or a pathlib.Path")
-    path = os.fspath(value)
+    path = os.fspath(value) if isinstance(value, str | os.PathLike) else None
     if not isinstance(path, str) or not path or "\0" in path:
         raise InputError(f"{name} is {shown(value)}; a path: text or a pathlib.Path was expected")
     return Path(path)

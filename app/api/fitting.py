@@ -9,7 +9,7 @@ import numpy as np
 from softcal.app.api.arguments import column, expect, number, shown, text
 from softcal.app.api.given import labelled_of, recording_of, recording_with
 from softcal.app.api.network import SourceNetwork
-from softcal.app.api.recording import Recording
+from softcal.app.api.recording import COLUMNS, Recording
 from softcal.app.api.unit import Unit, unit_frame, unit_row
 from softcal.app.batch.calibrating import LotFacts, UnitInputs
 from softcal.core.errors import InputError, UnitRefused
@@ -23,9 +23,6 @@ from softcal.core.unit.verdict import Verdict, stated_limit
 
 if TYPE_CHECKING:
     import pandas as pd
-
-COLUMNS = frozenset({"output", "reference", "t_s", "stage_mm"})
-"""Columns of a recording: a dict of these is one recording, not one of units."""
 
 
 @dataclass(frozen=True)
@@ -165,8 +162,7 @@ def fit_map(
         return fit.fit_unit(recording_with(target, "target", facts, fit.rate_Hz, **fit.units), anchors, audit)
     if "serial" in recording:
         raise InputError("serial= belongs to one unit; a dict {serial: recording} names many")
-    given = [*target.items()] if isinstance(target, dict) else [(None, one) for one in target]
-    serials = [_serial_of(name, one, position) for position, (name, one) in enumerate(given, 1)]
+    serials, given = _named(target)
     loads, audits = _by_serial("anchors", anchors, serials), _by_serial("audit", audit, serials)
     rows: list[Unit | RefusedUnit] = []
     for serial, (name, one) in zip(serials, given, strict=True):
@@ -189,8 +185,7 @@ def named_recordings(network: SourceNetwork, units: Any, facts: Mapping[str, Any
     if not _is_many(units):
         raise InputError(f"units is {shown(units)}; a dict {{serial: recording}} or a list of recordings was expected")
     fit = _MapFit.prepare(network, DEFAULT, None)
-    given = [*units.items()] if isinstance(units, dict) else [(None, one) for one in units]
-    serials = [_serial_of(name, one, position) for position, (name, one) in enumerate(given, 1)]
+    serials, given = _named(units)
     return [
         _recording_of_unit(one, name, serial, serials.count(serial), fit, facts)
         for serial, (name, one) in zip(serials, given, strict=True)
@@ -255,10 +250,11 @@ def _is_many(target: Any) -> bool:
     return is_many
 
 
-def _serial_of(name: Any, given: Any, number_in_list: int) -> str:
-    if name is not None:
-        return str(name)
-    return given.serial if isinstance(given, Recording) else f"unit-{number_in_list}"
+def _named(units: Any) -> tuple[list[str], list[tuple[Any, Any]]]:
+    """Return the serials of many units, and each with the name that a dict gives it."""
+    given = [*units.items()] if isinstance(units, dict) else [(None, one) for one in units]
+    usual = [one.serial if isinstance(one, Recording) else f"unit-{k}" for k, (_, one) in enumerate(given, 1)]
+    return [other if name is None else str(name) for (name, _), other in zip(given, usual, strict=True)], given
 
 
 def _recording_of_unit(

@@ -24,6 +24,7 @@ from softcal.app.api.arguments import (
 )
 from softcal.app.api.display import html_table, plotting
 from softcal.app.files.measured_at import parse_instant
+from softcal.app.tables.timestamps import median_rate_Hz
 from softcal.core.errors import InputError
 from softcal.core.inspection.build import InspectedRecording, build_recording
 from softcal.core.inspection.inspection import Inspection
@@ -99,9 +100,8 @@ class Recording:
         stamps = self.t_s if self.t_s is not None else times_of_index(self.output)
         if stamps is not None:
             typed["t_s"] = times("t_s", stamps)
-            steps = np.diff(typed["t_s"])
-            if rate_Hz is None and np.any(steps > 0):
-                rate_Hz = float(f"{1 / np.median(steps[steps > 0]):.5g}")
+            if rate_Hz is None and np.isfinite(shown_Hz := median_rate_Hz(typed["t_s"])):
+                rate_Hz = shown_Hz
         elif rate_Hz is not None:
             typed["t_s"] = np.arange(len(typed["output"])) / rate_Hz
         if isinstance(self.measured_at, str):

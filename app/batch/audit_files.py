@@ -3,14 +3,14 @@
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
-from unicodedata import normalize
 
 from softcal.app.files.importing import Columns, ImportPlan, look_through
 from softcal.app.files.lot_toml import restate_measured_at
 from softcal.app.files.measured_at import measured_at
 from softcal.app.files.not_used import NotUsed
-from softcal.app.files.recording_file import FileRecording, write_rows
+from softcal.app.files.recording_file import FileRecording, replace_table, write_rows
 from softcal.app.files.unused_parts import no_reference_column
 from softcal.app.registry.same_recordings import same_recordings_with
 from softcal.app.tables.options import DETECT, TableOptions
@@ -101,20 +101,10 @@ def write_audits(folder: Path, audits: Sequence[AuditFile]) -> list[str]:
     """Write the recordings that are taken into audit/, and when they were measured; return the serials replaced."""
     taken = {audit.serial: audit for audit in audits if audit.recording is not None}
     read = {serial: audit.read for serial, audit in taken.items() if audit.read is not None}
-    replaced = [serial for serial, file in read.items() if _replaced(folder / "audit", serial, file)]
+    paths = {serial: folder / "audit" / f"{serial}.csv" for serial in read}
+    replaced = [serial for serial, file in read.items() if replace_table(paths[serial], partial(write_rows, file=file))]
     restate_measured_at(folder, {serial: audit.measured_at for serial, audit in taken.items()})
     return replaced
-
-
-def _replaced(folder: Path, serial: str, read: FileRecording) -> bool:
-    """Write what was read as the only audit of its serial; return whether one was there."""
-    folder.mkdir(exist_ok=True)
-    path, older = folder / f"{serial}.csv", [file for file in folder.iterdir() if normalize("NFC", file.stem) == serial]
-    write_rows(path, read)
-    for file in older:
-        if file != path:
-            file.unlink()
-    return bool(older)
 
 
 def store_audits(registry: Registry, lot_id: str, audits: Sequence[AuditFile], actor: str | None = None) -> int:

@@ -5,6 +5,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from softcal.app.batch.known import config_of, stated_sources
@@ -13,7 +14,7 @@ from softcal.app.files.importing import ImportPlan, LookedAt, compare_audits, im
 from softcal.app.files.lot_folder import FOLDER_OF, LotFolder, open_lot_folder
 from softcal.app.files.lot_toml import write_lot_toml
 from softcal.app.files.not_used import NotUsed
-from softcal.app.files.recording_file import replace_recording
+from softcal.app.files.recording_file import replace_table, write_recording
 from softcal.app.files.unused_parts import unused_of_import
 from softcal.app.registry.lot_recordings import newest_audits, source_recording
 from softcal.app.registry.same_recordings import same_recordings_with
@@ -136,7 +137,8 @@ def lot_files(registry: Registry, lot_id: str, tell: Callable[[int, int], None])
         # Parquet keeps every bit, so that the same recording is known again.
         for number, ((kind, serial), entry) in enumerate(newest.items()):
             tell(number, len(newest))
-            replace_recording(folder / FOLDER_OF[kind], serial, ".parquet", registry.recordings.get(entry.sha256))
+            recording = registry.recordings.get(entry.sha256)
+            replace_table(folder / FOLDER_OF[kind] / f"{serial}.parquet", partial(write_recording, recording=recording))
         yield open_lot_folder(folder)
 
 

@@ -3,7 +3,6 @@
 import time
 from dataclasses import dataclass, replace
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 
 from softcal.app.batch.calibrating import LotFacts, Refusal, Result, UnitInputs, calibrate_unit
@@ -110,20 +109,19 @@ def work_on(shared: SharedWork, chunk: Chunk) -> ChunkOutcome:
 
 def _work_on_unit(shared: SharedWork, task: UnitTask) -> UnitOutcome:
     lot, names, file, audit = shared.lot, shared.names, task.recording, task.audit
-    units, config = (lot.output_unit, lot.reference_unit), shared.facts.source.method.inspection
-    of_lot = partial(inspect_recording, serial=task.serial, sample_rate_Hz=lot.sample_rate_Hz, units=units)
-    inspect = partial(of_lot, names=names, config=config)
+    stated = (task.serial, lot.sample_rate_Hz, lot.output_unit)
+    config = shared.facts.source.method.inspection
     try:
         if file is None:
             raise InputError(task.problem)
-        unit = inspect(file.path, content=file.content)
+        unit = inspect_recording(file.path, *stated, file.content, names, config=config)
     except InputError as error:
         refusal = Refusal(Verdict.RETEST, reason("unreadable", error=str(error)))
         return UnitOutcome(task.item_id, task.serial, refusal)
     facts, recording, files, at = task.facts, unit.recording, [ReadFile.from_recording(unit)], None
     if audit is not None:
         try:
-            read = inspect(audit.path, content=audit.content, with_reference=True)
+            read = inspect_recording(audit.path, *stated, audit.content, names, with_reference=True, config=config)
             at = measured_at(read, task.stated)
             facts = replace(facts, audit=read.labelled(lot.reference_unit))
             beside = compare_recordings(shared.facts.source.source, read.labelled(lot.reference_unit))

@@ -26,10 +26,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Trim, and say what it changed."""
     from softcal.app.batch.trim import trim_unit
-    from softcal.app.tables.read import layout_of
+    from softcal.app.tables.read import read_table
 
-    layout, remarks = layout_of(options.loads, table_options(options))
-    say_layout(str(options.loads), layout, remarks)
+    table = read_table(options.loads, table_options(options))
+    say_layout(str(options.loads), table.layout, table.remarks)
     with registry_of(options) as registry:
         act = partial(trim_unit, registry, options.serial, options.loads, options.lot, table_options(options))
         lot_id = registry.calibrations.get(options.serial, lot_id=options.lot).lot_id
@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
         withdraw_files(registry, lot_id)
     gain, offset = trimmed.gain, trimmed.offset
     facts = {"serial": options.serial, "revision": revision, "gain": gain, "offset": offset}
-    facts["layout"] = layout
+    facts["layout"] = table.layout
     facts |= {name: getattr(trimmed, name) for name in ("gain_error", "rest_error", "before_rmse", "after_rmse")}
     if answer(options, "trim/1", facts):
         print(

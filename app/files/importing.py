@@ -338,12 +338,10 @@ def _build_unit(
     plan: ImportPlan, table: Table, t_s: Array, output: str, serial: str, start: Start | None
 ) -> ImportedUnit:
     lot, columns = plan.lot, plan.columns
-    names, units = columns.names(output, plan.table), (lot.output_unit, lot.reference_unit)
+    facts = (serial, lot.sample_rate_Hz, lot.output_unit, columns.names(output, plan.table))
 
     def build(*, with_reference: bool) -> FileRecording:
-        rate_Hz = lot.sample_rate_Hz
-        built = build_from_table(table, t_s, serial, rate_Hz, units, names, with_reference=with_reference)
-        return replace(built, start=start)
+        return replace(build_from_table(table, t_s, *facts, with_reference=with_reference), start=start)
 
     if serial in plan.sources and columns.reference is not None:
         return ImportedUnit(build(with_reference=True))

@@ -8,10 +8,10 @@ from pathlib import Path
 from softcal.app.files.anchors import read_anchors
 from softcal.app.files.lot_toml import NAME, LotToml, read_lot_toml
 from softcal.app.files.not_used import NotUsed
-from softcal.app.files.recording_file import FileRecording, inspect_recording, read_recording
+from softcal.app.files.recording_file import FileRecording, inspect_recording
 from softcal.app.files.regular import read_regular
 from softcal.app.files.unused_parts import unused_of_lot
-from softcal.app.tables.read import READERS, read_table
+from softcal.app.tables.read import READERS
 from softcal.core.errors import InputError
 from softcal.core.lot import check_serial, row_name, serial_key
 from softcal.core.maps.interface import Anchors
@@ -80,9 +80,7 @@ class LotFolder(LotToml):
     def read_unit(self, serial: str) -> OutputRecording:
         """Read a target unit's output; a reference column in its file is never looked at."""
         self.check_name(serial)
-        path = self.unit_paths[serial]
-        content = read_regular(path, self.root)
-        return read_recording(path, serial, self.lot.sample_rate_Hz, self.lot.output_unit, content, self.names)
+        return self._inspect(self.unit_paths[serial], serial, with_reference=False).recording
 
     def read_audit(self, serial: str) -> LabelledRecording | None:
         path = self.audit_paths.get(serial)
@@ -96,26 +94,18 @@ class LotFolder(LotToml):
 
     def read_golden(self) -> OutputRecording | LabelledRecording | None:
         """Read the golden run, with its reference if it has one."""
-        path = self.golden_path
-        if path is None:
+        if self.golden_path is None:
             return None
-        content = read_regular(path, self.root)
-        if self.names.reference in read_table(path, self.names.table, content=content).names:
-            return self._labelled(path, self.golden_serial)
-        return read_recording(
-            path, self.golden_serial, self.lot.sample_rate_Hz, self.lot.output_unit, content, self.names
-        )
-
-    @property
-    def _units(self) -> tuple[str, str]:
-        return self.lot.output_unit, self.lot.reference_unit
+        golden = self._inspect(self.golden_path, self.golden_serial, with_reference=False)
+        has_reference = self.names.reference in golden.table.names
+        return self._labelled(self.golden_path, self.golden_serial) if has_reference else golden.recording
 
     def _labelled(self, path: Path, serial: str) -> LabelledRecording:
         return self._inspect(path, serial).labelled(self.lot.reference_unit)
 
-    def _inspect(self, path: Path, serial: str) -> FileRecording:
-        content, rate_Hz = read_regular(path, self.root), self.lot.sample_rate_Hz
-        return inspect_recording(path, serial, rate_Hz, self._units, content, self.names, with_reference=True)
+    def _inspect(self, path: Path, serial: str, *, with_reference: bool = True) -> FileRecording:
+        facts = (serial, self.lot.sample_rate_Hz, self.lot.output_unit, read_regular(path, self.root))
+        return inspect_recording(path, *facts, self.names, with_reference=with_reference)
 
 
 def open_lot_folder(folder: Path) -> LotFolder:
@@ -186,9 +176,8 @@ def _recordings(folder: Path) -> _Listing:
     paths: dict[str, Path] = {}
     problems: dict[str, Reason] = {}
     files: dict[str, list[tuple[str, str]]] = {}
-    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
-        if path.name.startswith(".") or path.suffix.lower() not in READERS:
-            continue
+    entries = sorted(folder.iterdir()) if folder.is_dir() else ()
+    for path in (one for one in entries if one.suffix.lower() in READERS and not one.name.startswith(".")):
         try:
             row = check_serial(path.stem)
             files.setdefault(serial_key(row), []).append((row, path.name))

@@ -91,7 +91,8 @@ def read_lot_toml(folder: Path) -> LotToml:
         elif stated:
             facts = {key: value for key, value in tables["reference"].items() if key in stated}
             reference = Reference(**{key: typed(f"[reference] {key}", hints[key], v) for key, v in facts.items()})
-        places, limit = (content, tables["lot"], tables["output"]), tables["limit"].get("rmse")
+        places = content, tables["lot"], tables["output"]
+        limit, family = tables["limit"].get("rmse"), tables["map"].get("family")
         lot = Lot(
             id=typed("[lot] id", str, tables["lot"].get("id")),
             source=typed("source", str, _only(places, "source")),
@@ -114,9 +115,7 @@ def read_lot_toml(folder: Path) -> LotToml:
             reference=reference,
             more_sources=serials,
             names=_column_names(tables["table"], lot.sample_rate_Hz),
-            family=check_family(typed("[map] family", str, tables["map"]["family"]))
-            if "family" in tables["map"]
-            else None,
+            family=None if family is None else check_family(typed("[map] family", str, family)),
             measured_at={check_serial(s): parse_instant(f"[audit] {s}", str(at)) for s, at in tables["audit"].items()},
             remarks=tuple(_unknown_keys(path, content)),
         )

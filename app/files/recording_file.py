@@ -2,7 +2,8 @@
 
 import csv
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -213,7 +214,7 @@ def inspect_recording(
     path: Path,
     serial: str,
     sample_rate_Hz: float | None,
-    units: tuple[str, str] = ("V", "N"),
+    output_unit: str = "V",
     content: bytes | None = None,
     names: ColumnNames = PLAIN,
     *,
@@ -235,7 +236,9 @@ def inspect_recording(
     if names.rate_Hz and sample_rate_Hz:
         check_rate(path, t_s, names.rate_Hz)
     rate_Hz = sample_rate_Hz or names.rate_Hz
-    built = build_from_table(table, t_s, serial, rate_Hz, units, names, with_reference=with_reference, config=config)
+    built = build_from_table(
+        table, t_s, serial, rate_Hz, output_unit, names, with_reference=with_reference, config=config
+    )
     return replace(built, reading_remarks=(*built.reading_remarks, *remarks), start=start)
 
 
@@ -244,7 +247,7 @@ def build_from_table(
     t_s: Array,
     serial: str,
     rate_Hz: float | None,
-    units: tuple[str, str],
+    output_unit: str,
     names: ColumnNames,
     *,
     with_reference: bool = False,
@@ -255,11 +258,9 @@ def build_from_table(
     Raises:
         InputError: a column is missing or holds text, or what is left is no recording.
     """
-    output = table.numbers(names.output)
-    reference = table.numbers(names.reference) if with_reference else None
-    is_still = names.stage is None or (names.stage == STAGE and not table.has(STAGE))
-    stage_mm = None if is_still else table.numbers(str(names.stage))
+    columns = {"t_s": t_s, **_columns(table, names, with_reference=with_reference)}
     timed = np.flatnonzero(np.isfinite(t_s))
+    present = {name: values[timed] for name, values in columns.items()}
     remarks = list(table.remarks)
     if len(timed) < len(t_s):
         first = table.lines[np.flatnonzero(~np.isfinite(t_s))[0]]
@@ -267,18 +268,26 @@ def build_from_table(
     with naming(table.path):
         inspected = build_recording(
             serial,
-            t_s[timed],
-            output[timed],
+            present["t_s"],
+            present["output"],
             sample_rate_Hz=rate_Hz,
-            output_unit=units[0],
-            stage_mm=None if stage_mm is None else stage_mm[timed],
-            reference=None if reference is None else reference[timed],
+            output_unit=output_unit,
+            stage_mm=present.get(STAGE),
+            reference=present.get("reference"),
             lines=table.lines[timed],
             config=config,
         )
-    columns = {"t_s": t_s, "output": output, "reference": reference, STAGE: stage_mm}
-    present = {name: values for name, values in columns.items() if values is not None}
-    return FileRecording(table, inspected, present, timed[inspected.rows], tuple(remarks))
+    return FileRecording(table, inspected, columns, timed[inspected.rows], tuple(remarks))
+
+
+def _columns(table: Table, names: ColumnNames, *, with_reference: bool) -> dict[str, Array]:
+    """Return `output` and, where they are asked for or there, `reference` and `stage_mm`, each (n,)."""
+    columns = {"output": table.numbers(names.output)}
+    if with_reference:
+        columns["reference"] = table.numbers(names.reference)
+    if names.stage is not None and (names.stage != STAGE or table.has(STAGE)):
+        columns[STAGE] = table.numbers(names.stage)
+    return columns
 
 
 def read_columns(path: Path, names: ColumnNames, *, with_reference: bool) -> tuple[dict[str, Array], Start | None]:
@@ -290,43 +299,23 @@ def read_columns(path: Path, names: ColumnNames, *, with_reference: bool) -> tup
         InputError: the file is no table, or lacks a column.
     """
     table, names = read_timed(path, names, partial(names.is_requested, with_reference=with_reference))
-    columns = {"output": table.numbers(names.output)}
+    columns = {**_columns(table, names, with_reference=with_reference), "lines": table.lines.astype(np.float64)}
     clock = clock_of(table, names, names.rate_Hz)
     if clock is not None:
         columns["t_s"] = clock.seconds(table)
-    if with_reference:
-        columns["reference"] = table.numbers(names.reference)
-    columns["lines"] = table.lines.astype(np.float64)
-    if names.stage is not None and (names.stage != STAGE or table.has(STAGE)):
-        columns[STAGE] = table.numbers(names.stage)
     timed = np.isfinite(columns.get("t_s", np.zeros(len(table))))
     return {name: values[timed] for name, values in columns.items()}, None if clock is None else clock.start
 
 
-def read_recording(
-    path: Path,
-    serial: str,
-    sample_rate_Hz: float | None,
-    output_unit: str = "V",
-    content: bytes | None = None,
-    names: ColumnNames = PLAIN,
-) -> OutputRecording:
-    """Read `t_s, output` (and `stage_mm` where there is one); no other column is looked at."""
-    return inspect_recording(path, serial, sample_rate_Hz, (output_unit, ""), content, names).recording
-
-
-class naming:
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
     """Put the file's name before the text of any `InputError` raised inside the block."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, InputError) and str(self._path) not in str(error):
-            raise InputError(f"{self._path}: {error}") from error
+    try:
+        yield
+    except InputError as error:
+        if str(path) in str(error):
+            raise
+        raise InputError(f"{path}: {error}") from error
 
 
 def write_columns(path: Path, columns: Sequence[tuple[str, Array | Sequence[str]]]) -> None:
@@ -363,30 +352,23 @@ def write_rows(path: Path, file: FileRecording, rows: tuple[int, int] | None = N
     write_columns(path, [(name, values[chosen]) for name, values in file.columns.items()])
 
 
-def replace_recording(folder: Path, serial: str, suffix: str, recording: OutputRecording | LabelledRecording) -> bool:
-    """Write a recording as the only one of its serial in a folder; return whether one was there."""
-    folder.mkdir(exist_ok=True)
-    path, older = (
-        folder / f"{serial}{suffix}",
-        [file for file in folder.iterdir() if normalize("NFC", file.stem) == serial],
-    )
-    write_recording(path, recording)
+def replace_table(path: Path, write: Callable[[Path], None]) -> bool:
+    """Write a table as the only one of its serial in its folder; return whether one was there."""
+    path.parent.mkdir(exist_ok=True)
+    older = [file for file in path.parent.iterdir() if normalize("NFC", file.stem) == path.stem]
+    write(path)
     for file in older:
         if file != path:
             file.unlink()
     return bool(older)
 
 
-def write_recording(path: Path, recording: OutputRecording | LabelledRecording, reference: Array | None = None) -> None:
-    """Write a recording as a lot folder holds it: `t_s, output`, reference and stage; a reference
-    given apart, (n,), was not checked with its output.
-    """
+def write_recording(path: Path, recording: OutputRecording | LabelledRecording) -> None:
+    """Write a recording as a lot folder holds it: `t_s, output`, reference and stage."""
+    raw = recording.unlabelled if isinstance(recording, LabelledRecording) else recording
+    columns = [("t_s", raw.t_s), ("output", raw.output)]
     if isinstance(recording, LabelledRecording):
-        reference = recording.reference
-        recording = recording.unlabelled
-    columns = [("t_s", recording.t_s), ("output", recording.output)]
-    if reference is not None:
-        columns.append(("reference", reference))
-    if recording.stage_mm is not None:
-        columns.append((STAGE, recording.stage_mm))
+        columns.append(("reference", recording.reference))
+    if raw.stage_mm is not None:
+        columns.append((STAGE, raw.stage_mm))
     write_columns(path, columns)

@@ -1,7 +1,7 @@
 """Find what of a person's files an import, an audit or a batch does not use, and say why."""
 
 import csv
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,7 +33,7 @@ def unread_files(path: Path) -> list[NotUsed]:
             if entry.is_dir() and entry not in folders and _entries(entry):
                 items.append(NotUsed("file", f"{entry.relative_to(path)}/", Reason("unused.folder")))
             elif not entry.is_dir() and entry.suffix.lower() not in READERS and entry.name != "lot.toml":
-                items.append(NotUsed("file", str(entry.relative_to(path)), _format(READERS)))
+                items.append(NotUsed("file", str(entry.relative_to(path)), _format()))
     return items
 
 
@@ -102,7 +102,7 @@ def unused_of_lot(root: Path, sources: Mapping[str, Path], units: Mapping[str, P
         for entry in _entries(part):
             name = str(entry.relative_to(root))
             if entry.suffix.lower() not in READERS:
-                items.append(NotUsed("file", name, _format(READERS)))
+                items.append(NotUsed("file", name, _format()))
             elif used is not None and normalize("NFC", entry.stem) not in used:
                 if part.name == "audit":
                     items.append(NotUsed("audit", entry.stem, reason("unused.stranger"), name))
@@ -147,8 +147,8 @@ def _header(path: Path, root: Path) -> list[str]:
     return []
 
 
-def _format(suffixes: Iterable[str]) -> Reason:
-    return reason("unused.format", suffixes=", ".join(sorted(suffixes)))
+def _format() -> Reason:
+    return reason("unused.format", suffixes=", ".join(sorted(READERS)))
 
 
 def _entries(folder: Path) -> list[Path]:

@@ -34,7 +34,7 @@ def estimate_file(
     """
     lot, network, calibration = calibrated_unit(registry, serial, revision, lot_id)
     config = (calibration.method or Method()).inspection
-    file = inspect_recording(source, serial, lot.sample_rate_Hz, (lot.output_unit, ""), names=names, config=config)
+    file = inspect_recording(source, serial, lot.sample_rate_Hz, lot.output_unit, names=names, config=config)
     result = estimate(network, calibration, file.recording).spread(file.t_s, file.rows)
     numbers = [(name, getattr(result, name)) for name in COLUMNS[:-1]]
     write_columns(target, [*numbers, ("flag", result.flag.tolist())])

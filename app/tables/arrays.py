@@ -34,6 +34,15 @@ class Channel:
     unit: str = ""
 
 
+def refused_channel(name: str, refusal: str, rows: int = 0) -> Channel:
+    """Return a channel that cannot be read: who asks for it learns why."""
+
+    def refuse() -> NDArray[Any]:
+        raise InputError(refusal)
+
+    return Channel(name, rows, refuse)
+
+
 def choose_group(
     path: Path,
     groups: Mapping[str, Sequence[Channel]],
@@ -104,11 +113,7 @@ def column_cells(path: Path, name: str, values: NDArray[Any]) -> NDArray[Any]:
         return values.astype("datetime64[ns]")
     if kind == "m":
         return values.astype("timedelta64[ns]")
-    if kind in "bO":
-        return np.array([_text(value) for value in values.tolist()], dtype=object)
-    if kind == "U":
-        return values.astype(object)
-    if kind == "S":
+    if kind in "bOUS":
         return np.array([_text(value) for value in values.tolist()], dtype=object)
     what = "complex numbers" if kind == "c" else "records"
     cure = "export the real part or the magnitude" if kind == "c" else "export its parts as columns"

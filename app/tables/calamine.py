@@ -12,17 +12,11 @@ from zipfile import ZipFile
 from softcal.app.tables import sheet_process
 from softcal.app.tables.arrays import refuse_large
 from softcal.app.tables.encoding import is_text
-from softcal.app.tables.grid import HEAD_ROWS, choose_sheet
+from softcal.app.tables.grid import BYTES_PER_CELL, CELLS_SHARE, HEAD_ROWS, choose_sheet
 from softcal.app.tables.headings import IsRequested
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.table import Grid
 from softcal.core.errors import InputError
-
-CELLS_SHARE = 0.1
-"""Cells of a sheet cost ten times as long to read as others: as many are allowed fewer."""
-
-BYTES_PER_CELL = 20
-"""Fewer bytes no cell of a sheet's XML takes."""
 
 BYTES_AT_ONCE = 1 << 20
 MAX_READING_S = 300

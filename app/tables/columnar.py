@@ -148,11 +148,12 @@ def _array(column: "pa.ChunkedArray") -> NDArray[Any]:
 
     kind = column.type
     if kinds.is_dictionary(kind):
-        parts = [_array(pa.chunked_array([chunk.dictionary]))[_codes(chunk)] for chunk in column.chunks]
-        parts = [np.where(chunk.is_null(), None, part) for chunk, part in zip(column.chunks, parts, strict=True)]
+        codes = [chunk.indices.fill_null(0).to_numpy(zero_copy_only=False) for chunk in column.chunks]
+        texts = [_array(pa.chunked_array([chunk.dictionary])) for chunk in column.chunks]
+        parts = [np.where(c.is_null(), None, t[k]) for c, t, k in zip(column.chunks, texts, codes, strict=True)]
         return np.concatenate(parts) if parts else np.zeros(0)
-    if kinds.is_decimal(kind) or kinds.is_null(kind):
-        column, kind = column.cast(pa.float64()), pa.float64()
+    if kinds.is_decimal(kind) or kinds.is_null(kind) or (kinds.is_integer(kind) and column.null_count):
+        column, kind = column.cast(pa.float64(), safe=False), pa.float64()
     if kinds.is_time(kind):
         column = column.cast(pa.int64() if kind.bit_width == 64 else pa.int32()).cast(pa.int64())
         column = column.cast(pa.duration(kind.unit))
@@ -160,21 +161,8 @@ def _array(column: "pa.ChunkedArray") -> NDArray[Any]:
         column = column.cast(pa.timestamp("ns"))
     elif kinds.is_boolean(kind) or _is_text(kind):
         return np.array(column.to_pylist(), dtype=object)
-    elif kinds.is_integer(kind) and column.null_count:
-        return _with_holes(column)
     values: NDArray[Any] = column.to_numpy()
     return values
-
-
-def _with_holes(column: "pa.ChunkedArray") -> NDArray[np.float64]:
-    values: NDArray[np.float64] = column.fill_null(0).to_numpy().astype(np.float64)
-    values[column.is_null().to_numpy()] = np.nan
-    return values
-
-
-def _codes(chunk: "pa.DictionaryArray") -> NDArray[Any]:
-    codes: NDArray[Any] = chunk.indices.fill_null(0).to_numpy(zero_copy_only=False)
-    return codes
 
 
 def _unpacked_bytes(message: "pa.ipc.Message") -> int:

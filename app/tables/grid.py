@@ -16,6 +16,12 @@ from softcal.core.errors import InputError
 HEAD_ROWS = 600
 """Rows that the heading is looked for in."""
 
+CELLS_SHARE = 0.1
+"""Cells of a sheet cost ten times as long to read as others: as many are allowed fewer."""
+
+BYTES_PER_CELL = 20
+"""Fewer bytes no cell of a sheet's XML takes; a usual one takes 40."""
+
 MIN_ROWS = 2
 """Fewer rows of data are no table where one of several sheets is looked for."""
 
@@ -107,17 +113,14 @@ def choose_sheet(
         return options.sheet, ()
     tables = {name: rows for name, rows in heads.items() if len(data_rows(rows)[0]) >= MIN_ROWS}
     if len(tables) > 1 and is_requested is not None:
-        requested = [name for name, rows in tables.items() if _has(rows, is_requested)]
-        tables = {name: tables[name] for name in requested} or tables
+        cells = {
+            name: [cell.strip() for row in rows for cell in row if isinstance(cell, str)]
+            for name, rows in tables.items()
+        }
+        tables = {name: rows for name, rows in tables.items() if any(map(is_requested, cells[name]))} or tables
     if len(tables) > 1:
         several = ", ".join(map(repr, list(tables)[:8]))
         raise InputError(f"{path}: more than one sheet holds a table: {several}; name one with --sheet")
     chosen = next(iter(tables or heads))
     remark = f"of the sheets {names} only {chosen!r} holds such a table; it was read"
     return chosen, (remark,) if len(heads) > 1 else ()
-
-
-def _has(rows: Sequence[Sequence[Any]], is_requested: IsRequested) -> bool:
-    return is_requested is not None and any(
-        is_requested(cell.strip()) for row in rows for cell in row if isinstance(cell, str)
-    )

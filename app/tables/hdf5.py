@@ -1,6 +1,6 @@
 """HDF5 files: datasets of a group, compound datasets and the frames that pandas writes. No other file is opened."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from softcal.app.tables.arrays import Channel, choose_group, read_channels, refuse_large
+from softcal.app.tables.arrays import Channel, choose_group, read_channels, refuse_large, refused_channel
 from softcal.app.tables.headings import IsRequested
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.table import Table
@@ -105,28 +105,31 @@ def dataset_channel(path: Path, name: str, data: "h5py.Dataset", options: TableO
     return Channel(name, int(np.prod(data.shape)), partial(_read, path, name, data, options), _unit(data))
 
 
-def _field(path: Path, data: "h5py.Dataset", part: str, options: TableOptions) -> Channel:
+def make_reader(
+    path: Path, name: str, data: "h5py.Dataset", options: TableOptions, rows: Any
+) -> Callable[[], NDArray[Any]]:
+    """Return what reads one column, `data[rows]`, of a dataset that is checked first."""
+
     def read() -> NDArray[Any]:
-        check_dataset(path, part, data, options)
-        values: NDArray[Any] = data.fields(part)[:]
+        check_dataset(path, name, data, options)
+        values: NDArray[Any] = data[rows]
         return values
 
-    return Channel(part, data.shape[0], read, _unit(data, part))
+    return read
+
+
+def _field(path: Path, data: "h5py.Dataset", part: str, options: TableOptions) -> Channel:
+    return Channel(part, data.shape[0], make_reader(path, part, data, options, part), _unit(data, part))
 
 
 def _matrix(path: Path, name: str, data: "h5py.Dataset", options: TableOptions) -> list[Channel]:
     """Return the columns of a matrix (n, k) under the names of its attribute `columns`, else numbered from 1."""
-
-    def read(k: int) -> NDArray[Any]:
-        check_dataset(path, name, data, options)
-        values: NDArray[Any] = data[:, k]
-        return values
-
     count = data.shape[1]
     refuse_large(path, count, options.max_cells)
     given = [text(each) for each in np.ravel(data.attrs.get("columns", []))]
     names = given if len(given) == count else [f"{name}_{k + 1}" for k in range(count)]
-    return [Channel(names[k], data.shape[0], partial(read, k), _unit(data)) for k in range(count)]
+    readers = [make_reader(path, name, data, options, np.s_[:, k]) for k in range(count)]
+    return [Channel(names[k], data.shape[0], readers[k], _unit(data)) for k in range(count)]
 
 
 def _read(path: Path, name: str, data: "h5py.Dataset", options: TableOptions) -> NDArray[Any]:
@@ -204,9 +207,10 @@ def _index_of_pandas(path: Path, data: "h5py.Dataset", options: TableOptions) ->
     kind, stored = text(data.attrs.get("kind", "")), text(data.attrs.get("name", "index"))
     name = stored if stored.isprintable() and stored not in ("", "N.", "None") else "index"
 
+    read_index = make_reader(path, name, data, options, ...)
+
     def read() -> NDArray[Any]:
-        check_dataset(path, name, data, options)
-        values: NDArray[Any] = data[:]
+        values = read_index()
         if kind.startswith("datetime64"):
             unit = kind.partition("[")[2].rstrip("]") or "ns"
             return values.astype("int64").astype(f"datetime64[{unit}]")
@@ -216,17 +220,12 @@ def _index_of_pandas(path: Path, data: "h5py.Dataset", options: TableOptions) ->
 
 
 def _matrix_named(path: Path, names: list[str], data: "h5py.Dataset", options: TableOptions) -> list[Channel]:
-    def read(k: int) -> NDArray[Any]:
-        check_dataset(path, names[k], data, options)
-        values: NDArray[Any] = data[:, k]
-        return values
-
     if len(data.shape) != 2 or data.shape[1] != len(names):
         # Text lies in one pickled cell.
         rows = data.shape[0] if data.shape else 0
-        return [Channel(name, rows, partial(_refuse_pickle, path, name)) for name in names]
-    return [Channel(name, data.shape[0], partial(read, k)) for k, name in enumerate(names)]
-
-
-def _refuse_pickle(path: Path, name: str) -> NDArray[Any]:
-    raise InputError(f"{path}: column {name!r} is stored as a Python pickle, which is not read; write it as Parquet")
+        why = "is stored as a Python pickle, which is not read; write it as Parquet"
+        return [refused_channel(name, f"{path}: column {name!r} {why}", rows) for name in names]
+    return [
+        Channel(name, data.shape[0], make_reader(path, name, data, options, np.s_[:, k]))
+        for k, name in enumerate(names)
+    ]

@@ -192,7 +192,8 @@ def _below(rows: Sequence[Sequence[Any]], row: int, first: int, width: int, deci
     cells = [_name(cell) for cell in rows[row]]
     if cells and cells[0].startswith("#"):
         cells[0] = cells[0].lstrip("# ")
-    while cells and not cells[-1] and len(cells) > width:
+    while len(cells) > width and (not cells[-1] or _has_number(rows[row + 1 : start], len(cells) - 1, decimal)):
+        # A scope writes the start and the step of its samples here, below names that no row has a cell for.
         cells.pop()
     units = []
     for k, name in enumerate(cells):
@@ -202,6 +203,10 @@ def _below(rows: Sequence[Sequence[Any]], row: int, first: int, width: int, deci
         units.append(parsed_units[0] if parsed_units else in_name["unit"].strip() if in_name else "")
     names = [name or f"column_{k}" for k, name in enumerate(cells, 1)]
     return Heading(tuple(names), tuple(units), row, unit_rows, start)
+
+
+def _has_number(rows: Sequence[Sequence[Any]], k: int, decimal: str) -> bool:
+    return any(k < len(row) and cell_kind(row[k], decimal) is Kind.NUMBER for row in rows)
 
 
 def _may_be_data(row: Sequence[Any], decimal: str) -> bool:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from softcal.app.tables.arrays import Channel, choose_group, read_channels, refuse_large
-from softcal.app.tables.hdf5 import check_dataset, dataset_channel, members, text
+from softcal.app.tables.arrays import Channel, choose_group, read_channels, refuse_large, refused_channel
+from softcal.app.tables.hdf5 import dataset_channel, make_reader, members, text
 from softcal.app.tables.headings import IsRequested
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.table import Table
@@ -147,12 +147,7 @@ def _simulink(fields: Mapping[str, NDArray[Any]]) -> list[Channel]:
 
 
 def _refused(path: Path, name: str, problem: str = IS_OBJECT) -> Channel:
-    """Return a variable that cannot be read: who asks for it learns why."""
-
-    def refuse() -> NDArray[Any]:
-        raise InputError(f"{path}: {name!r} {problem}")
-
-    return Channel(name, 0, refuse)
+    return refused_channel(name, f"{path}: {name!r} {problem}")
 
 
 def _is_vector(value: NDArray[Any]) -> bool:
@@ -215,10 +210,6 @@ def _real(channel: Channel) -> NDArray[Any]:
 
 
 def _matrix_of_hdf5(path: Path, name: str, data: "h5py.Dataset", options: TableOptions) -> list[Channel]:
-    def read(k: int) -> NDArray[Any]:
-        check_dataset(path, name, data, options)
-        values: NDArray[Any] = data[k, :]
-        return values
-
-    refuse_large(path, data.shape[0], options.max_cells)
-    return [Channel(f"{name}_{k + 1}", data.shape[1], partial(read, k)) for k in range(data.shape[0])]
+    count, rows = data.shape
+    refuse_large(path, count, options.max_cells)
+    return [Channel(f"{name}_{k + 1}", rows, make_reader(path, name, data, options, k)) for k in range(count)]

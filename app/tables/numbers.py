@@ -28,9 +28,11 @@ MISSING_WORDS = frozenset(
 """What spreadsheets, statistics programs and meters write where they have no number, in small letters."""
 
 NUMBER = {
-    ".": re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"),
-    ",": re.compile(r"[+-]?(?:\d+(?:,\d+)?|,\d+)(?:[eE][+-]?\d+)?"),
+    ".": re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+|[dD][+-]\d+)?"),
+    ",": re.compile(r"[+-]?(?:\d+(?:,\d+)?|,\d+)(?:[eE][+-]?\d+|[dD][+-]\d+)?"),
 }
+"""Fortran writes `1.5D+03` for numbers of double precision."""
+
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:(?P<mark>[,. '’\u00a0\u202f])\d{3})(?:(?P=mark)\d{3})*(?:[.,]\d+)?")
 """Digits in groups of three."""
 
@@ -134,7 +136,7 @@ def unit_number(cell: Any, decimal: str) -> tuple[str, str] | None:
 def written_numbers(cells: NDArray[Any], decimal: str, missing: Sequence[str]) -> tuple[Array, str, str] | None:
     """Return texts that are numbers in another way of writing, their unit, and what was taken off.
 
-    A minus of a text editor, digits of full width, `1.5D-3`, `="0.52"`; `0x1F` in every cell; one unit behind every
+    A minus of a text editor, digits of full width, `="0.52"`; `0x1F` in every cell; one unit behind every
     number; marks between thousands where they can be nothing else. None where a cell is none of these, or two readings
     are possible.
     """
@@ -164,8 +166,7 @@ def written_numbers(cells: NDArray[Any], decimal: str, missing: Sequence[str]) -
 
 def _plain(text: str) -> str:
     match = re.fullmatch(r'="(.*)"', text.strip())
-    text = normalize("NFKC", match[1] if match else text).strip().replace("\u2212", "-")
-    return re.sub(r"(?<=\d)[dD](?=[+-]\d+$)", "E", text)
+    return normalize("NFKC", match[1] if match else text).strip().replace("\u2212", "-")
 
 
 def _thousands_mark(texts: Sequence[str], decimal: str) -> str:
@@ -197,7 +198,7 @@ def to_numbers(cells: NDArray[Any], decimal: str = ".", missing: Sequence[str] =
     """
     if cells.dtype.kind in "iuf":
         values = cells.astype(np.float64)
-        declared = [float(text) for text in missing if NUMBER["."].fullmatch(text)]
+        declared = [_float(text) for text in missing if NUMBER["."].fullmatch(text)]
         return np.where(np.isfinite(values) & ~np.isin(values, declared), values, np.nan)
     if cells.dtype.kind in "bmM":
         return None
@@ -217,11 +218,15 @@ def _number(cell: Any, decimal: str, missing: Sequence[str]) -> float | None:
         text = cell.strip()
         if is_no_sample(text, missing):
             return np.nan
-        return float(text.replace(",", ".")) if NUMBER[decimal].fullmatch(text) else None
+        return _float(text) if NUMBER[decimal].fullmatch(text) else None
     if isinstance(cell, (bool, np.bool_)) or not isinstance(cell, Real):
         return None
     value = float(cell)
     return value if np.isfinite(value) and str(cell) not in missing else np.nan
+
+
+def _float(text: str) -> float:
+    return float(text.upper().replace("D", "E").replace(",", "."))
 
 
 def texts_to_numbers(texts: Any, decimal: str = ".", missing: Sequence[str] = ()) -> Array | None:
@@ -239,8 +244,8 @@ def texts_to_numbers(texts: Any, decimal: str = ".", missing: Sequence[str] = ()
     if not pc.all(pc.or_(is_missing, pc.match_substring_regex(texts, pattern)), min_count=0).as_py():
         return None
     texts = pc.fill_null(pc.if_else(is_missing, words[0], texts), words[0])
-    if decimal == ",":
-        texts = pc.replace_substring(texts, ",", ".")
+    for mark, plain in ((",", "."), ("D", "E"), ("d", "e")):
+        texts = pc.replace_substring(texts, mark, plain)
     numbers = pc.cast(pc.utf8_ltrim(texts, characters="+"), pa.float64())
     values = np.frombuffer(numbers.buffers()[1], np.float64, len(numbers), 8 * numbers.offset)
     return np.where(np.isfinite(values), values, np.nan)

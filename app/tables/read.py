@@ -64,12 +64,6 @@ def read_table(
     return _typed(table, options)
 
 
-def layout_of(path: Path, options: TableOptions = DETECT) -> tuple[str, tuple[str, ...]]:
-    """Return how a file is laid out, in one line, and what a person should know of it."""
-    table = read_table(path, options)
-    return table.layout, table.remarks
-
-
 def column_names(path: Path, options: TableOptions = DETECT) -> tuple[str, ...]:
     """Return the names of all columns of a file."""
     return read_table(path, options, is_requested=lambda name: False).names

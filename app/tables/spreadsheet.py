@@ -6,17 +6,11 @@ from typing import Any, BinaryIO
 from zipfile import BadZipFile, ZipFile
 
 from softcal.app.tables.arrays import refuse_large
-from softcal.app.tables.grid import HEAD_ROWS, choose_sheet
+from softcal.app.tables.grid import BYTES_PER_CELL, CELLS_SHARE, HEAD_ROWS, choose_sheet
 from softcal.app.tables.headings import IsRequested
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.table import Grid
 from softcal.core.errors import InputError
-
-BYTES_PER_CELL = 20
-"""Fewer bytes no cell of a sheet's XML takes; a usual one takes 40."""
-
-CELLS_SHARE = 0.1
-"""Cells of a sheet cost ten times as long to read as others: as many are allowed fewer."""
 
 
 def read_excel(file: BinaryIO, path: Path, options: TableOptions, is_requested: IsRequested) -> Grid:
@@ -76,6 +70,5 @@ def _refuse_formulas(file: BinaryIO, path: Path, name: str, rows: list[Any]) -> 
             if is_formula and (k >= len(values) or values[k] is None):
                 raise InputError(
                     f"{path}: cell {get_column_letter(k + 1)}{number} is a formula without a stored value; open "
-                    "the file in "
-                    "the spreadsheet program and save it there"
+                    "the file in the spreadsheet program and save it there"
                 )

@@ -2,6 +2,7 @@
 
 import re
 from datetime import datetime
+from functools import lru_cache
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 CLOCK = r"\d{1,3}:\d{2}(?::\d{2}(?:[.,:]\d+)?)?(?: ?[AaPp][Mm])?"
@@ -98,6 +99,7 @@ def zone_of(text: str) -> str:
     return "" if match is None or is_stamp(text) or not is_stamp(match["stamp"]) else match["zone"]
 
 
+@lru_cache(maxsize=1 << 14)
 def is_stamp(text: str) -> bool:
     """Whether a text is a date, a time of day, or both."""
     return STAMP.fullmatch(plain_stamp(text)) is not None

@@ -16,16 +16,13 @@ from softcal.core.recording import Array
 if TYPE_CHECKING:
     import pandas as pd
 
-Cell = str | float | int | bool | None
-"""One cell of a grid: text, a number, or None where it is empty. Spreadsheets also give datetime, date and time."""
-
 
 @dataclass(frozen=True, eq=False)
 class Grid:
     """Cells in rows, before anybody has said which of them are names: a text file or a sheet.
 
     Args:
-        rows: cells of each row; rows may have unequal lengths.
+        rows: cells of each row, which may have unequal lengths: text, a number, None, in sheets a date or time.
         lines: line of the file (row of the sheet) of each row, counted from 1.
         layout, remarks: as of a table, where the grid is one of several.
     """
@@ -110,8 +107,7 @@ class Table:
         cell, more = cells[bad[0]], f" ({len(bad)} such rows)" if len(bad) > 1 else ""
         raise InputError(
             f"{self.path}: line {self.lines[bad[0]]}, column {name!r}: {shown(cell)} where a number was "
-            f"expected{more}; "
-            f"{number_cure(cell, self.decimal)}"
+            f"expected{more}; {number_cure(cell, self.decimal)}"
         )
 
     def finite_numbers(self, name: str, cure: str = "") -> Array:
@@ -121,8 +117,7 @@ class Table:
         if len(missing):
             raise InputError(
                 f"{self.path}: line {self.lines[missing[0]]}, column {name!r}: nothing where a number was "
-                f"expected; fill in "
-                "the cell, or remove the row"
+                "expected; fill in the cell, or remove the row"
             )
         return values
 

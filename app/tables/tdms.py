@@ -4,18 +4,16 @@ import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softcal.app.tables.arrays import Channel, choose_group, read_channels, refuse_large
+from softcal.app.tables.arrays import Channel, choose_group, read_channels, refuse_large, refused_channel
 from softcal.app.tables.headings import IsRequested
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.table import Table
-from softcal.core.errors import InputError
 
 TORN = "the file is damaged or ends early; what it holds up to there was read"
 TIME = "t_s"
@@ -82,10 +80,6 @@ def _time(path: Path, channels: list[Any]) -> list[Channel]:
     if len(longest) > 1:
         shown = ", ".join(f"{name!r} {step_s:g} s" for name, (step_s, _, _) in list(steps.items())[:4])
         refusal = f"{path}: its waveforms have different steps or starts ({shown}); export those of one rate together"
-        return [Channel(TIME, rows, partial(_refuse, refusal), "s")]
+        return [refused_channel(TIME, refusal, rows)]
     step_s, offset_s = longest.pop()
     return [Channel(TIME, rows, lambda: offset_s + step_s * np.arange(rows), "s")]
-
-
-def _refuse(refusal: str) -> NDArray[Any]:
-    raise InputError(refusal)

@@ -3,6 +3,7 @@
 import io
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -13,11 +14,7 @@ import numpy as np
 from softcal.app.tables.arrays import refuse_large
 from softcal.app.tables.encoding import Encoding, detect_encoding
 from softcal.app.tables.headings import Heading, IsRequested
-from softcal.app.tables.numbers import (
-    missing_words_remark,
-    texts_to_numbers,
-    to_numbers,
-)
+from softcal.app.tables.numbers import missing_words_remark, texts_to_numbers, to_numbers
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.table import Column, Table
 from softcal.app.tables.text_layout import BLANKS, HEAD_LINES, TextLayout, detect_layout
@@ -40,19 +37,29 @@ def read_text(file: BinaryIO, path: Path, options: TableOptions, is_requested: I
     size = file.seek(0, io.SEEK_END)
     file.seek(0)
     refuse_large(path, size // (MAX_BYTES_PER_CELL * encoding.bytes_per_character), options.max_cells)
-    lines, remark = _without_zeros(_lines(file, encoding), path)
-    lines = _without_arrows(lines, _arrow_mark(lines))
-    layout = detect_layout(lines, path, encoding, options, is_requested)
-    if remark:
-        layout = replace(layout, remarks=(*layout.remarks, remark))
+    with _decoded(file, encoding) as text:
+        lines = text.read().split("\n")
+    lines, layout, _ = _laid_out(lines, path, encoding, options, is_requested)
     rows = data_of(lines[layout.start :], layout, path, options, is_last=True, is_open=bool(lines[-1]))
     return _table(rows, layout, path, options, is_requested)
 
 
-def _lines(file: BinaryIO, encoding: Encoding) -> list[str]:
+def _laid_out(
+    lines: list[str], path: Path, encoding: Encoding, options: TableOptions, is_requested: IsRequested
+) -> tuple[list[str], TextLayout, str]:
+    """Return lines without zero bytes and arrows, their layout, and what stands in place of an arrow."""
+    lines, remarks = _without_zeros(lines, path)
+    arrow = _arrow_mark(lines)
+    lines = _without_arrows(lines, arrow)
+    layout = detect_layout(lines, path, encoding, options, is_requested)
+    return lines, replace(layout, remarks=(*layout.remarks, *remarks)), arrow
+
+
+@contextmanager
+def _decoded(file: BinaryIO, encoding: Encoding) -> Iterator[io.TextIOWrapper]:
     text = io.TextIOWrapper(file, encoding.name, newline=None)
     try:
-        return text.read().split("\n")
+        yield text
     finally:
         text.detach()
 
@@ -73,11 +80,11 @@ def _without_arrows(lines: list[str], mark: str) -> list[str]:
     return [f"{match[1]}{mark}{match[2]}" if (match := ARROW.fullmatch(line)) else line for line in lines]
 
 
-def _without_zeros(lines: list[str], path: Path) -> tuple[list[str], str]:
-    """Take zero bytes off the end of a file; refuse them elsewhere."""
+def _without_zeros(lines: list[str], path: Path) -> tuple[list[str], list[str]]:
+    """Take zero bytes off the end of a file, and return a remark on them; refuse them elsewhere."""
     remark = ""
     if not any("\0" in line for line in lines):
-        return lines, remark
+        return lines, []
     while lines and "\0" in lines[-1] and not lines[-1].strip("\0 "):
         lines, remark = lines[:-1], "zero bytes at the end were left out: the logger lost its power, or was not stopped"
     if lines and lines[-1].endswith("\0"):
@@ -89,7 +96,7 @@ def _without_zeros(lines: list[str], path: Path) -> tuple[list[str], str]:
                 f"{path}: line {number} holds zero bytes; the file was not closed, or is no text: take it from the "
                 "logger again, or remove that line"
             )
-    return lines, remark
+    return lines, [remark]
 
 
 def _table(rows: TextRows, layout: TextLayout, path: Path, options: TableOptions, is_requested: IsRequested) -> Table:
@@ -161,43 +168,24 @@ def text_pieces(
         InputError: as `read_text`, once the piece is reached.
     """
     encoding = detect_encoding(file, path, options.encoding)
-    text = io.TextIOWrapper(file, encoding.name, newline=None)
-    try:
-        yield from _pieces(text, encoding, path, options, is_requested, rows)
-    finally:
-        text.detach()
-
-
-def _pieces(
-    text: io.TextIOWrapper,
-    encoding: Encoding,
-    path: Path,
-    options: TableOptions,
-    is_requested: IsRequested,
-    rows: int,
-) -> Iterator[Table]:
-    head = list(islice(text, max(HEAD_LINES, rows)))
-    is_open = bool(head) and not head[-1].endswith("\n")
-    head, remark = _without_zeros([line.rstrip("\n") for line in head], path)
-    arrow = _arrow_mark(head)
-    head = _without_arrows(head, arrow)
-    layout = detect_layout(head, path, encoding, options, is_requested)
-    if remark:
-        layout = replace(layout, remarks=(*layout.remarks, remark))
-    offset, pending = layout.start, head[layout.start :]
-    while True:
-        more = list(islice(text, rows))
-        is_last = not more
-        is_open = not more[-1].endswith("\n") if more else is_open
-        # The last lines wait for those after them: only the end of the file tells a footer from a broken row.
-        cut = len(pending) if is_last else max(0, len(pending) - 60)
-        if cut:
-            piece = data_of(
-                pending[:cut], layout, path, options, is_last=is_last, is_open=is_last and is_open, offset=offset
-            )
-            if len(piece.lines):
-                yield _table(piece, layout, path, options, is_requested)
-        if is_last:
-            return
-        following = _without_arrows([line.rstrip("\n") for line in more], arrow)
-        offset, pending = offset + cut, [*pending[cut:], *following]
+    with _decoded(file, encoding) as text:
+        head = list(islice(text, max(HEAD_LINES, rows)))
+        is_open = bool(head) and not head[-1].endswith("\n")
+        head, layout, arrow = _laid_out([line.rstrip("\n") for line in head], path, encoding, options, is_requested)
+        offset, pending = layout.start, head[layout.start :]
+        while True:
+            more = list(islice(text, rows))
+            is_last = not more
+            is_open = not more[-1].endswith("\n") if more else is_open
+            # The last lines wait for those after them: only the end of the file tells a footer from a broken row.
+            cut = len(pending) if is_last else max(0, len(pending) - 60)
+            if cut:
+                piece = data_of(
+                    pending[:cut], layout, path, options, is_last=is_last, is_open=is_last and is_open, offset=offset
+                )
+                if len(piece.lines):
+                    yield _table(piece, layout, path, options, is_requested)
+            if is_last:
+                return
+            following = _without_arrows([line.rstrip("\n") for line in more], arrow)
+            offset, pending = offset + cut, [*pending[cut:], *following]

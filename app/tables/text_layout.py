@@ -86,9 +86,8 @@ def detect_layout(
         )
     _refuse_unnamed(rows[heading.first :], numbers[heading.first], len(heading.names), delimiter, path)
     _, text_columns, _ = data_rows(rows[heading.first :], decimal)
-    parts = [NAMES.get(delimiter, f"{delimiter!r} between cells")] if delimiter != "," else []
-    if delimiter == "" and len(heading.names) == 1:
-        parts = []
+    is_plain = delimiter == "," or (delimiter == "" and len(heading.names) == 1)
+    parts = [] if is_plain else [NAMES.get(delimiter, f"{delimiter!r} between cells")]
     parts += ["decimal comma"] if decimal == "," else []
     parts += [] if encoding.name in ("utf-8", "utf-8-sig", "ascii") else [_shown_encoding(encoding.name)]
     parts += heading.describe(numbers)
@@ -129,9 +128,8 @@ def _shown_encoding(name: str) -> str:
 def _preamble(lines: Sequence[str], options: TableOptions) -> tuple[int, TableOptions]:
     """Return how many lines certainly stand before the names, and the options with what these lines state."""
     delimiter, decimal = DECLARED.get(options.delimiter or "", options.delimiter), options.decimal
-    for name, value, allowed in (("--decimal", decimal, (None, ".", ",")),):
-        if value not in allowed:
-            raise InputError(f"{name} {value!r}: '.' or ',' was expected")
+    if decimal not in (None, ".", ","):
+        raise InputError(f"--decimal {decimal!r}: '.' or ',' was expected")
     if delimiter is not None and delimiter != BLANKS and len(delimiter) != 1:
         raise InputError(f"--delimiter {options.delimiter!r}: one character, tab or blanks was expected")
     skipped = 0

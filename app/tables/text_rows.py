@@ -86,10 +86,7 @@ def data_of(
 
 def _filled(lines: Sequence[str], offset: int) -> tuple[list[str], list[int]]:
     """Return the lines that are not empty, and their numbers."""
-    empty = {k for k, line in enumerate(lines) if not line or line.isspace()}
-    if not empty:
-        return list(lines), list(range(offset + 1, offset + 1 + len(lines)))
-    filled = [k for k in range(len(lines)) if k not in empty]
+    filled = [k for k, line in enumerate(lines) if line and not line.isspace()]
     return [lines[k] for k in filled], [offset + 1 + k for k in filled]
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from softcal.app.cli.main import command_parser
 from softcal.app.files.lot_folder import open_lot_folder
-from softcal.app.files.recording_file import read_recording
+from softcal.app.files.recording_file import inspect_recording
 from softcal.core.errors import InputError, NoReply
 from softcal.core.twin.simulate import Twin
 from softcal.core.words.reason import Reason
@@ -65,7 +65,7 @@ def test_source_and_unit_end_in_a_lot_folder_as_it_is_read(softcal, tmp_path):
     # A unit has no reference.
     unit = tmp_path / "lot-1/units/A1.csv"
     assert unit.read_text().splitlines()[0] == "t_s,output,stage_mm"
-    assert len(read_recording(unit, "A1", 50.0)) > 250
+    assert len(inspect_recording(unit, "A1", 50.0).recording) > 250
 
 
 def test_a_serial_that_cannot_be_a_file_name_moves_nothing(softcal, tmp_path):

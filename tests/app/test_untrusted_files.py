@@ -14,7 +14,7 @@ import pyarrow.parquet
 import pytest
 
 from softcal.app.cli.main import main
-from softcal.app.files.recording_file import read_recording
+from softcal.app.files.recording_file import inspect_recording
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.read import read_table
 from softcal.core.errors import InputError
@@ -48,7 +48,7 @@ def test_columns_that_leave_doubt_are_refused(text, named, tmp_path):
     path = tmp_path / "a.csv"
     path.write_text(text)
     with pytest.raises(InputError, match=named):
-        read_recording(path, "a", 50.0)
+        inspect_recording(path, "a", 50.0)
 
 
 def test_a_control_character_in_a_header_is_shown_and_not_obeyed(tmp_path, capsys):
