@@ -45,7 +45,7 @@ from softcal.core.challenge.score import (
 )
 from softcal.core.errors import InputError
 from softcal.core.gap.diagnosis import Diagnosis, diagnose, diagnose_simulator
-from softcal.core.gap.places import explained_twin, repaired_twin
+from softcal.core.gap.places import explained_twin
 from softcal.core.lot_diagnosis import LotDiagnosis, diagnose_lot
 from softcal.core.metrics import wilson
 from softcal.core.recording import LabelledRecording, OutputRecording
@@ -191,7 +191,7 @@ def transfers(seeds: Iterable[int], units: int) -> Iterable[tuple[str, str, Tran
             yield (
                 sealed.causes[0].effect,
                 found.verdict,
-                transferred(pressed, explained_twin(found.base), repaired_twin(found)),
+                transferred(pressed, explained_twin(found.base), explained_twin(found.best)),
             )
         except (InputError, ValueError) as error:
             print(f"seed {seed}, {sealed.causes[0].effect}: no lot: {error}")

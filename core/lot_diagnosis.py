@@ -9,9 +9,7 @@ from softcal.core.errors import InputError
 from softcal.core.gap.case import Case
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
 from softcal.core.gap.evidence import (
-    DiagnosisVerdict,
     Fits,
-    ParameterEstimate,
     Yardstick,
     estimates_of,
     log_evidences,
@@ -21,6 +19,7 @@ from softcal.core.gap.evidence import (
 )
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.method import RivalConfig
+from softcal.core.gap.model import DiagnosisVerdict, ParameterEstimate
 from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.twin import TWIN, TwinModel
 from softcal.core.recording import Array

@@ -209,10 +209,6 @@ def _gain_words(report: Mapping[str, Any], say: Words) -> str:
 
 
 def _hidden_words(report: Mapping[str, Any], say: Words) -> str:
-    named = {cause["effect"] for cause in report["causes"] if cause["probability"] >= gap.LIKELY}
-    hidden = {effect: share for effect, share in report["hidden_fraction"].items() if share is not None}
-    worst = sorted((effect for effect in named if hidden.get(effect, 0.0) >= 0.8), key=lambda effect: -hidden[effect])
-    if not worst:
+    if not (hidden := gap.hidden_effects(report, say)):
         return f"<p>{_told(say, 'gap.hidden.bars')}</p>"
-    names = ", ".join(f"{gap.effect_name(effect, say)} ({_percent(hidden[effect])})" for effect in worst)
-    return _note(_told(say, "gap.hidden.most", effects=names))
+    return _note(_told(say, "gap.hidden.most", effects=", ".join(hidden)))

@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from softcal.core.gap.case import DataMistake
     from softcal.core.gap.diagnosis import Diagnosis
     from softcal.core.gap.residual import Shrink
-    from softcal.core.gap.twin import TwinModel
     from softcal.core.twin.parameters import ReadoutMetadata
     from softcal.core.twin.simulate import Twin
 
@@ -69,9 +69,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     _add_case(check)
     add_shared(check, "json")
     apply = action("apply", "write the twin that explains a case", _apply, epilog=_APPLY_EXAMPLES)
-    apply.add_argument("case", type=Path, nargs="?", metavar="CASE", help=_CASE_HELP)
+    _add_case(apply, nargs="?")
     apply.add_argument("--report", **FILE, help="take the twin of this report instead of CASE")
-    apply.add_argument("--simulator", metavar="MODULE:NAME", help="write the parameters of this simulator for CASE")
     apply.add_argument("--out", required=True, **FILE, help="twin or parameters as JSON")
     apply.add_argument(
         "--empirical",
@@ -86,8 +85,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_challenge_actions(action)
 
 
-def _add_case(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("case", type=Path, metavar="CASE", help=f"{_CASE_HELP}; or a plain table")
+def _add_case(parser: argparse.ArgumentParser, nargs: str | None = None) -> None:
+    parser.add_argument("case", type=Path, nargs=nargs, metavar="CASE", help=f"{_CASE_HELP}; or a plain table")
     table = parser.add_argument_group("electronics of a plain table (a case states its own)")
     add = table.add_argument
     add("--vref-V", type=float, dest="vref_V", metavar="V", help="supply of divider and ADC")
@@ -107,23 +106,13 @@ def _diagnose(options: argparse.Namespace) -> None:
     where the gap lies, its causes with probabilities, the shrink on runs held back, and the next
     experiment.
     """
-    from softcal.app.gap.diagnose import diagnose_case, write_page
-    from softcal.app.gap.simulator import diagnose_with, load_simulator
+    from softcal.app.gap.diagnose import write_page
 
-    if not options.simulator:
-        diagnosis = diagnose_case(options.case, say, _table_readout(options), table_options(options))
-        _show_twin(diagnosis, options)
-        if options.page:
-            write_page(options.page, diagnosis)
-        return
-    _refuse_electronics(options)
-    diagnosed = diagnose_with(options.case, load_simulator(options.simulator), say, table_options(options))
-    if options.json != "-":
-        _show(diagnosed)
-    write_json(options.json, _report(diagnosed, options))
+    diagnosed = _diagnosed(options)
+    _show(diagnosed, options)
     if options.page:
         write_page(options.page, diagnosed)
-    if (calls := diagnosed.model.calls(diagnosed.case)).count:
+    if options.simulator and (calls := diagnosed.model.calls(diagnosed.case)).count:
         say(f"{calls.first}; so at {calls.count} of {calls.of} places, which were avoided")
 
 
@@ -131,15 +120,18 @@ def _check(options: argparse.Namespace) -> None:
     """Look for mistakes in the recordings and fit the base. Say which of its parameters and which
     causes these runs can tell, which they cannot, and which run would. Nothing is diagnosed.
     """
-    from softcal.app.gap.diagnose import check_case
-    from softcal.app.gap.simulator import check_with, load_simulator
+    from softcal.app.gap.diagnose import open_place
+    from softcal.app.gap.simulator import load_simulator, read_runs
+    from softcal.core.gap.diagnosis import check_simulator, checked
     from softcal.core.gap.experiments import reasons
 
     if options.simulator:
         _refuse_electronics(options)
-        mistakes, identifiability = check_with(options.case, load_simulator(options.simulator), table_options(options))
+        simulator = load_simulator(options.simulator)
+        found = check_simulator(simulator, read_runs(options.case, simulator, table_options(options))[0])
     else:
-        mistakes, identifiability = check_case(options.case, _table_readout(options), table_options(options))
+        found = checked(open_place(options.case, _table_readout(options), table_options(options)))
+    mistakes, identifiability = found
     record = None if identifiability is None else identifiability.record()
     data = [mistake.record() for mistake in mistakes]
     if not answer(options, "gap.check/1", {"data": data, "identifiability": record}):
@@ -219,35 +211,45 @@ def _apply(options: argparse.Namespace) -> None:
     """Diagnose a case and write base parameters, noise and named causes as a twin that the
     simulated station and simulated lots can load.
     """
-    from softcal.app.gap.diagnose import apply_case, apply_report, read_report
-    from softcal.app.gap.simulator import diagnose_with, load_simulator, read_parameters
+    from softcal.app.files.case_folder import read_json
+    from softcal.app.gap.diagnose import apply_report, case_provenance, report_provenance
+    from softcal.app.gap.simulator import load_simulator, read_parameters, write_parameters
 
     if (options.case is None) == (options.report is None):
         raise InputError("give either a case to diagnose or --report with the JSON of a diagnosis")
-    if options.report is not None and (report := read_report(options.report)).get("simulator"):
-        _apply_parameters(options, report, str(options.report))
-        return
-    if options.simulator:
-        diagnosed = diagnose_with(options.case, simulator := load_simulator(options.simulator), say)
-        _show(diagnosed)
-        _apply_parameters(options, _report(diagnosed, options), str(options.case))
-        read_parameters(options.out, simulator)
-        return
+    found, source = None, str(options.report or options.case)
     if options.report is not None:
-        say(f"twin written to {options.out}: {_contents(apply_report(options.report, options.out, options.empirical))}")
-        return
-    diagnosis, twin = apply_case(options.case, options.out, say, options.empirical)
-    say(f"twin written to {options.out}: {_contents(twin)}")
-    _show_twin(diagnosis, options)
+        report: Mapping[str, Any] = read_json(options.report)
+    else:
+        found = _diagnosed(options)
+        report = found.report()
+    if report.get("simulator"):
+        parameters = write_parameters(options.out, report, source, options.empirical)
+        listed = ", ".join(f"{name} {'off' if v is None else f'= {v:.4g}'}" for name, v in parameters.items())
+        say(f"parameters of {report['simulator']} written to {options.out}: {listed}")
+    else:
+        provenance = report_provenance(options.report) if options.report else case_provenance(options.case)
+        twin = apply_report(options.out, report, source, provenance, options.empirical)
+        say(f"twin written to {options.out}: {_contents(twin)}")
+    if options.simulator:
+        read_parameters(options.out, load_simulator(options.simulator))
+    if found is not None and options.json != "-":
+        _print(found, options)
+    write_json(options.json, report)
 
 
-def _apply_parameters(options: argparse.Namespace, report: Mapping[str, object], source: str) -> None:
-    from softcal.app.gap.simulator import write_parameters
+def _diagnosed(options: argparse.Namespace) -> "Diagnosis[Any]":
+    """Return the diagnosis of a case, by the twin or by a simulator of the user's own."""
+    from softcal.app.gap.diagnose import case_provenance, diagnose_case
+    from softcal.app.gap.simulator import load_simulator, read_runs
+    from softcal.core.gap.diagnosis import diagnose_simulator
 
-    parameters = write_parameters(options.out, report, source, options.empirical)
-    listed = ", ".join(f"{name} {'off' if value is None else f'= {value:.4g}'}" for name, value in parameters.items())
-    say(f"parameters of {report['simulator']} written to {options.out}: {listed}")
-    write_json(options.json, dict(report))
+    if not options.simulator:
+        return diagnose_case(options.case, say, _table_readout(options), table_options(options))
+    _refuse_electronics(options)
+    simulator = load_simulator(options.simulator)
+    diagnosis = diagnose_simulator(simulator, *read_runs(options.case, simulator, table_options(options)), say)
+    return replace(diagnosis, provenance=case_provenance(options.case, options.simulator).to_json())
 
 
 def _contents(twin: "Twin") -> str:
@@ -256,8 +258,7 @@ def _contents(twin: "Twin") -> str:
     return ", ".join(held) or "no effect, the refitted base alone"
 
 
-def _show(diagnosis: "Diagnosis[Any]") -> None:
-    """Print what a diagnosis of the twin and one of a simulator say alike."""
+def _print(diagnosis: "Diagnosis[Any]", options: argparse.Namespace) -> None:
     from softcal.core.gap.experiments import reasons
 
     _show_mistakes(diagnosis.mistakes)
@@ -304,6 +305,14 @@ def _show(diagnosis: "Diagnosis[Any]") -> None:
         held = f"{left.held_out:.2f} [{left.low:.2f}, {left.high:.2f}] held out"
         addition = f", beside {beside}, which alone reach {diagnosis.residual.without:.2f}" if beside else ""
         print(f"describes   {held}{addition}: a description, no cause; softcal gap apply --empirical adds it")
+    for channel, fades in diagnosis.named.problem.colour.items():
+        print(f"noise       {channel}: {fades.spread:.3g} beside the white noise, fading within {fades.fading_s:.2g} s")
+    if options.simulator:
+        return
+    if diagnosis.case.missing_channels:
+        print(f"missing     {', '.join(diagnosis.case.missing_channels)}")
+    if diagnosis.case.unseen_stages:
+        print(f"not judged  {', '.join(diagnosis.case.unseen_stages)}: these recordings cannot show them")
 
 
 def _forecast(shrink: "Shrink") -> str:
@@ -312,27 +321,8 @@ def _forecast(shrink: "Shrink") -> str:
     return f"; forecast {shrink.predicted:.2f} [{shrink.low:.2f}, {shrink.high:.2f}]"
 
 
-def _report(diagnosis: "Diagnosis[Any]", options: argparse.Namespace) -> dict[str, object]:
-    """Return the report on a simulator with what made it and the hashes of what was read."""
-    from softcal.app.gap.diagnose import case_provenance
-
-    return diagnosis.report() | {"provenance": case_provenance(options.case, options.simulator).to_json()}
-
-
-def _show_twin(diagnosis: "Diagnosis[TwinModel]", options: argparse.Namespace) -> None:
+def _show(diagnosis: "Diagnosis[Any]", options: argparse.Namespace) -> None:
     """Print the diagnosis as tables, then write its report; `--json -` prints the report alone."""
     if options.json != "-":
-        _show_tables(diagnosis)
+        _print(diagnosis, options)
     write_json(options.json, diagnosis.report())
-
-
-def _show_tables(diagnosis: "Diagnosis[TwinModel]") -> None:
-    _show(diagnosis)
-    if diagnosis.verdict == "data":
-        return
-    for channel, fades in diagnosis.named.problem.colour.items():
-        print(f"noise       {channel}: {fades.spread:.3g} beside the white noise, fading within {fades.fading_s:.2g} s")
-    if diagnosis.case.missing_channels:
-        print(f"missing     {', '.join(diagnosis.case.missing_channels)}")
-    if diagnosis.case.unseen_stages:
-        print(f"not judged  {', '.join(diagnosis.case.unseen_stages)}: these recordings cannot show them")

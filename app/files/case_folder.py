@@ -84,17 +84,27 @@ def _by_number(place: Path) -> tuple[int, str]:
     return (int(place.name), "") if place.name.isdigit() else (10**9, place.name)
 
 
-def _metadata(path: Path) -> Mapping[str, object]:
-    if not path.is_file():
-        raise InputError(
-            f"{path}: missing; it must declare vref_V, adc_bits, r_series_ohm, sample_rate_Hz and serial of the run"
-        )
+def read_json(path: Path) -> dict[str, Any]:
+    """Return the JSON object of a file.
+
+    Raises:
+        InputError: the file cannot be read, is no JSON, or holds something else than names with values.
+    """
     try:
         content = parse_json(path.read_text(encoding="utf-8"))
     except (ValueError, OSError) as error:
         raise InputError(f"{path}: cannot be read as JSON: {error}") from error
     if not isinstance(content, dict):
-        raise InputError(f"{path}: an object with names and values was expected")
+        raise InputError(f"{path}: holds {type(content).__name__}; an object with names and values was expected")
+    return content
+
+
+def _metadata(path: Path) -> Mapping[str, object]:
+    if not path.is_file():
+        raise InputError(
+            f"{path}: missing; it must declare vref_V, adc_bits, r_series_ohm, sample_rate_Hz and serial of the run"
+        )
+    content = read_json(path)
     missing = [k for k in ("vref_V", "adc_bits", "r_series_ohm", "sample_rate_Hz", "serial") if content.get(k) is None]
     if missing:
         raise InputError(f"{path}: {', '.join(missing)} missing; the diagnosis cannot guess the electronics")

@@ -13,6 +13,7 @@ import numpy as np
 
 from softcal.app.bootstrap import current_user
 from softcal.app.files.atomic import whole_folder, write_text
+from softcal.app.files.case_folder import read_json
 from softcal.app.files.lot_toml import write_lot_toml
 from softcal.app.files.recording_file import write_columns
 from softcal.app.gap.sealed_file import key_beside, read_sealed, write_sealed
@@ -24,7 +25,6 @@ from softcal.core.challenge.score import ScoreSheet, score_reports
 from softcal.core.challenge.seal import Label, Seal, open_seal, seal_labels, seed_origin
 from softcal.core.errors import InputError
 from softcal.core.gap.method import METHOD
-from softcal.core.json_input import parse_json
 from softcal.core.lot import Lot
 from softcal.db.provenance import Provenance, hash_files, record_provenance
 
@@ -209,7 +209,7 @@ def open_challenge(
     Raises:
         InputError: a file is missing, the seal is broken, or a case was changed.
     """
-    published = _json(folder / FOLDER_FILE)
+    published = read_json(folder / FOLDER_FILE)
     if published.get("schema") != SCHEMA:
         raise InputError(f"{folder / FOLDER_FILE}: schema {published.get('schema')!r}; {SCHEMA!r} was expected")
     text = read_sealed(seal_file, key_file or key_beside(seal_file))
@@ -265,27 +265,10 @@ def score_challenge(
         if path.exists():
             read[name] = {}
             with suppress(InputError):
-                read[name] = _json(path)
+                read[name] = read_json(path)
     if not read:
         raise InputError(f"{reports}: no report of this challenge; expected files such as {labels[0].case.name}.json")
     sheet = score_reports(labels, read, lambda label, report: explained_fraction(label.case, report))
     files = [path for path in paths.values() if path.exists()]
     provenance = record_provenance(METHOD.id, hash_files(reports, files), current_user())
     return ScoredChallenge(sheet, Seal(text).commitment, commitment is not None, seed_origin(text), provenance)
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
-
-
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        value = parse_json(_text(path))
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path}: is not JSON: line {error.lineno}: {error.msg}") from error
-    if not isinstance(value, dict):
-        raise InputError(f"{path}: holds {type(value).__name__}; a JSON object was expected")
-    return value

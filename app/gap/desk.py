@@ -1,7 +1,6 @@
 """Cases of the gap page: where they lie, uploads, sealed rigs, a diagnosis to keep."""
 
 import json
-import math
 import re
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -122,8 +121,7 @@ def kept_of(diagnosis: "Diagnosis[TwinModel]") -> "tuple[dict[str, Any], Arrays]
         arrays |= {f"{k}.{name}": getattr(view, name) for name in ("t_s", "drive", "load_N")}
         for name, channel in view.channels.items():
             arrays |= {f"{k}.{name}.{part}": getattr(channel, part) for part in ("measured", "base", "explained")}
-    report: dict[str, Any] = _plain(diagnosis.report())
-    return report | {"runs": _plain(runs)}, {name: np.asarray(a, dtype=np.float32) for name, a in arrays.items()}
+    return diagnosis.report() | {"runs": runs}, {name: np.asarray(a, dtype=np.float32) for name, a in arrays.items()}
 
 
 def run_views_of(report: Mapping[str, Any], arrays: "Arrays") -> list["RunView"]:
@@ -147,14 +145,3 @@ def run_views_of(report: Mapping[str, Any], arrays: "Arrays") -> list["RunView"]
         )
         for k, run in enumerate(report["runs"])
     ]
-
-
-def _plain(value: Any) -> Any:
-    """Return JSON values: what is not finite becomes null, as in every report."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value

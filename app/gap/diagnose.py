@@ -10,17 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 from softcal.app.bootstrap import current_user
 from softcal.app.files.atomic import write_text
-from softcal.app.files.case_folder import METADATA, RECORDING, open_case, open_table
+from softcal.app.files.case_folder import METADATA, RECORDING, open_case, open_table, read_json
 from softcal.app.tables.options import DETECT, TableOptions
 from softcal.app.texts.catalogue import text
 from softcal.core.errors import InputError
-from softcal.core.gap.case import Case, DataMistake
-from softcal.core.gap.diagnosis import Diagnosis, checked, diagnose
-from softcal.core.gap.experiments import Identifiability
+from softcal.core.gap.case import Case
+from softcal.core.gap.diagnosis import Diagnosis, diagnose
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.places import described_twin, repaired_twin
 from softcal.core.gap.twin import TwinModel
-from softcal.core.json_input import parse_json
 from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.twin.simulate import Twin, twin_from_record, twin_record
 from softcal.db.provenance import Provenance, hash_files, record_provenance
@@ -29,13 +26,8 @@ if TYPE_CHECKING:
     from softcal.app.charts.gap import RunView
 
 
-def diagnose_case(
-    place: Path,
-    progress: Callable[[str], None] | None = None,
-    readout: ReadoutMetadata | None = None,
-    table: TableOptions = DETECT,
-) -> Diagnosis[TwinModel]:
-    """Read a case and diagnose it.
+def open_place(place: Path, readout: ReadoutMetadata | None = None, table: TableOptions = DETECT) -> Case:
+    """Read a case.
 
     Args:
         place: folder of a case, or a plain table.
@@ -45,23 +37,22 @@ def diagnose_case(
     Raises:
         InputError: the case cannot be read, or a table comes without its electronics.
     """
-    diagnosis = diagnose(_opened(place, readout, table), progress)
-    return replace(diagnosis, provenance=case_provenance(place).to_json())
-
-
-def check_case(
-    place: Path, readout: ReadoutMetadata | None = None, table: TableOptions = DETECT
-) -> tuple[tuple[DataMistake, ...], Identifiability | None]:
-    """Return a case's mistakes and, where it can be diagnosed, what its runs tell."""
-    return checked(_opened(place, readout, table))
-
-
-def _opened(place: Path, readout: ReadoutMetadata | None, table: TableOptions) -> Case:
     if not place.is_file():
         return open_case(place)
     if readout is None:
         raise InputError(f"{place}: a plain table does not say its electronics; give vref_V, adc_bits and rate_Hz")
     return open_table(place, readout, table)
+
+
+def diagnose_case(
+    place: Path,
+    progress: Callable[[str], None] | None = None,
+    readout: ReadoutMetadata | None = None,
+    table: TableOptions = DETECT,
+) -> Diagnosis[TwinModel]:
+    """Read a case as `open_place` does and diagnose it; the diagnosis knows what it was made from."""
+    diagnosis = diagnose(open_place(place, readout, table), progress)
+    return replace(diagnosis, provenance=case_provenance(place).to_json())
 
 
 def write_page(path: Path, diagnosis: Diagnosis[Any]) -> None:
@@ -98,52 +89,34 @@ def run_views(diagnosis: Diagnosis[Any]) -> list["RunView"]:
 NO_TERMS = "no empirical terms: nothing is left, or no term holds on runs that were held back; leave --empirical out"
 
 
-def apply_case(
-    folder: Path, out: Path, progress: Callable[[str], None] | None = None, empirical: bool = False
-) -> tuple[Diagnosis[TwinModel], Twin]:
-    """Diagnose a case and write the twin that explains it, whole or not at all.
+def apply_report(
+    out: Path, report: Mapping[str, Any], source: str, provenance: Provenance, empirical: bool = False
+) -> Twin:
+    """Write the twin that a report of a diagnosis holds, whole or not at all.
 
     Args:
+        report: of schema `softcal.gap/1`.
+        source: of the report, for messages.
         empirical: with the empirical terms that describe what no cause explains.
 
     Raises:
-        InputError: the recordings hold a mistake, or there are no such terms.
+        InputError: the recordings hold a mistake, or the report holds no twin or no such terms.
     """
-    diagnosis = diagnose_case(folder, progress)
-    twin = repaired_twin(diagnosis)
-    if empirical:
-        described = described_twin(diagnosis)
-        if described is None:
-            raise InputError(f"{folder}: {NO_TERMS}")
-        twin = described
-    write_twin(out, twin, case_provenance(folder))
-    return diagnosis, twin
-
-
-def apply_report(report_file: Path, out: Path, empirical: bool = False) -> Twin:
-    """Write the twin that a report of `softcal gap diagnose` holds.
-
-    Args:
-        empirical: with the empirical terms that describe what no cause explains.
-
-    Raises:
-        InputError: the report cannot be read, holds no twin, or no such terms.
-    """
-    report = read_report(report_file)
     if report.get("verdict") == "data":
-        raise InputError(f"{report_file}: the recordings hold a mistake, so there is no twin of them; repair it first")
-    if not isinstance(report.get("twin"), dict):
-        raise InputError(f"{report_file}: holds no twin; diagnose the case again with softcal gap diagnose --json")
-    record = report["twin"]
-    if empirical:
-        described = report.get("residual")
-        if not isinstance(described, dict):
-            raise InputError(f"{report_file}: {NO_TERMS}")
-        record = described.get("twin")
-    twin = twin_from_record(record, str(report_file))
-    inputs = hash_files(report_file.parent, [report_file])
-    write_twin(out, twin, record_provenance(METHOD.id, inputs, current_user()))
+        raise InputError(f"{source}: the recordings hold a mistake, so there is no twin of them; repair it first")
+    held = report.get("residual") if empirical else report
+    if not isinstance(held, Mapping):
+        raise InputError(f"{source}: {NO_TERMS}")
+    if not isinstance(held.get("twin"), dict):
+        raise InputError(f"{source}: holds no twin; diagnose the case again with softcal gap diagnose --json")
+    twin = twin_from_record(held["twin"], source)
+    write_twin(out, twin, provenance)
     return twin
+
+
+def report_provenance(report_file: Path) -> Provenance:
+    """Return what is made from a report rests on."""
+    return record_provenance(METHOD.id, hash_files(report_file.parent, [report_file]), current_user())
 
 
 def case_provenance(folder: Path, simulator: str = "") -> Provenance:
@@ -172,23 +145,6 @@ def read_twin(path: Path, key: str = "twin") -> Twin:
     Raises:
         InputError: the file is missing or does not describe a twin.
     """
-    content = read_report(path)
+    content = read_json(path)
     record = content[key] if isinstance(content.get(key), dict) else content
     return twin_from_record(record, str(path))
-
-
-def read_report(path: Path) -> Mapping[str, Any]:
-    """Read a report, or a twin, as it stands in its file.
-
-    Raises:
-        InputError: the file is missing or holds no JSON object.
-    """
-    try:
-        content = parse_json(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise InputError(f"{path}: does not describe a twin ({error}); write it with softcal gap apply") from error
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: does not describe a twin; a JSON object was expected")
-    return content

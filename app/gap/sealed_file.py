@@ -11,6 +11,7 @@ from typing import Any
 from cryptography.fernet import Fernet, InvalidToken
 
 from softcal.app.files.atomic import write_text
+from softcal.app.files.case_folder import read_json
 from softcal.core.challenge.seal import Seal
 from softcal.core.errors import InputError
 
@@ -43,13 +44,12 @@ def read_sealed(seal_file: Path, key_file: Path) -> str:
     Raises:
         InputError: a file cannot be read, is no seal, or the key is another one.
     """
+    sealed = read_json(seal_file)
     try:
-        sealed, key = json.loads(seal_file.read_text(encoding="utf-8")), key_file.read_text(encoding="utf-8").strip()
+        key = key_file.read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{seal_file}, {key_file}: cannot be read: {error}") from error
-    except json.JSONDecodeError as error:
-        raise InputError(f"{seal_file}: is not JSON: line {error.lineno}: {error.msg}") from error
-    if not isinstance(sealed, dict) or sealed.get("schema") != SCHEMA:
+        raise InputError(f"{key_file}: cannot be read: {error}") from error
+    if sealed.get("schema") != SCHEMA:
         raise InputError(f"{seal_file}: is no seal of a challenge; schema {SCHEMA!r} was expected")
     try:
         return Fernet(key).decrypt(str(sealed.get("labels")).encode()).decode()

@@ -3,27 +3,22 @@
 import importlib
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from softcal.app.files.atomic import write_text
-from softcal.app.files.case_folder import METADATA, RECORDING
+from softcal.app.files.case_folder import METADATA, RECORDING, read_json
 from softcal.app.files.recording_file import ColumnNames, read_times
 from softcal.app.gap.diagnose import NO_TERMS
 from softcal.app.tables.options import DETECT, TableOptions
 from softcal.app.tables.read import read_table
 from softcal.app.tables.time_column import find_time_column
 from softcal.core.errors import InputError
-from softcal.core.gap.case import DataMistake
-from softcal.core.gap.diagnosis import Diagnosis, check_simulator, diagnose_simulator
-from softcal.core.gap.experiments import Identifiability
 from softcal.core.gap.simulator import Simulator, SimulatorRun, recorded
-from softcal.core.gap.simulator_model import SimulatorModel
 from softcal.core.gap.simulator_reach import term_of, with_terms
-from softcal.core.json_input import parse_json
 from softcal.core.recording import Array
 
 PARAMETERS_SCHEMA = "softcal.simulator/1"
@@ -64,33 +59,16 @@ def load_simulator(reference: str) -> Simulator:
     return made
 
 
-def diagnose_with(
-    place: Path,
-    simulator: Simulator,
-    progress: Callable[[str], None] | None = None,
-    options: TableOptions = DETECT,
-) -> Diagnosis[SimulatorModel]:
-    """Read the runs of a mechanism and diagnose its simulator.
+def read_runs(place: Path, simulator: Simulator, options: TableOptions = DETECT) -> tuple[list[SimulatorRun], str]:
+    """Return the runs of a mechanism and its serial number.
 
     Args:
         place: folder with runs/<n>/recording.csv, one such run, or one table; columns are `t_s`, the inputs and the
             channels of the simulator. A recording.json beside it may say `profile` and `serial`.
 
     Raises:
-        InputError: there is no run, a column is missing, or the simulator fails.
+        InputError: there is no run, or a column is missing.
     """
-    runs, serial = _recorded(place, simulator, options)
-    return diagnose_simulator(simulator, runs, serial, progress)
-
-
-def check_with(
-    place: Path, simulator: Simulator, options: TableOptions = DETECT
-) -> tuple[tuple[DataMistake, ...], Identifiability | None]:
-    """Return the mistakes of a mechanism's runs and what they tell of its simulator."""
-    return check_simulator(simulator, _recorded(place, simulator, options)[0])
-
-
-def _recorded(place: Path, simulator: Simulator, options: TableOptions = DETECT) -> tuple[list[SimulatorRun], str]:
     if place.is_file():
         paths = [place]
     elif (place / RECORDING).is_file():
@@ -123,7 +101,7 @@ def _columns(path: Path, simulator: Simulator, options: TableOptions) -> dict[st
 
 def _said(path: Path) -> dict[str, object]:
     beside = path.parent / METADATA
-    return _written(beside) if beside.is_file() else {}
+    return read_json(beside) if beside.is_file() else {}
 
 
 def write_parameters(
@@ -163,7 +141,7 @@ def read_parameters(path: str | Path, simulator: Simulator) -> dict[str, float]:
     Raises:
         InputError: the file cannot be read, is of another simulator, or a parameter is missing or no number.
     """
-    content = _written(path)
+    content = read_json(Path(path))
     parameters = content.get("parameters")
     if not isinstance(parameters, dict) or content.get("schema") != PARAMETERS_SCHEMA:
         raise InputError(f"{path}: holds no parameters of a simulator; write it with softcal gap apply")
@@ -189,13 +167,5 @@ def with_written_terms(path: str | Path, simulator: Simulator) -> Simulator:
     Raises:
         InputError: the file cannot be read, or a term is none.
     """
-    terms = _written(path).get("terms", [])
+    terms = read_json(Path(path)).get("terms", [])
     return with_terms(simulator, [term_of(one, str(path)) for one in terms])
-
-
-def _written(path: str | Path) -> dict[str, Any]:
-    try:
-        content = parse_json(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as JSON: {error}") from error
-    return content if isinstance(content, dict) else {}

@@ -15,7 +15,7 @@ from softcal.core.challenge.cases import RunPlan, SealedCase
 from softcal.core.challenge.explained_fraction import residual_rms
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
-from softcal.core.gap.places import described_twin, explained_twin, repaired_twin
+from softcal.core.gap.places import explained_twin
 from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.twin.simulate import Twin, simulate, twin_from_record, twin_record
 
@@ -78,12 +78,13 @@ def _row(found: Diagnosis, sealed: SealedCase, far: list[tuple[float, float, boo
     hidden = " + ".join(f"{c.effect} ({c.form})" for c in sealed.causes)
     if found.verdict == "data":
         return hidden, "data", "none", "", ""
-    forms = [f"{s.effect_id} ({s.form or 'catalogue'})" for s in repaired_twin(found).effects]
-    twin, shrink, what = repaired_twin(found), found.shrink, ", ".join(forms)
+    forms = [f"{s.effect_id} ({s.form or 'catalogue'})" for s in explained_twin(found.best).effects]
+    twin, shrink, what = explained_twin(found.best), found.shrink, ", ".join(forms)
     if sealed.line == "outside":
         if found.residual is None:
             return hidden, found.verdict, "no empirical term", "", ""
-        twin, shrink = described_twin(found), found.residual.shrink
+        twin = explained_twin(found.residual.fit, [one.term for one in found.residual.terms])
+        shrink = found.residual.shrink
         what = "; ".join([*found.residual.beside, *(one.term.formula for one in found.residual.terms)])
     if not twin.effects and not twin.empirical:
         return hidden, found.verdict, "the base alone", "", ""

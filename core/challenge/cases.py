@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_toeplitz
+from scipy.optimize import brentq
 
 from softcal.core.challenge.equations import CATALOGUE, CATALOGUE_FORM, OTHER_FORMS, OUTSIDE, OUTSIDE_FORM
 from softcal.core.challenge.protocols import PROTOCOLS, weights
@@ -144,13 +145,12 @@ class SealedCase:
 
 
 def full_depth_mm(rig: Rig, peak_N: float) -> float:
-    """Return the stage position at which the base model reaches a force, by bisection."""
-    low_mm, high_mm = 0.0, peak_N / rig.k1_N_mm
-    for _ in range(60):
-        middle_mm = 0.5 * (low_mm + high_mm)
-        too_deep = float(rig.pad_force_N(np.array(middle_mm))) > peak_N
-        low_mm, high_mm = (low_mm, middle_mm) if too_deep else (middle_mm, high_mm)
-    return rig.u0_mm + low_mm
+    """Return the stage position at which the base model reaches a force."""
+
+    def left_N(mm: float) -> float:
+        return float(rig.pad_force_N(np.array(mm))) - peak_N
+
+    return rig.u0_mm + float(brentq(left_N, 0.0, peak_N / rig.k1_N_mm, xtol=1e-14))
 
 
 def _stand_still(name: str, duration_s: float) -> Path:

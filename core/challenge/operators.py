@@ -5,6 +5,7 @@ from typing import TypeVar, cast
 
 import numpy as np
 from numba import njit
+from scipy.signal import lfilter
 
 from softcal.core.recording import Array
 
@@ -16,18 +17,6 @@ def recursion(function: Function) -> Function:
     return cast(Function, njit(cache=True)(function))
 
 
-@recursion
-def _low_pass(signal: Array, decay: float, gain: float, start: float) -> Array:  # pragma: no cover - compiled
-    out = np.empty_like(signal)
-    state = start
-    out[0] = state
-    for k in range(1, len(signal)):
-        step = signal[k] - signal[k - 1]
-        state = decay * (state - signal[k - 1]) + signal[k - 1] + gain * step
-        out[k] = state
-    return out
-
-
 def low_pass(signal: Array, step_s: float, tau_s: float, start: float = 0.0) -> Array:
     """Solve τ·dy/dt = x − y exactly for an input that is a straight line between grid points.
 
@@ -37,7 +26,9 @@ def low_pass(signal: Array, step_s: float, tau_s: float, start: float = 0.0) -> 
     """
     ratio = step_s / tau_s
     decay = float(np.exp(-ratio))
-    return _low_pass(signal, decay, 1.0 - (1.0 - decay) / ratio, start)
+    gain = 1.0 - (1.0 - decay) / ratio
+    out, _ = lfilter([gain, 1.0 - decay - gain], [1.0, -decay], signal, zi=[start - gain * signal[0]])
+    return np.asarray(out)
 
 
 def low_passes(signal: Array, step_s: float, weights: Sequence[float], taus_s: Sequence[float]) -> Array:

@@ -96,20 +96,12 @@ def _film_contact(ohm: Array, at: Moment, film_ohm: float, load_N: float) -> Arr
     return np.asarray(ohm + film_ohm / np.sqrt(1.0 + np.maximum(0.0, at.force_N) / load_N))
 
 
-@recursion
-def _ringing(signal: Array, step_s: float, omega: float, damping: float) -> Array:  # pragma: no cover - compiled
-    out = np.empty_like(signal)
-    position, speed = signal[0], 0.0
-    for k in range(len(signal)):
-        speed += step_s * (omega * omega * (signal[k] - position) - 2.0 * damping * omega * speed)
-        position += step_s * speed
-        out[k] = position
-    return out
-
-
 def _cell_ringing(force_N: Array, at: Moment, frequency_Hz: float, damping: float) -> Array:
     """Cell and platen swing: Boschetti and others, Mech. Syst. Signal Process. 34 (2013)."""
-    return _ringing(force_N, at.step_s, 2.0 * np.pi * frequency_Hz, damping)
+    turn = 2.0 * np.pi * frequency_Hz * at.step_s
+    # ẍ = ω²·(u − x) − 2·d·ω·ẋ by semi-implicit steps from rest.
+    swing = [1.0, turn**2 + 2.0 * damping * turn - 2.0, 1.0 - 2.0 * damping * turn]
+    return np.asarray(force_N[0] + lfilter([turn**2], swing, force_N - force_N[0]))
 
 
 PUBLISHED_FORMS = in_other_forms(

@@ -239,8 +239,7 @@ def calibration_error(stated: NDArray[np.float64], happened: NDArray[np.float64]
     if len(stated) == 0:
         return float("nan")
     bin_of = np.minimum((stated * 10).astype(int), 9)
-    gaps = [abs(float(np.sum(stated[bin_of == b] - happened[bin_of == b]))) for b in range(10)]
-    return sum(gaps) / len(stated)
+    return float(np.sum(np.abs(np.bincount(bin_of, stated - happened)))) / len(stated)
 
 
 def log_score(stated: NDArray[np.float64], present: NDArray[np.float64]) -> float:

@@ -6,13 +6,13 @@ from functools import cached_property
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
 from softcal.core.twin.effects import ChainStage
 from softcal.core.twin.parameters import ReadoutMetadata
-from softcal.core.twin.signals import compiled
 from softcal.core.words.reason import Reason, in_words, reason
 
 Mask: TypeAlias = NDArray[np.bool_]
@@ -160,31 +160,22 @@ class MenuEntry:
     minutes: float
 
 
-@compiled
 def straightened(signal: Array, sigma: float, half: int) -> tuple[Array, Array]:
     """Return the smoothed signal and, per sample, which share of the noise variance is left."""
-    out, share = signal.copy(), np.ones(len(signal))
-    for k in range(len(signal)):
+    out, share, is_open = signal.copy(), np.ones(len(signal)), np.ones(len(signal), dtype=np.bool_)
+    # Centred takes the most noise off; one-sided lines keep corners where they are.
+    for first, last in ((-half, half), (-half, 0), (0, half)):
+        x = np.arange(first, last + 1.0)
+        middle, design = x.mean(), np.column_stack([np.ones(len(x)), x - x.mean()])
+        windows = sliding_window_view(signal, len(x))
+        lines = windows @ np.linalg.pinv(design).T
+        left = np.sum((windows - lines @ design.T) ** 2, axis=1) / (len(x) - 2)
+        at = np.arange(len(windows)) - first
         # A line that leaves more than twice the noise's variance lies across a bend.
-        best = 2.0 * sigma * sigma
-        # Centred takes the most noise off; one-sided lines keep corners where they are.
-        for first, last in ((k - half, k + half), (k - half, k), (k, k + half)):
-            if first < 0 or last >= len(signal):
-                continue
-            count = last - first + 1
-            middle = 0.5 * (first + last)
-            spread = count * (count * count - 1.0) / 12.0
-            mean, slope = 0.0, 0.0
-            for j in range(first, last + 1):
-                mean += signal[j] / count
-                slope += (j - middle) * signal[j] / spread
-            left = 0.0
-            for j in range(first, last + 1):
-                left += (signal[j] - mean - slope * (j - middle)) ** 2
-            if left / (count - 2.0) < best:
-                out[k] = mean + slope * (k - middle)
-                share[k] = 1.0 / count + (k - middle) ** 2 / spread
-                break
+        fits = is_open[at] & (left < 2.0 * sigma**2)
+        out[at[fits]] = lines[fits, 0] - middle * lines[fits, 1]
+        share[at[fits]] = 1.0 / len(x) + middle**2 / np.sum((x - middle) ** 2)
+        is_open[at[fits]] = False
     return out, share
 
 

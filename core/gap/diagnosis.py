@@ -4,17 +4,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, Self, TypeAlias, TypeVar
 
-import numpy as np
-
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, DataMistake
 from softcal.core.gap.empirical import LearnedResidual, learned
 from softcal.core.gap.evidence import (
-    DiagnosisVerdict,
-    GapPlace,
-    Partial,
-    RankedCause,
-    Where,
     bounds_reached,
     confused_pairs,
     consistency_of,
@@ -27,10 +20,11 @@ from softcal.core.gap.evidence import (
     ranked_causes,
     rest_energy,
     rivals,
+    weights_of,
 )
 from softcal.core.gap.experiments import Identifiability, NextExperiment, identifiability, reasons
 from softcal.core.gap.fit import Fit
-from softcal.core.gap.model import Model
+from softcal.core.gap.model import DiagnosisVerdict, GapPlace, Model, Partial, RankedCause, Where
 from softcal.core.gap.places import in_catalogue_form, with_constants
 from softcal.core.gap.residual import (
     ChannelGap,
@@ -198,21 +192,17 @@ def _called(simulator: Simulator, runs: Sequence[SimulatorRun], serial: str = ""
     return SimulatorModel(simulator.of_runs(names)), Case(serial, tuple(runs))
 
 
-def checked(case: Case) -> Checked:
-    """Return the mistakes in the recordings and, where there is none, what the runs tell of the twin."""
-    return check_with(TWIN, case)
-
-
 def check_simulator(simulator: Simulator, runs: Sequence[SimulatorRun]) -> Checked:
     """Return the mistakes in recordings and, without any, what they tell of a simulator; no search.
 
     Raises:
         InputError: as for `diagnose_simulator`.
     """
-    return check_with(*_called(simulator, runs))
+    model, case = _called(simulator, runs)
+    return checked(case, model)
 
 
-def check_with(model: Model, case: Case) -> Checked:
+def checked(case: Case, model: Model = TWIN) -> Checked:
     """Return the mistakes in the recordings and, where there is none, what the runs tell of a model."""
     if spoilt := model.mistakes(case):
         return spoilt, None
@@ -367,25 +357,19 @@ def _completeness(search: Search, found: Fit) -> float:
     return list_completeness(chance, rest, has_unlisted, search.model.method.presence)
 
 
-def _presence(
-    search: Search,
-    logs: Mapping[tuple[str, ...], float],
-    effects: Iterable[str],
-) -> dict[str, float]:
+def _presence(search: Search, logs: Mapping[tuple[str, ...], float], effects: Iterable[str]) -> dict[str, float]:
     """Return for every effect the probability that it is there, an unmodelled rest or not.
 
     Every hypothesis counts by its evidence. In one that leaves a rest a cause may be what imitates a part of it.
     """
-    config, top = search.model.method.presence, max(logs.values())
-    weights = {ids: float(np.exp(value - top)) for ids, value in logs.items()}
-    total, chances = sum(weights.values()), dict.fromkeys(effects, 0.0)
-    for ids, weight in weights.items():
-        if ids and weight > config.negligible * total:
+    config, chances = search.model.method.presence, dict.fromkeys(effects, 0.0)
+    for ids, weight in weights_of(logs).items():
+        if ids and weight > config.negligible:
             found = search.fits[ids]
             complete, rest = _completeness(search, found), rest_energy(found, noise_chance(found))
             for i in ids:
                 genuine = consistency_of(found, i, rest).genuine_chance(config)
-                chances[i] += weight / total * (complete + (1.0 - complete) * genuine)
+                chances[i] += weight * (complete + (1.0 - complete) * genuine)
     return chances
 
 

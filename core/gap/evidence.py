@@ -8,18 +8,19 @@ part of every run, whatever the rest does. One that imitates takes a part, and a
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import expit
+from scipy.special import expit, logit, softmax
 
-from softcal.core.gap.fit import Fit, Map, Regime, Tangent, form_of, structure
-from softcal.core.gap.linear import combine, dots, energy, fit_scale, from_fit
+from softcal.core.gap.fit import Fit, Regime, Tangent, form_of, structure
+from softcal.core.gap.linear import energy, fit_scale, from_fit, orthonormal
 from softcal.core.gap.method import PresenceConfig
+from softcal.core.gap.model import GapPlace, ParameterEstimate, Partial, RankedCause
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
 from softcal.core.unit.uncertainty import NORMAL_90
-from softcal.core.words.reason import Reason, in_words, reason
+from softcal.core.words.reason import Reason, reason
 
 if TYPE_CHECKING:
     from softcal.core.gap.diagnosis import Judgement
@@ -106,10 +107,13 @@ def probabilities(logs: Mapping[tuple[str, ...], float], effects: Iterable[str])
 
     Effects that were screened away have no hypothesis and get 0; the numbers need not sum to 1.
     """
-    top = max(logs.values())
-    weights = {ids: float(np.exp(value - top)) for ids, value in logs.items()}
-    total = sum(weights.values())
-    return {e: sum(w for ids, w in weights.items() if e in ids) / total for e in effects}
+    weights = weights_of(logs)
+    return {e: sum(w for ids, w in weights.items() if e in ids) for e in effects}
+
+
+def weights_of(logs: Mapping[tuple[str, ...], float]) -> dict[tuple[str, ...], float]:
+    """Return the probability of every hypothesis, from log evidences."""
+    return dict(zip(logs, softmax(list(logs.values())).tolist(), strict=True))
 
 
 def rivals(
@@ -191,12 +195,8 @@ class Consistency:
 
     def genuine_chance(self, config: PresenceConfig) -> float:
         """Return how likely a cause that stands so to a rest is there, and imitates nothing."""
-        if self.taken >= 1.0:
-            return 1.0
-        if self.taken <= 0.0:
-            return 0.0
-        odds = float(np.log(self.taken / (1.0 - self.taken)))
-        apart = float(np.log(max(self.disagreement, 1e-3) / config.disagreement))
+        apart = np.log(min(max(self.disagreement, 1e-3), 1e300) / config.disagreement)
+        odds = logit(np.clip(self.taken, 0.0, 1.0))
         return float(expit(config.of_share * (odds - config.share_odds) - config.of_disagreement * apart))
 
 
@@ -240,15 +240,8 @@ def consistency_of(found: Fit, effect_id: str, rest: float) -> Consistency:
 def _visible_part(found: Fit, effect_id: str) -> Array:
     """Return (samples,) what of an effect's signature no other fitted parameter imitates."""
     own, at = signature(found, effect_id), found.hypothesis.slices[effect_id]
-    others = np.delete(found.jacobian, range(at.start, at.stop), axis=0)
-    size = np.sqrt(np.sum(others**2, axis=1))
-    others = others[size > 0.0] / size[size > 0.0][:, None]
-    if not len(others):
-        return own
-    strength, axes = np.linalg.eigh(others @ others.T)
-    kept = strength > 1e-10 * strength.max()
-    basis = (axes[:, kept] / np.sqrt(strength[kept])).T @ others
-    return np.asarray(own - combine(dots(basis, own), basis))
+    basis = orthonormal(np.delete(found.jacobian, range(at.start, at.stop), axis=0), 1e-10)
+    return np.asarray(own - (basis @ own) @ basis)
 
 
 def list_completeness(noise_chance: float, rest_share: float, has_unlisted: bool, config: PresenceConfig) -> float:
@@ -268,71 +261,6 @@ def list_completeness(noise_chance: float, rest_share: float, has_unlisted: bool
     # Another law of the same cause leaves a small part of a large gap.
     by_share = 1.0 / (1.0 + (max(rest_share, 0.0) / config.half_share) ** 2)
     return max(by_noise, by_share * config.open_law)
-
-
-DiagnosisVerdict = Literal["no_gap", "explained", "explained_in_part", "ambiguous", "unknown", "data"]
-
-
-@dataclass(frozen=True)
-class ParameterEstimate:
-    """A fitted parameter of an effect with its 90 % interval."""
-
-    value: float
-    low: float
-    high: float
-    unit: str
-
-
-@dataclass(frozen=True)
-class RankedCause:
-    """One effect of the catalogue and how it stands.
-
-    Args:
-        shrink: share of the gap that goes with it, of what the set takes; None where it is not in the set.
-        parameters: by the catalogue's equation; empty where no hypothesis has it.
-        form: the other equation that fits better, empty where the catalogue's does.
-        alone, added: share of the gap that goes with it alone, and that comes back without it; None where not fitted.
-    """
-
-    effect: str
-    stage: str
-    probability: float
-    shrink: float | None
-    parameters: dict[str, ParameterEstimate]
-    form: str = ""
-    alone: float | None = None
-    added: float | None = None
-
-
-@dataclass(frozen=True)
-class GapPlace:
-    """One line of where the gap lies."""
-
-    stage: str
-    channel: str
-    regime: Reason
-    share: float
-    detail: Reason = Reason("gap.map.none")
-
-    def record(self) -> dict[str, object]:
-        return in_words(vars(self), "regime", "detail")
-
-
-@dataclass(frozen=True)
-class Where:
-    """Where the gap lies: places, the regimes in which it stands out, and what relations fitted alone leave."""
-
-    places: tuple[GapPlace, ...] = ()
-    regimes: tuple[Regime, ...] = ()
-    maps: tuple[Map, ...] = ()
-
-
-@dataclass(frozen=True)
-class Partial:
-    """The causes that come nearest where nothing explains the gap, and their share of it."""
-
-    effects: tuple[str, ...]
-    share: float
 
 
 def estimates_of(found: Fit, effect_id: str) -> dict[str, ParameterEstimate]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from softcal.core.gap.case import MenuEntry, Run
 from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.linear import dots, energy, fit_scale, gram, start_coordinates
+from softcal.core.gap.linear import energy, fit_scale, gram, start_coordinates
 from softcal.core.gap.method import TellingConfig
 from softcal.core.gap.problem import Problem, own_rows
 from softcal.core.recording import Array
@@ -79,7 +79,7 @@ def _distance(mine: Fit, other: Fit, run: Run) -> float:
     old = gram(mine.jacobian)
     free = np.flatnonzero(np.diag(old) > 0)
     normal = old[np.ix_(free, free)] + gram(jacobian[free])
-    slope = dots(jacobian[free], parted)
+    slope = jacobian[free] @ parted
     left = energy(parted) - float(slope @ np.linalg.lstsq(normal, slope, rcond=None)[0])
     return float(np.sqrt(max(left, 0.0)))
 

@@ -6,15 +6,12 @@ from functools import cached_property
 
 import numpy as np
 
-from softcal.core.gap.linear import combine, dots, energy, fit_scale, gram, start_coordinates, to_fit
+from softcal.core.gap.linear import DIFFERENCE, energy, fit_scale, gram, start_coordinates, to_fit
 from softcal.core.gap.problem import Around, Block, Hypothesis, Problem
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.words.reason import Reason
-
-DIFFERENCE = 2e-4
-"""Step of a derivative, in usual sizes of a parameter: beyond corners of play and clipping."""
 
 TOLERANCE = 0.02
 """A step that gains less than this in χ² is the last."""
@@ -117,7 +114,7 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20)
     slopes = space.slopes(x, predicted, around)
     for _ in range(steps):
         jacobian = np.array([problem.whitened(row) for row in slopes])
-        normal, slope = gram(jacobian), dots(jacobian, residual)
+        normal, slope = gram(jacobian), jacobian @ residual
         accepted = False
         for _ in range(TRIES):
             candidate = space.step(x, normal, slope, damping)
@@ -256,7 +253,7 @@ class Tangent:
         keep = strength > 1e-10 * strength.max(initial=0.0)
         # Rows of `turn` times the Jacobian are orthonormal.
         self._turn = (axes[:, keep] / np.sqrt(strength[keep])).T / scale
-        self._basis = np.array([combine(row, jacobian[self._rows]) for row in self._turn])
+        self._basis = self._turn @ jacobian[self._rows]
         self._residual = found.residual
 
     @cached_property
@@ -273,7 +270,7 @@ class Tangent:
 
     def visible(self, signature: Array) -> Array:
         """Return the part of a signature that the fitted parameters cannot imitate."""
-        return signature - combine(dots(self._basis, signature), self._basis)
+        return np.asarray(signature - (self._basis @ signature) @ self._basis)
 
     def lead(self, probe: Probe) -> Lead | None:
         """Return what this probe promises, None if it promises nothing."""
@@ -283,13 +280,13 @@ class Tangent:
         power = energy(seen)
         if power <= 1e-9 * max(size, 1e-30) or power <= 1e-12:
             return None
-        times = float(dots(seen.reshape(1, -1), self._residual)[0]) / power
+        times = float(seen @ self._residual) / power
         if probe.is_one_sided and times <= 0:
             return None
         # The probe is linear for small effects only: begin within a decade of it.
         stretch = float(np.clip(times, -30.0, 30.0))
         shift = np.zeros(len(self._found.coordinates))
-        shift[self._rows] = -stretch * (self._turn.T @ dots(self._basis, signature))
+        shift[self._rows] = -stretch * (self._turn.T @ (self._basis @ signature))
         first, usual = self._found.problem.scale.sized(probe.effect.parameters[0]), probe.values[0]
         if first.scale == "inverse_square":
             value = usual / max(stretch, 1e-3) ** 0.5

@@ -1,8 +1,7 @@
-"""The numerics of a fit: coordinates of parameters, bounds that grow with the rig, thin products, coloured noise.
+"""The numerics of a fit: coordinates of parameters, bounds that grow with the rig, coloured noise.
 
 Pads of 0.2 N and of 200 N, outputs in V or mV, strokes of 0.3 or 30 mm give the same diagnosis. Time is not scaled:
-creep, mains and clocks have their own. Products over long vectors are compiled: a few rows are too thin for a threaded
-BLAS.
+creep, mains and clocks have their own.
 
 Noise that is not white has a part that fades beside a white one: a first-order process, correlation exp(−t/τ). A Kalman
 filter turns the sum into independent values of variance 1; it is the exact likelihood, for any step of time and with
@@ -24,6 +23,9 @@ from softcal.core.twin.signals import compiled
 
 if TYPE_CHECKING:
     from softcal.core.gap.case import Case
+
+DIFFERENCE = 2e-4
+"""Step of a derivative, in usual sizes of a parameter: beyond corners of play and clipping."""
 
 LARGEST_LOG = float(np.log(np.finfo(np.float64).max))
 
@@ -109,83 +111,32 @@ def _sized(scale: RigScale, parameter: Parameter) -> Parameter:
     return replace(parameter, low=factor * parameter.low, high=factor * parameter.high, usual=factor * parameter.usual)
 
 
-@compiled
 def gram(rows: Array) -> Array:
     """Return rows·rowsᵀ, (k, k), of (k, n) rows."""
-    k = rows.shape[0]
-    out = np.empty((k, k))
-    for i in range(k):
-        for j in range(i, k):
-            # Half of the products: the matrix is symmetric.
-            out[i, j] = out[j, i] = _dot(rows[i], rows[j])
-    return out
+    return np.asarray(rows @ rows.T)
 
 
-@compiled
-def dots(rows: Array, vector: Array) -> Array:
-    """Return rows·vector, (k,), of (k, n) rows."""
-    out = np.empty(rows.shape[0])
-    for i in range(rows.shape[0]):
-        out[i] = _dot(rows[i], vector)
-    return out
-
-
-@compiled
-def _dot(one: Array, other: Array) -> float:
-    # Four partial sums: a single one would wait for itself at every step.
-    a = b = c = d = 0.0
-    whole = len(one) // 4 * 4
-    for k in range(0, whole, 4):
-        a += one[k] * other[k]
-        b += one[k + 1] * other[k + 1]
-        c += one[k + 2] * other[k + 2]
-        d += one[k + 3] * other[k + 3]
-    for k in range(whole, len(one)):
-        a += one[k] * other[k]
-    return a + b + c + d
-
-
-@compiled
-def combine(coefficients: Array, rows: Array) -> Array:
-    """Return Σ cᵢ·rowᵢ, (n,), of (k, n) rows."""
-    out = np.zeros(rows.shape[1])
-    for i in range(rows.shape[0]):
-        weight = coefficients[i]
-        for k in range(rows.shape[1]):
-            out[k] += weight * rows[i, k]
-    return out
-
-
-@compiled
 def wave_sums(grid_Hz: Array, t_s: Array, values: Array) -> NDArray[np.complex128]:
     """Return Σ vₖ·exp(−2πi·f·tₖ), (m,), of (n,) values at (n,) times, for (m,) frequencies."""
-    out = np.empty(len(grid_Hz), dtype=np.complex128)
-    for i in range(len(grid_Hz)):
-        turn = 2.0 * np.pi * grid_Hz[i]
-        real = imaginary = 0.0
-        for k in range(len(t_s)):
-            real += values[k] * np.cos(turn * t_s[k])
-            imaginary -= values[k] * np.sin(turn * t_s[k])
-        out[i] = complex(real, imaginary)
-    return out
+    return np.array([values @ np.exp(-2j * np.pi * f * t_s) for f in grid_Hz])
 
 
 def energy(vector: Array) -> float:
     """Return the sum of squares."""
-    return float(dots(vector.reshape(1, -1), vector)[0])
+    return float(vector @ vector)
 
 
 def projected(rows: Sequence[Array], held: Array) -> Array:
     """Return (k, n) orthonormal rows that span what others, (m, n), leave of these."""
     away = orthonormal(np.asarray(held))
-    left = [row - combine(dots(away, row), away) for row in rows] if len(away) else list(rows)
+    left = [row - (away @ row) @ away for row in rows] if len(away) else list(rows)
     # What the fit imitates to a ten-thousandth of its energy is rounding.
     stand = [row for row, whole in zip(left, rows, strict=True) if float(row @ row) > 1e-4 * float(whole @ whole) > 0.0]
     return orthonormal(np.array(stand))
 
 
-def orthonormal(rows: Array) -> Array:
-    """Return (k, n) orthonormal rows that span rows, but for those a millionth as strong."""
+def orthonormal(rows: Array, least: float = 1e-6) -> Array:
+    """Return (k, n) orthonormal rows that span rows, but for those whose share of the strongest is least."""
     if not len(rows):
         return np.zeros((0, 0))
     size = np.sqrt(np.sum(rows**2, axis=1))
@@ -193,58 +144,24 @@ def orthonormal(rows: Array) -> Array:
     if not len(unit):
         return np.zeros((0, rows.shape[1]))
     strength, axes = np.linalg.eigh(unit @ unit.T)
-    keep = strength > 1e-6 * strength[-1]
+    keep = strength > least * strength[-1]
     return np.asarray((axes[:, keep] / np.sqrt(strength[keep])).T @ unit)
 
 
-@compiled
-def most_moved(rows: Array, sizes: Array, bending: NDArray[np.int64], noise: Array) -> float:
-    """Return the most that one of these offsets moves a sample by, in units of the least noise."""
-    most, least = 0.0, np.inf
-    for k in range(rows.shape[1]):
-        for i in bending:
-            most = max(most, abs(rows[i, k] * sizes[i]))
-        least = min(least, noise[k])
-    return most / least
-
-
-@compiled
 def bounded_sizes(normal: Array, slope: Array, has: Array, largest: Array, are_relative: NDArray[np.bool_]) -> Array:
     """Solve (runs, k, k) normal equations within bounds; a direction that a run lacks gets 0.
 
     Of those that are relative the middle run is taken off: one far off must not move the others.
     """
-    count, kinds = slope.shape
-    free = np.zeros((count, kinds))
-    for run in range(count):
-        scale = np.ones(kinds)
-        for i in range(kinds):
-            if normal[run, i, i] > 0.0:
-                scale[i] = np.sqrt(normal[run, i, i])
-        # The ridge divides what two directions that look alike share among both.
-        alike = normal[run] / np.outer(scale, scale) + 1e-6 * np.eye(kinds)
-        free[run] = np.linalg.solve(alike, slope[run] / scale) / scale + has[run]
-    for i in range(kinds):
-        is_shown = normal[:, i, i] > 0.0
-        if are_relative[i] and is_shown.any():
-            free[is_shown, i] -= np.median(free[is_shown, i])
-        free[:, i] = np.minimum(np.maximum(free[:, i], -largest[i]), largest[i])
-    return free - has
-
-
-@compiled
-def add_normal_equations(normal: Array, slope: Array, rows: Array, measured: Array, clean: Array, noise: Array) -> None:
-    """Add RRᵀ and R·e of rows and errors over the noise; errors that nobody knows are left out."""
-    weighted, error = np.empty(rows.shape), np.empty(len(measured))
-    for k in range(len(measured)):
-        error[k] = (measured[k] - clean[k]) / noise[k]
-        is_known = not np.isnan(error[k])
-        for i in range(rows.shape[0]):
-            weighted[i, k] = rows[i, k] / noise[k] if is_known else 0.0
-        if not is_known:
-            error[k] = 0.0
-    normal += gram(weighted)
-    slope += dots(weighted, error)
+    strength = np.diagonal(normal, axis1=1, axis2=2)
+    is_shown = strength > 0.0
+    scale = np.sqrt(np.where(is_shown, strength, 1.0))
+    # The ridge divides what two directions that look alike share among both.
+    alike = normal / (scale[:, :, np.newaxis] * scale[:, np.newaxis]) + 1e-6 * np.eye(slope.shape[1])
+    free = np.linalg.solve(alike, (slope / scale)[..., np.newaxis])[..., 0] / scale + has
+    for i in np.flatnonzero(are_relative & is_shown.any(axis=0)):
+        free[is_shown[:, i], i] -= np.median(free[is_shown[:, i], i])
+    return np.asarray(np.clip(free, -largest, largest) - has)
 
 
 COMMON_STEP_s = 0.02
@@ -285,37 +202,25 @@ class Noise:
 
 def log_likelihood(stretches: Sequence[Stretch], white: float, colour: Colour) -> float:
     """Return the log likelihood of stretches under noise that is given."""
-    total = 0.0
-    for s in stretches:
-        begins = np.zeros(len(s.error))
-        begins[:1] = 1.0
-        squares, log_det = noise_terms(s.error, s.step_s, s.use, begins, colour.spread / white, colour.fading_s)
-        total -= 0.5 * (squares / white**2 + log_det + float(s.use.sum()) * 2.0 * float(np.log(white)))
-    return total
+    error, step_s, use = joined(stretches)
+    squares, log_det = noise_terms(error, step_s, use, colour.spread / white, colour.fading_s)
+    return -0.5 * (squares / white**2 + log_det + float(use.sum()) * 2.0 * float(np.log(white)))
 
 
-@compiled
-def noise_terms(
-    error: Array, step_s: Array, use: Array, begins: Array, ratio: float, fading_s: float
-) -> tuple[float, float]:
+def joined(stretches: Sequence[Stretch]) -> tuple[Array, Array, Array]:
+    """Return errors, steps of time and uses, (n,) each, of stretches one after the other, for ever apart."""
+    steps = [np.append(np.inf, s.step_s[1:]) for s in stretches]
+    return (
+        np.concatenate([s.error for s in stretches]),
+        np.concatenate(steps),
+        np.concatenate([s.use for s in stretches]),
+    )
+
+
+def noise_terms(error: Array, step_s: Array, use: Array, ratio: float, fading_s: float) -> tuple[float, float]:
     """Return Σ e²/S and Σ ln S of innovations; white noise has variance 1, the other `ratio`²."""
-    squares, log_det = 0.0, 0.0
-    level = ratio * ratio
-    mean, variance = 0.0, level
-    for k in range(len(error)):
-        if begins[k] > 0.0:
-            mean, variance = 0.0, level
-        else:
-            keep = np.exp(-step_s[k] / fading_s)
-            mean, variance = keep * mean, keep * keep * variance + level * (1.0 - keep * keep)
-        if use[k] > 0.0:
-            total = variance + 1.0
-            off = error[k] - mean
-            squares += off * off / total
-            log_det += np.log(total)
-            mean += variance / total * off
-            variance -= variance * variance / total
-    return squares, log_det
+    steps = filter_of(np.ones(len(error)), use, step_s, ratio, fading_s)
+    return energy(filtered(error, steps)), -2.0 * float(np.sum(np.log(steps[2][use > 0.0])))
 
 
 @compiled

@@ -30,7 +30,7 @@ from softcal.core.gap.case import (
     of_unit,
 )
 from softcal.core.gap.fit import Fit, Tangent, fit
-from softcal.core.gap.linear import dots, energy, gram
+from softcal.core.gap.linear import energy, gram
 from softcal.core.gap.method import MistakeConfig
 from softcal.core.gap.twin_reach import changing
 from softcal.core.recording import RATE_TOLERANCE, Array
@@ -538,7 +538,7 @@ def _promised(base: Fit, runs: Sequence[int]) -> list[tuple[float, int, _Oddity]
                 continue
             gain, seen = 0.0, np.array([tangent.visible(s) for s in signatures if energy(s) > 0])
             if len(seen):
-                pull = dots(seen, base.residual)
+                pull = seen @ base.residual
                 coefficients, *_ = np.linalg.lstsq(gram(seen) + 1e-12 * np.eye(len(seen)), pull, rcond=1e-9)
                 gain = float(coefficients @ pull)
             promised.append((gain, run, oddity))
@@ -571,7 +571,7 @@ def _finding(fitted: Fit, run: int, oddity: _Oddity, share: float) -> DataMistak
         told = {"stiffness": stiffness, "resistance": resistance, "sensitivity": sensitivity, "share": min(share, 1.0)}
         evidence = reason("data.run.other_unit", **told)
         return DataMistake("other_unit", "", number, None, evidence, reason("data.repair.other_unit"))
-    column = {"force": "force_N", "output": "output_V", "stage": "stage_mm"}[oddity.channel]
+    column = COLUMNS[oddity.channel]
     span, size = _span(case, column), sizes[0]
     if oddity.what == "gain":
         ratio = 1.0 + size

@@ -1,20 +1,21 @@
-"""What is held against recordings: softcal's twin, or a simulator of somebody else; all that a diagnosis asks of it."""
+"""What is held against recordings, softcal's twin or somebody's simulator: what a diagnosis asks and reports."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeAlias
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Form, Parameter
+from softcal.core.words.reason import Reason, in_words
 
 if TYPE_CHECKING:
     from softcal.core.gap.case import Case, DataMistake, Mask, MenuEntry, Run
     from softcal.core.gap.diagnosis import Diagnosis, Judgement
-    from softcal.core.gap.evidence import RankedCause, Where
     from softcal.core.gap.experiments import NextExperiment
-    from softcal.core.gap.fit import Fit, Probe
+    from softcal.core.gap.fit import Fit, Map, Probe, Regime
     from softcal.core.gap.linear import RigScale
     from softcal.core.gap.method import GapMethod, SearchConfig
     from softcal.core.gap.problem import Block, Hypothesis, Problem
@@ -27,6 +28,71 @@ Directions: TypeAlias = list[Array | None]
 """Per block, (k, n), how a channel changes with each offset; None where a run has none."""
 
 Mistakes: TypeAlias = "tuple[DataMistake, ...]"
+
+
+DiagnosisVerdict = Literal["no_gap", "explained", "explained_in_part", "ambiguous", "unknown", "data"]
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """A fitted parameter of an effect with its 90 % interval."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class RankedCause:
+    """One effect of the catalogue and how it stands.
+
+    Args:
+        shrink: share of the gap that goes with it, of what the set takes; None where it is not in the set.
+        parameters: by the catalogue's equation; empty where no hypothesis has it.
+        form: the other equation that fits better, empty where the catalogue's does.
+        alone, added: share of the gap that goes with it alone, and that comes back without it; None where not fitted.
+    """
+
+    effect: str
+    stage: str
+    probability: float
+    shrink: float | None
+    parameters: dict[str, ParameterEstimate]
+    form: str = ""
+    alone: float | None = None
+    added: float | None = None
+
+
+@dataclass(frozen=True)
+class GapPlace:
+    """One line of where the gap lies."""
+
+    stage: str
+    channel: str
+    regime: Reason
+    share: float
+    detail: Reason = Reason("gap.map.none")
+
+    def record(self) -> dict[str, object]:
+        return in_words(vars(self), "regime", "detail")
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where the gap lies: places, the regimes in which it stands out, and what relations fitted alone leave."""
+
+    places: tuple[GapPlace, ...] = ()
+    regimes: tuple[Regime, ...] = ()
+    maps: tuple[Map, ...] = ()
+
+
+@dataclass(frozen=True)
+class Partial:
+    """The causes that come nearest where nothing explains the gap, and their share of it."""
+
+    effects: tuple[str, ...]
+    share: float
 
 
 class Model(ABC):

@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.fit import Fit, Map, Regime, fit, form_of, shares_of_gap
 from softcal.core.gap.linear import start_coordinates
-from softcal.core.gap.problem import Block, Nearby
+from softcal.core.gap.problem import Block
 from softcal.core.gap.twin_reach import dither_of
 from softcal.core.profiles import pressed
 from softcal.core.recording import Array
@@ -30,8 +29,7 @@ from softcal.core.twin.simulate import EffectSetting, Twin
 from softcal.core.words.reason import Reason, reason
 
 if TYPE_CHECKING:
-    from softcal.core.gap.diagnosis import Diagnosis
-    from softcal.core.gap.twin import TwinModel
+    pass
 
 TIED = 1e-6
 """Share of the largest speed by which two samples of one ramp differ in rounding alone."""
@@ -379,25 +377,6 @@ def explained_twin(found: Fit, terms: Sequence[EmpiricalTerm] = ()) -> Twin:
     return Twin(base, tuple(settings), readout, tuple(terms))
 
 
-def repaired_twin(diagnosis: "Diagnosis[TwinModel]") -> Twin:
-    """Return the twin to go on with: the refitted base with the set of causes.
-
-    Raises:
-        InputError: the recordings hold a mistake; a twin of them would hold it too.
-    """
-    if diagnosis.verdict == "data":
-        repairs = "; ".join(f"{f.evidence}: {f.repair}" for f in diagnosis.mistakes)
-        raise InputError(f"the recordings hold a mistake, so there is no twin of them: {repairs}")
-    return explained_twin(diagnosis.best)
-
-
-def described_twin(diagnosis: "Diagnosis[TwinModel]") -> Twin | None:
-    """Return the twin with empirical terms and the causes they stand beside, no diagnosis; None without."""
-    if diagnosis.residual is None:
-        return None
-    return explained_twin(diagnosis.residual.fit, [one.term for one in diagnosis.residual.terms])
-
-
 def _floor(found: Fit, channel: str) -> float:
     return found.problem.floor(channel) if channel in found.problem.sigma else 0.0
 
@@ -450,31 +429,3 @@ def with_constants(found: Fit) -> Fit:
 
 def _is_open(effect: Effect) -> bool:
     return any(not np.isfinite(value) for _, value in effect.constants)
-
-
-@dataclass(frozen=True)
-class Offsets:
-    """What one run has of its own.
-
-    Args:
-        run: its index in the case.
-        force_N: what the cell reads at rest.
-        resistance: by what share R0 differs from that of the middle run.
-        seat_mm: by how much the surface lies lower than in the middle run.
-    """
-
-    run: int
-    force_N: float = 0.0
-    resistance: float = 0.0
-    seat_mm: float = 0.0
-
-
-def offsets(found: Fit) -> list[Offsets]:
-    """Return the least-squares offsets of every run within their bounds: the rest stays a gap.
-
-    Of resistance and seat only what the runs differ by is taken: the rest is the base's R0 and u0.
-    """
-    problem = found.problem
-    clean = problem.bare.predict(found.hypothesis, found.coordinates)
-    sizes = Nearby(problem.directions(found.hypothesis, found.coordinates, clean, {})).sizes(problem, clean)
-    return [Offsets(run, *map(float, row)) for run, row in sizes.items()]

@@ -11,13 +11,11 @@ from softcal.core.gap.case import Case, Mask, Run, RunKind
 from softcal.core.gap.linear import (
     Colour,
     RigScale,
-    add_normal_equations,
     bounded_sizes,
-    combine,
     filter_of,
     filtered,
     from_fit,
-    most_moved,
+    gram,
 )
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Parameter
@@ -37,7 +35,6 @@ Episodes = tuple[Mapping[str, Array], ...]
 
 Around: TypeAlias = Callable[["Hypothesis", Array], Array]
 """Predict, (samples,), near to other coordinates, with a small effect more or less."""
-
 
 BASE = (
     Parameter("u0_mm", "mm", -1e4, 1e4, 0.3),
@@ -340,8 +337,11 @@ class Nearby:
         for block, rows in pairs:
             if rows is not None:
                 k, at = runs.index(block.run), block.place
-                noise = problem.slow_noise[at]
-                add_normal_equations(normal[k], slope[k], rows, problem.measured[at], clean[at], noise)
+                error = (problem.measured[at] - clean[at]) / problem.slow_noise[at]
+                # A sample that nobody can foretell tells nothing.
+                weighted = np.where(np.isnan(error), 0.0, rows / problem.slow_noise[at])
+                normal[k] += gram(weighted)
+                slope[k] += weighted @ np.nan_to_num(error)
         has = np.array([self.moved.get(run, np.zeros(count)) for run in runs]).reshape(len(runs), count)
         sizes = bounded_sizes(normal, slope, has, problem.largest_offsets, problem.are_relative)
         return dict(zip(runs, sizes, strict=True))
@@ -351,7 +351,7 @@ class Nearby:
         out, sizes = clean.copy(), self.sizes(problem, clean)
         for block, rows in zip(problem.blocks, self.directions, strict=True):
             if rows is not None:
-                out[block.place] += combine(sizes[block.run], rows)
+                out[block.place] += sizes[block.run] @ rows
         return out
 
 
@@ -363,7 +363,8 @@ def with_offsets(problem: Problem, hypothesis: Hypothesis, coordinates: Array, c
         # Where no offset moves a channel further than its slope foretells, the slope will do.
         if not len(bending) or not any(
             rows is not None
-            and most_moved(rows, sizes[block.run], bending, problem.noise[block.place]) > STRAIGHT_SIGMA
+            and np.abs(rows[bending] * sizes[block.run][bending, np.newaxis]).max()
+            > STRAIGHT_SIGMA * problem.noise[block.place].min()
             for block, rows in zip(problem.blocks, near.directions, strict=True)
         ):
             break

@@ -22,9 +22,8 @@ from softcal.core.gap.linear import (
     Colour,
     Noise,
     Stretch,
-    combine,
-    dots,
     energy,
+    joined,
     log_likelihood,
     noise_terms,
     projected,
@@ -127,13 +126,11 @@ def _stretch(found: Fit, block: Block, use: Array | None = None) -> Stretch:
 
 def read_noise(stretches: Sequence[Stretch], config: ColourConfig) -> Noise:
     """Return the likeliest noise; the white part sets the scale: two numbers are searched for."""
-    error, step_s, use = (np.concatenate([getattr(s, name) for s in stretches]) for name in ("error", "step_s", "use"))
-    begins = np.zeros(len(error))
-    begins[np.cumsum([0, *(len(s.error) for s in stretches)])[:-1]] = 1.0
+    error, step_s, use = joined(stretches)
     count = max(float(use.sum()), 1.0)
 
     def scale(ratio: float, fading_s: float) -> tuple[float, float]:
-        squares, log_det = noise_terms(error, step_s, use, begins, ratio, fading_s)
+        squares, log_det = noise_terms(error, step_s, use, ratio, fading_s)
         variance = max(squares / count, 1e-300)
         return variance, -0.5 * (count * (1.0 + float(np.log(variance))) + log_det)
 
@@ -192,7 +189,7 @@ def noise_chance(found: Fit, channels: Sequence[str] = ()) -> float:
             columns = [*group, elsewhere] if elsewhere.any() else group
             seen = projected([problem.whitened(column) for column in columns], found.jacobian)
             # A direction takes 1 off χ² by chance.
-            chi2 = float(np.sum(dots(seen, found.residual) ** 2)) if len(seen) else 0.0
+            chi2 = float(np.sum((seen @ found.residual) ** 2)) if len(seen) else 0.0
             tests.append(_standard(chi2, len(seen)) if len(seen) else 0.0)
         # The worst of several tests (Bonferroni).
         chances.append(min(1.0, len(tests) * float(ndtr(-max(tests)))) if tests else 1.0)
@@ -430,8 +427,7 @@ def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
         found = fold.after
         whole = found.problem.seeing(np.ones(len(found.problem.measured)))
         slopes = fit(whole, found.hypothesis, found.coordinates, steps=0).slopes
-        carried = np.array([combine(row, slopes) for row in found.covariance])
-        spreads.append(np.asarray(np.sqrt(np.maximum(np.sum(carried * slopes, axis=0), 0.0))))
+        spreads.append(np.sqrt(np.maximum(np.sum(found.covariance @ slopes * slopes, axis=0), 0.0)))
     is_noise, likely, pessimist, optimist = problem.model.is_clean(best), [], [], []
     for channel in problem.scored_channels:
         floor = problem.floor(channel)

@@ -24,8 +24,7 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.gap.case import SHORTEST, Case, Run
-from softcal.core.gap.fit import DIFFERENCE
-from softcal.core.gap.linear import fit_scale, from_fit, to_fit
+from softcal.core.gap.linear import DIFFERENCE, fit_scale, from_fit, to_fit
 from softcal.core.gap.problem import Hypothesis
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs
@@ -118,8 +117,7 @@ class Simulator:
                     )
 
     def _check_bounds(self) -> None:
-        of_causes = [(f"{effect.id}.{p.name}", p) for effect in self.candidates for p in effect.parameters]
-        for name, p in (*((p.name, p) for p in (*self.base, *self.run_parameters)), *of_causes):
+        for name, p in self.every_parameter.items():
             numbers = {"lower bound": p.low, "upper bound": p.high, "usual size": p.usual}
             if wrong := [f"{what} {value!r}" for what, value in numbers.items() if not isinstance(value, Real)]:
                 raise InputError(f"simulator {self.name}: {name} has the {wrong[0]}; a number was expected")
@@ -166,9 +164,15 @@ class Simulator:
     def candidate_ids(self) -> frozenset[str]:
         return frozenset(c.id for c in self.candidates)
 
+    @cached_property
+    def every_parameter(self) -> dict[str, Parameter]:
+        """All parameters by their name, as `run` takes them."""
+        of_causes = {f"{effect.id}.{p.name}": p for effect in self.candidates for p in effect.parameters}
+        return {p.name: p for p in (*self.base, *self.run_parameters)} | of_causes
+
     @property
     def parameter_names(self) -> list[str]:
-        """Names of all parameters, as `run` takes them."""
+        """Names of the parameters of base and candidates."""
         return [*(p.name for p in self.base), *(f"{c.id}.{p.name}" for c in self.candidates for p in c.parameters)]
 
     @property
@@ -354,6 +358,10 @@ class _ReadNames(dict[str, float]):
         self.names.add(name)
         return super().get(name, default)
 
+    def setdefault(self, name: str, default: Any = None) -> Any:
+        self.names.add(name)
+        return super().setdefault(name, default)
+
     # Without these `**p` and `dict(p)` copy the values past both methods above.
     def __iter__(self) -> Iterator[str]:
         self.is_iterated = True
@@ -436,8 +444,8 @@ def check_calls(simulator: Simulator, runs: Sequence[SimulatorRun]) -> None:
     Raises:
         InputError: equal calls differ, an input is written into, channels are rounded, or a parameter is never read.
     """
-    calls, usual = _Calls(simulator, runs), {p.name: p.usual for p in _of_base(simulator)}
-    off, on = usual | simulator.neutral_values, usual | {name: p.usual for name, p in _of_candidates(simulator)}
+    calls, on = _Calls(simulator, runs), {name: p.usual for name, p in simulator.every_parameter.items()}
+    off = on | simulator.neutral_values
     try:
         plain = calls.first(off)
         _refuse_differing(simulator, plain, calls.first(off), "called twice with equal arguments")
@@ -458,14 +466,6 @@ def check_calls(simulator: Simulator, runs: Sequence[SimulatorRun]) -> None:
     _refuse_unread(calls, on)
 
 
-def _of_base(simulator: Simulator) -> tuple[Parameter, ...]:
-    return (*simulator.base, *simulator.run_parameters)
-
-
-def _of_candidates(simulator: Simulator) -> list[tuple[str, Parameter]]:
-    return [(f"{effect.id}.{p.name}", p) for effect in simulator.candidates for p in effect.parameters]
-
-
 def _refuse_differing(simulator: Simulator, one: Array, other: Array, when: str) -> None:
     apart = float(np.max(np.abs(one - other)))
     if apart > REPEATABLE * max(float(np.ptp(one)), float(np.max(np.abs(one)))):
@@ -476,14 +476,11 @@ def _refuse_differing(simulator: Simulator, one: Array, other: Array, when: str)
 
 def _moved(simulator: Simulator, values: Mapping[str, float], steps: float) -> dict[str, float]:
     """Return the parameters, each moved by so many steps of the fit's difference quotients."""
-    out = {}
-    for name, p in (*((p.name, p) for p in _of_base(simulator)), *_of_candidates(simulator)):
-        x, step = to_fit(p, values[name]), steps * DIFFERENCE * fit_scale(p)
-        out[name] = (
-            values[name]
-            if p.is_fixed
-            else from_fit(p, x + step if x + step <= max(to_fit(p, p.low), to_fit(p, p.high)) else x - step)
-        )
+    out = dict(values)
+    for name, p in simulator.every_parameter.items():
+        if not p.is_fixed:
+            x, step = to_fit(p, values[name]), steps * DIFFERENCE * fit_scale(p)
+            out[name] = from_fit(p, x + step if x + step <= max(to_fit(p, p.low), to_fit(p, p.high)) else x - step)
     return out
 
 
@@ -500,7 +497,7 @@ def _refuse_unread(calls: _Calls, values: Mapping[str, float]) -> None:
     What these runs alone do not excite is left to the diagnosis, which says that they cannot tell it.
     """
     simulator = calls.simulator
-    for name, p in (*((p.name, p) for p in _of_base(simulator)), *_of_candidates(simulator)):
+    for name, p in simulator.every_parameter.items():
         if name in calls.names or p.is_fixed:
             continue
         makes = (calls.every, calls.excited) if calls.is_iterated else ()

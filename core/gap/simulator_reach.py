@@ -30,7 +30,7 @@ from softcal.core.gap.case import (
 from softcal.core.gap.fit import Fit, Regime, fit, shares_of_gap
 from softcal.core.gap.linear import start_coordinates
 from softcal.core.gap.method import FloorConfig, MistakeConfig
-from softcal.core.gap.problem import Block, Hypothesis
+from softcal.core.gap.problem import Block
 from softcal.core.gap.simulator import Columns, Simulator, SimulatorFailed, SimulatorRun, runs_of
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter
@@ -139,8 +139,7 @@ def terms_of(simulator: Simulator, found: Fit) -> Iterator[SimulatorTerm]:
     """Give every term that may be tried on what a simulator leaves, without its coefficient."""
     problem, runs = found.problem, found.problem.case.runs
     longest_s = max(float(run.elapsed_s[-1]) for run in runs)
-    signals = {name: [problem.recorded(k, name) for k in range(len(runs))] for name in simulator.inputs}
-    signals |= {c: [found.predicted[b.place] for b in problem.blocks_of(c)] for c in simulator.channels}
+    signals = _signals(simulator, found)
     for place in simulator.channels:
         span = max(float(np.ptp(problem.measured[b.place])) for b in problem.blocks_of(place))
         yield SimulatorTerm(place, TIME, "", 0.0, 0.0, 1.0, 1.0, 0.0, span)
@@ -154,6 +153,13 @@ def terms_of(simulator: Simulator, found: Fit) -> Iterator[SimulatorTerm]:
             one = SimulatorTerm(place, LEVEL, name, 0.0, 0.5 * (low + high), half, per_s, 0.0, span)
             yield from (replace(one, kind=kind) for kind in (LEVEL, SQUARE, CUBE, RATE, WAY, SIZED_WAY, SIZED_TIME))
             yield from (replace(one, kind=REMEMBERED, tau_s=share * longest_s) for share in MEMORIES)
+
+
+def _signals(simulator: Simulator, found: Fit) -> dict[str, list[Array]]:
+    """Return by name, run by run, inputs as they were recorded and channels as they are predicted."""
+    problem, count = found.problem, len(found.problem.case.runs)
+    inputs = {name: [problem.recorded(k, name) for k in range(count)] for name in simulator.inputs}
+    return inputs | {c: [found.predicted[b.place] for b in problem.blocks_of(c)] for c in simulator.channels}
 
 
 def with_terms(simulator: Simulator, terms: Sequence[SimulatorTerm]) -> Simulator:
@@ -210,11 +216,7 @@ def known_of_signals(simulator: Simulator, found: Fit, channel: str) -> list[Seq
     problem, out = found.problem, list[Sequence[Array]]()
     times = problem.model.times_slower(problem.case)
     runs, blocks = problem.case.runs, problem.blocks_of(channel)
-    inputs = [name for name in simulator.inputs if name != channel]
-    signals = {name: [problem.recorded(k, name) for k in range(len(runs))] for name in inputs}
-    for name in simulator.channels:
-        signals[name] = [found.predicted[b.place] for b in problem.blocks_of(name)]
-    for parts in signals.values():
+    for parts in _signals(simulator, found).values():
         low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
         scaled = [(2.0 * parts[b.run] - low - high) / max(high - low, 1e-300) for b in blocks]
         each = [columns_of(x, runs[b.run], times, problem.method.floor) for x, b in zip(scaled, blocks, strict=True)]
@@ -375,17 +377,15 @@ def against_others(model: "SimulatorModel", base: Fit) -> MistakeTest | None:
     if suspected is None:
         return None
     mistake, left, unrepaired = suspected
-    starts = [
-        (
-            Hypothesis((cause,), of_all=model.base),
-            start_coordinates([cause], [[p.usual for p in cause.parameters]]),
-        )
-        for cause in model.candidates
-    ]
-    fits = [fit(problem, one, np.concatenate([base.coordinates, start]), steps=20) for one, start in starts]
-    by_causes = min(1.0 - _agreement(found) for found in fits)
+    by_causes = min(1.0 - _agreement(_with_causes(base, [cause], 20)) for cause in model.candidates)
     test = MistakeTest(mistake, left, unrepaired, by_causes, config.repaired)
     return test if test.is_enough or test.is_alone else None
+
+
+def _with_causes(found: Fit, causes: Sequence[Effect], steps: int) -> Fit:
+    """Return a fit of causes beside a base, from their usual sizes."""
+    usual = start_coordinates(causes, [[p.usual for p in cause.parameters] for cause in causes])
+    return fit(found.problem, found.hypothesis.adding(*causes), np.append(found.coordinates, usual), steps=steps)
 
 
 def _exchanged(model: "SimulatorModel", case: Case) -> tuple[DataMistake, float] | None:
@@ -417,11 +417,7 @@ def _of_one_run(model: "SimulatorModel", case: Case) -> tuple[DataMistake, float
         others = model.rough_fit(Case(case.serial, tuple(runs[:k] + runs[k + 1 :])))
         if _left_of_run(model, others, run, run.columns) <= config.stands_out * (1.0 - _agreement(others)):
             continue
-        causes = model.candidates
-        start = start_coordinates(causes, [[p.usual for p in cause.parameters] for cause in causes])
-        every = Hypothesis(causes, of_all=model.base)
-        start = np.append(others.coordinates, start)
-        for found in (others, fit(others.problem, every, start, steps=config.steps)):
+        for found in (others, _with_causes(others, model.candidates, config.steps)):
             as_it_is, of_others = _left_of_run(model, found, run, run.columns), 1.0 - _agreement(found)
             for mistake, columns in _repairs(model, found, run, number[k]) if of_others < config.agreeing else ():
                 left = of_others if columns is None else _left_of_run(model, found, run, columns)
@@ -448,14 +444,9 @@ def _left_of_run(model: "SimulatorModel", others: Fit, run: SimulatorRun, column
 
 
 def _agreement(found: Fit) -> float:
-    problem, predicted = found.problem, found.predicted
-    return min(_share(problem.measured[b.place], predicted[b.place]) for b in problem.blocks)
-
-
-def _share(measured: Array, predicted: Array) -> float:
-    spread = float(np.sum((measured - measured.mean()) ** 2))
-    left = float(np.sum((measured - predicted) ** 2))
-    return 1.0 - left / max(spread, 1e-300)
+    """Return which share of a channel's spread a fit takes up where it takes least."""
+    pairs = [(found.problem.measured[b.place], found.predicted[b.place]) for b in found.problem.blocks]
+    return min(1.0 - float(np.mean((m - p) ** 2)) / max(float(np.var(m)), 1e-300) for m, p in pairs)
 
 
 def _repairs(

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from softcal.core.gap.case import Case, DataMistake, Mask, MenuEntry, Run
-from softcal.core.gap.evidence import GapPlace, RankedCause, Where, beside_rest, partial_of, places_of, regime_places
+from softcal.core.gap.evidence import beside_rest, partial_of, places_of, regime_places
 from softcal.core.gap.experiments import NextExperiment, most_telling
 from softcal.core.gap.fit import Fit, Map, Probe, fit, structure
 from softcal.core.gap.linear import RigScale
 from softcal.core.gap.method import METHOD, GapMethod, SearchConfig
 from softcal.core.gap.mistakes import doubts, find_repeats, mistakes, outlier_run, outlier_run_beside
-from softcal.core.gap.model import Directions, Model, Sizes
-from softcal.core.gap.places import cases_of_maps, explained_twin, likely_stages, loose_noise, offsets, regimes
+from softcal.core.gap.model import Directions, GapPlace, Model, RankedCause, Sizes, Where
+from softcal.core.gap.places import cases_of_maps, explained_twin, likely_stages, loose_noise, regimes
 from softcal.core.gap.problem import BASE, Block, Hypothesis, Problem
 from softcal.core.gap.residual import noise_levels, with_driving_noise
 from softcal.core.gap.twin_reach import (
@@ -31,7 +31,6 @@ from softcal.core.gap.twin_reach import (
     offset_rows,
     predict_run,
     rough_start,
-    stranger_of,
     terms_of_twin,
     visible_effects,
 )
@@ -246,9 +245,6 @@ class TwinModel(Model):
         # A dummy resistor that was read while it warmed tells of the electronics.
         return (*seen, *((WARM_DIVIDER,) if case.changes("temperature_C", "dummy_resistor", warmed_K) else ()))
 
-    def closest_set(self, search: "Search") -> Fit:
-        return search.best
-
     # What is reported.
 
     def menu(self, base: Fit) -> tuple[MenuEntry, ...]:
@@ -328,7 +324,10 @@ class TwinModel(Model):
                 for channel, sigma in named.problem.sigma.items()
                 if (fades := named.problem.colour.get(channel)) is not None
             },
-            "offsets": [vars(one) | {"run": one.run + 1} for one in offsets(named)],
+            "offsets": [
+                {"run": run + 1} | dict(zip(("force_N", "resistance", "seat_mm"), sizes.tolist(), strict=True))
+                for run, sizes in named.problem.offset_sizes(named.hypothesis, named.coordinates).items()
+            ],
             "twin": None if is_spoilt else twin_record(explained_twin(diagnosis.best)),
             "base_twin": None if is_spoilt else twin_record(explained_twin(diagnosis.base)),
             "maps": [
@@ -357,7 +356,7 @@ def _unknown_places(search: "Search", maps: tuple[Map, ...], seen: GapPlace, sha
     loose, detail = loose_noise(search.best), seen.detail
     stages: tuple[str, ...] = likely_stages(search.base, maps)
     if search.stranger is not None:
-        stranger = stranger_of(search.stranger)
+        stranger = next(one for one in (*STRANGERS, WARM_DIVIDER) if one in search.stranger.effects)
         stages = tuple(dict.fromkeys((stranger.stage, *stages)))
         detail = reason("gap.seen.like", like=Reason(stranger.id), seen=detail)
     elif loose is not None and (not stages or search.model.is_clean(search.best)):

@@ -13,13 +13,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from itertools import product
 from operator import attrgetter
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from scipy.optimize import brentq, nnls
 
 from softcal.core import profiles
-from softcal.core.gap.case import Case, MenuEntry, Run
+from softcal.core.gap.case import Case, MenuEntry, Run, RunKind
 from softcal.core.gap.fit import Fit
 from softcal.core.gap.linear import RigScale, to_fit
 from softcal.core.gap.problem import BASE
@@ -140,7 +140,16 @@ def terms_of_twin(base: Fit) -> Iterator[EmpiricalTerm]:
 
 def menu(case: Case, extent: ExcitationRange) -> tuple[MenuEntry, ...]:
     """Return what can be recorded here: profiles to the depth already pressed, and special runs."""
-    d, rate_Hz = extent.depth_mm, case.readout.sample_rate_Hz
+    d, rate_Hz, series_ohm = extent.depth_mm, case.readout.sample_rate_Hz, case.readout.r_series_ohm
+    entries: list[MenuEntry] = []
+
+    def add(name: str, minutes: float, title: str, t_s: Array, kind: RunKind, **given: Any) -> None:
+        run = Run(title, t_s, case.readout, kind=kind, is_planned=True, **given)
+        entries.append(MenuEntry(name, run, SET_UP_min[kind] + minutes))
+
+    def zeros(t_s: Array) -> dict[str, Array]:
+        return {name: np.zeros(len(t_s)) for name in ("force_N", "output_V") if case.has(name)}
+
     pressed: dict[str, Profile] = {}
     if case.has("stage_mm"):
         pressed = {
@@ -152,39 +161,22 @@ def menu(case: Case, extent: ExcitationRange) -> tuple[MenuEntry, ...]:
             "small_reversals": profiles.small_reversals(d),
             "fast_ramps": profiles.ramps([d] * 10, 3.0, name="fast ramps"),
         }
-    entries = []
     for name, profile in pressed.items():
         t_s, stage_mm = profile.sample(rate_Hz)
-        force, output = (np.zeros(len(t_s)) if case.has(name) else None for name in ("force_N", "output_V"))
-        run = Run(profile.name, t_s, case.readout, stage_mm, force, output, is_planned=True)
-        entries.append(MenuEntry(name, run, SET_UP_min["press"] + profile.duration_s / 60))
-    return (*entries, *_special(case, extent.force_N, rate_Hz))
-
-
-def _special(case: Case, force_N: float, rate_Hz: float) -> tuple[MenuEntry, ...]:
-    t_s = np.arange(int(60 * rate_Hz)) / rate_Hz
-    zeros, readout = np.zeros(len(t_s)), case.readout
-    stairs = np.floor(t_s / t_s[-1] * (LEVELS - 1e-9)) / (LEVELS - 1)
-    up_down = 1.0 - np.abs(2 * t_s / t_s[-1] - 1.0)
-    still_s, still = np.arange(int(REST_s * rate_Hz)) / rate_Hz, np.zeros(int(REST_s * rate_Hz))
-    force, output = (still if case.has(name) else None for name in ("force_N", "output_V"))
-    rest = Run("rest", still_s, readout, force_N=force, output_V=output, kind="rest", is_planned=True)
-    out = [MenuEntry("rest", rest, SET_UP_min["rest"] + REST_s / 60)]
-    if case.has("output_V"):
-        for ohm in (0.5 * readout.r_series_ohm, 2.0 * readout.r_series_ohm):
-            run = Run("dummy", t_s, readout, output_V=zeros, dummy_ohm=ohm, kind="dummy_resistor", is_planned=True)
-            out.append(MenuEntry("dummy_resistor", run, SET_UP_min["dummy_resistor"] + 1.0))
+        add(name, profile.duration_s / 60, profile.name, t_s, "press", stage_mm=stage_mm, **zeros(t_s))
+    still_s, t_s = (np.arange(int(duration_s * rate_Hz)) / rate_Hz for duration_s in (REST_s, 60.0))
+    add("rest", REST_s / 60, "rest", still_s, "rest", **zeros(still_s))
+    nothing, part = np.zeros(len(t_s)), t_s / t_s[-1]
+    for ohm in (0.5 * series_ohm, 2.0 * series_ohm) if case.has("output_V") else ():
+        add("dummy_resistor", 1.0, "dummy", t_s, "dummy_resistor", output_V=nothing, dummy_ohm=ohm)
     if case.has("force_N"):
-        weights = Run(
-            "weights", t_s, readout, force_N=zeros, known_force_N=force_N * stairs, kind="dead_weights", is_planned=True
-        )
-        out.append(MenuEntry("dead_weights", weights, SET_UP_min["dead_weights"] + 1.0))
-        if case.has("stage_mm"):
-            block = Run(
-                "block", t_s, readout, stage_mm=up_down, force_N=force_N * up_down, kind="rigid_block", is_planned=True
-            )
-            out.append(MenuEntry("rigid_block", block, SET_UP_min["rigid_block"] + 1.0))
-    return tuple(out)
+        stairs = extent.force_N * np.floor(part * (LEVELS - 1e-9)) / (LEVELS - 1)
+        add("dead_weights", 1.0, "weights", t_s, "dead_weights", force_N=nothing, known_force_N=stairs)
+    if case.has("force_N") and case.has("stage_mm"):
+        up_down = 1.0 - np.abs(2 * part - 1.0)
+        force_N = extent.force_N * up_down
+        add("rigid_block", 1.0, "block", t_s, "rigid_block", stage_mm=up_down, force_N=force_N)
+    return tuple(entries)
 
 
 def known_by_chain(found: Fit, channel: str) -> list[Array]:
@@ -267,11 +259,6 @@ STRANGERS = (
 
 WARM_DIVIDER = _stranger("gap.like.divider_when_warm", "electronics", Hook.REFERENCE, _divider, "1/K", 1e-3)
 """Looks like a channel that follows the temperature, sign reversed, while the channel is read."""
-
-
-def stranger_of(found: Fit) -> Effect:
-    """Return the stranger of a hypothesis that has one."""
-    return next(one for one in (*STRANGERS, WARM_DIVIDER) if one in found.effects)
 
 
 RETRACTED_mm = -1e3

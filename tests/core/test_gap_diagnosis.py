@@ -13,7 +13,7 @@ from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.episodes import with_intervals, with_line, with_losses
 from softcal.core.gap.fit import fit, structure
 from softcal.core.gap.linear import start_coordinates
-from softcal.core.gap.places import explained_twin, in_catalogue_form, repaired_twin, with_constants
+from softcal.core.gap.places import explained_twin, in_catalogue_form, with_constants
 from softcal.core.gap.problem import Hypothesis
 from softcal.core.gap.twin import TWIN
 from softcal.core.twin.catalogue import EFFECTS, FORMS
@@ -90,7 +90,7 @@ def test_a_cause_that_explains_nothing_on_unseen_samples_is_not_named(monkeypatc
     monkeypatch.setattr(module, "quantify", lambda *fits: dataclasses.replace(measured(*fits), held_out_gain=-1.0))
     diagnosis = diagnose(lagging)
     assert diagnosis.verdict == "unknown" and diagnosis.causes[0].probability < 0.5
-    assert repaired_twin(diagnosis).effects == ()
+    assert explained_twin(diagnosis.best).effects == ()
     assert diagnosis.partial.effects == ("readout_lag",) and diagnosis.partial.share > 0.9
 
 
@@ -386,7 +386,7 @@ def test_a_warmed_dummy_that_stays_put_leaves_the_drift_to_the_channel():
 @pytest.mark.long
 def test_the_explained_twin_foretells_an_unseen_profile():
     planted = ("mechanical_hysteresis", {"a": 0.06, "d0": 0.4}, ())
-    twin = repaired_twin(diagnose(make_case(planted)))
+    twin = explained_twin(diagnose(make_case(planted)).best)
     t_s, stage_mm = profiles.rate_sweep(2.8).sample(50.0)
     truth = simulate(Twin(BASE, (EffectSetting(*planted[:2]),), READOUT), t_s, stage_mm)
     told = simulate(twin, t_s, stage_mm)
@@ -431,7 +431,7 @@ def test_an_output_that_stops_at_a_floor_enters_the_twin_as_that_floor():
     case = make_case(("adc_saturation", {"V_min": FLOOR_V}, ()))
     below = np.mean([np.mean(run.output_V < FLOOR_V + READOUT.step_V) for run in case.runs])
     assert 0.05 < below < 0.6
-    twin = repaired_twin(diagnose(case))
+    twin = explained_twin(diagnose(case).best)
     (setting,) = twin.effects
     assert setting.effect_id == "adc_saturation" and setting.values == {"V_min": pytest.approx(FLOOR_V, abs=0.002)}
     again = twin_from_record(twin_record(twin), "test")
@@ -442,7 +442,7 @@ def test_an_output_that_stops_at_a_floor_enters_the_twin_as_that_floor():
 
 
 def test_a_hum_enters_the_twin_without_the_phases_of_the_runs():
-    twin = repaired_twin(diagnose(make_case(("mains_hum", SINGLES["mains_hum"], ()))))
+    twin = explained_twin(diagnose(make_case(("mains_hum", SINGLES["mains_hum"], ()))).best)
     (setting,) = twin.effects
     assert setting.effect_id == "mains_hum" and {"A", "f"} <= set(setting.values) <= {"A", "f", "phi"}
     assert setting.values["A"] == pytest.approx(0.004, rel=0.1)
@@ -485,6 +485,6 @@ def test_a_clock_that_runs_ahead_is_not_blamed_for_what_comes_after_the_end():
 def test_the_report_holds_the_explained_twin_and_the_refitted_base():
     diagnosis = diagnose(make_case(("readout_lag", {"tau": 0.08}, ())))
     report = diagnosis.report()
-    assert twin_from_record(report["twin"], "report") == repaired_twin(diagnosis)
-    assert [s.effect_id for s in repaired_twin(diagnosis).effects] == ["readout_lag"]
+    assert twin_from_record(report["twin"], "report") == explained_twin(diagnosis.best)
+    assert [s.effect_id for s in explained_twin(diagnosis.best).effects] == ["readout_lag"]
     assert twin_from_record(report["base_twin"], "report").effects == ()

@@ -13,9 +13,8 @@ from softcal.core.gap.fit import fit
 from softcal.core.gap.linear import RigScale, fit_scale, from_fit, start_coordinates, to_fit
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.problem import Hypothesis, Problem
-from softcal.core.gap.search import best_start, likeliest, scattered
 from softcal.core.gap.simulator import Experiment, Simulator, candidate, check_calls, planned, recorded
-from softcal.core.gap.simulator_model import Calls, SimulatorModel
+from softcal.core.gap.simulator_model import Calls, SimulatorModel, best_start, likeliest, scattered
 from softcal.core.gap.simulator_reach import (
     CUBE,
     FACTORS,

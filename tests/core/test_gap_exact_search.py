@@ -6,12 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from softcal.app.gap.diagnose import apply_report
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import checked, diagnose
 from softcal.core.gap.evidence import log_evidences
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.places import repaired_twin
+from softcal.core.gap.places import explained_twin
 from softcal.core.gap.search import Search
 from softcal.core.gap.twin import TWIN
 from softcal.core.twin.catalogue import EFFECTS
@@ -147,17 +148,18 @@ def test_what_no_cause_explains_is_unknown_and_described():
     assert all(c.probability <= METHOD.verdict.unknown_trust for c in found.causes)
     assert found.places[0].stage in ("electronics", "transduction")
     assert found.next_experiment.profile != "none"
-    assert repaired_twin(found).effects == ()
+    assert explained_twin(found.best).effects == ()
     assert found.partial is None or 0.0 < found.partial.share < 1.0
 
 
-def test_a_mistake_stops_the_diagnosis():
+def test_a_mistake_stops_the_diagnosis(tmp_path):
     case = case_of()
     runs = (case.runs[0], replace(case.runs[1], force_N=-case.runs[1].force_N), case.runs[2])
     found = diagnose(Case("D1", runs))
     assert found.verdict == "data" and found.mistakes[0].runs == (2,)
     with pytest.raises(InputError, match="mistake"):
-        _ = repaired_twin(found)
+        apply_report(tmp_path / "twin.json", found.report(), "D1", provenance=None)
+    assert not (tmp_path / "twin.json").exists()
     assert found.report()["twin"] is None and found.report()["base_twin"] is None
     mistakes, told = checked(Case("D1", runs))
     assert mistakes == found.mistakes and told is None
@@ -172,7 +174,7 @@ def test_events_of_one_run_are_placed():
     bad = EffectSetting("intermittent_contact", {"dR": 0.8}, ((1.0, 1.4), (3.0, 3.3)))
     found = diagnose(case_of(bad))
     assert found.best.ids == ("intermittent_contact",)
-    assert repaired_twin(found).effects == ()
+    assert explained_twin(found.best).effects == ()
     clipped = diagnose(case_of(EffectSetting("adc_saturation", {"V_max": 1.12})))
     assert clipped.best.ids == ("adc_saturation",)
 

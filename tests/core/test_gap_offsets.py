@@ -9,10 +9,9 @@ from scipy.signal import lfilter
 from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import diagnose
-from softcal.core.gap.fit import fit
 from softcal.core.gap.linear import to_fit
 from softcal.core.gap.method import METHOD
-from softcal.core.gap.places import offsets, strongest_tone
+from softcal.core.gap.places import strongest_tone
 from softcal.core.gap.problem import BASE as PARAMETERS
 from softcal.core.gap.problem import Hypothesis, Problem
 from softcal.core.gap.twin import TWIN
@@ -63,8 +62,7 @@ def _prediction(problem: Problem, base: BaseParameters = BASE) -> Array:
 def _found(problem: Problem) -> Array:
     """(runs, 3) offsets of force, resistance and seat at the true parameters."""
     at = np.array([to_fit(p, getattr(BASE, p.name)) for p in PARAMETERS])
-    found = offsets(fit(problem, Hypothesis(), at, steps=0))
-    return np.array([[o.force_N, o.resistance, o.seat_mm] for o in found])
+    return np.array(list(problem.offset_sizes(Hypothesis(), at).values()))
 
 
 def test_every_offset_of_every_run_is_found() -> None:

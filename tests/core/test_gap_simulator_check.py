@@ -1,7 +1,10 @@
 """A simulator that cannot be fitted is refused before the fit, in one line that says why."""
 
+import copy
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from operator import itemgetter
 from types import SimpleNamespace
 from typing import Any
 
@@ -129,6 +132,36 @@ def test_a_sound_simulator_is_called_a_few_times_and_its_runs_stay_as_they_are()
     assert calls <= 4 + 2 * 3
     for run, columns in zip(runs, before, strict=True):
         assert all(np.array_equal(run.columns[name], values) for name, values in columns.items())
+
+
+NAMES = ("softness", "bottoming.a", "creep.rate")
+VALUES = itemgetter(*NAMES)
+
+
+def updated(p: Mapping[str, float]) -> dict[str, float]:
+    values: dict[str, float] = {}
+    values.update(p)
+    return values
+
+
+@pytest.mark.parametrize(
+    "values_of",
+    [
+        VALUES,
+        lambda p: [p.setdefault(name, 0.5) for name in NAMES],
+        lambda p: [p.get(name) for name in NAMES],
+        lambda p: VALUES(p.copy()),
+        lambda p: VALUES(copy.copy(p)),
+        lambda p: VALUES({"more": 1.0} | p | {"other": 2.0}),
+        lambda p: VALUES(updated(p)),
+        lambda p: VALUES(json.loads(json.dumps(p))),
+        lambda p: VALUES(dict(zip(p, p.values(), strict=True))),
+    ],
+    ids=["itemgetter", "setdefault", "get", "copy", "copied by a module", "joined", "updated", "json", "zipped"],
+)
+def test_a_simulator_may_read_its_parameters_as_it_likes(values_of: Callable[[Any], Any]) -> None:
+    run = lambda inputs, p: press(inputs, dict(zip(NAMES, values_of(p), strict=True)))  # noqa: E731
+    check_calls(replace(FOOT, run=run), runs_of())
 
 
 def test_what_these_runs_cannot_show_is_no_fault_of_the_simulator() -> None:

@@ -32,19 +32,20 @@ NO_DECISION = {
     "core/operation/stream_estimator.py": {"MAX_UPDATES"},  # length of a queue for the caller
     "core/gap/case.py": {"SHORTEST", "HALF_WIDTH", "SHIFTED"},  # what is refused, a smoother, and units
     "core/gap/episodes.py": {"SKEW_STEPS", "ACROSS", "MAINS_Hz", "PLACEMENTS"},  # of a solver, and of power lines
-    "core/gap/fit.py": {"TOLERANCE", "TRIES", "DIFFERENCE"},  # of a solver
+    "core/gap/fit.py": {"TOLERANCE", "TRIES"},  # of a solver
     "core/gap/linear.py": {
         "COMMON",
         "POWERS",
         "COMMON_STEP_s",
-    },  # size of the common rig, and of units
+        "DIFFERENCE",
+    },  # size of the common rig, of units, and of a solver
     "core/gap/mistakes.py": {"UNITS_OF_RUN", "TIME_UNITS", "UNITS"},  # units
     "core/gap/places.py": {"TIED"},  # rounding
     "core/gap/problem.py": {"PASSES", "STRAIGHT_SIGMA", "BASE"},  # of a solver, and the base's bounds
     "core/gap/residual.py": {"TRIMMED"},  # of an estimator
-    "core/gap/search.py": {"KEPT_PART", "GENTLER", "DRAWS", "FIRST_STEPS"},  # where a fit begins
+    "core/gap/search.py": {"KEPT_PART", "GENTLER"},  # where a fit begins
     "core/gap/simulator.py": {"REPEATABLE", "LONG_STEP", "MOVED", "ROUNDED", "PROBED"},  # what is refused
-    "core/gap/simulator_model.py": {"KNOWN"},  # a cache
+    "core/gap/simulator_model.py": {"KNOWN", "DRAWS", "FIRST_STEPS"},  # a cache, and where a fit begins
     "core/gap/simulator_reach.py": {"FACTORS", "BLUNT", "MEMORIES", "STANDS_OUT"},  # units, parts of stored terms
     "core/gap/twin.py": {"QUIETEST"},  # a guard
     # equations, numbers of a solver, and runs that may be proposed
