@@ -45,7 +45,8 @@ class SourceBias:
         """Say how the network of a source reads the lot beside the others; None where it reads as they do."""
         if not self.is_apart:
             return None
-        code = f"lot_fit.source.{'two' if self.others == 1 else 'low' if self.bias < 0 else 'high'}"
+        code = "lot_fit.source.low" if self.bias < 0 else "lot_fit.source.high"
+        code = "lot_fit.source.two" if self.others == 1 else code
         return reason(code, serial=serial, bias=abs(self.bias), rmse=self.rmse, unit=unit, count=self.others)
 
 

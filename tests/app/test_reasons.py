@@ -60,9 +60,10 @@ def whole(one: Reason) -> list[Reason]:
 
 
 # `data.` is what a diagnosis finds in the recordings of a rig, `audit.` what a page refuses, `release.` what is said
-# of a whole lot, `inspect.` what a file holds, `gap.` what a diagnosis says of a place and of the next run, `unused.`
-# and `lot.` what is said of the files of a lot: not at a line.
-NOT_AT_THE_LINE = ("part.", "inspect.", "data.", "audit.", "release.", "gap.", "unused.", "lot.", PLAIN)
+# of a whole lot, `lot_fit.source.` of a source beside other sources, `inspect.` what a file holds, `gap.` what a
+# diagnosis says of a place and of the next run, `unused.` and `lot.` what is said of the files of a lot: not at a line.
+LOT = ("release.", "unused.", "lot.", "lot_fit.source.")
+NOT_AT_THE_LINE = ("part.", "inspect.", "data.", "audit.", "gap.", *LOT, PLAIN)
 
 
 def test_every_reason_is_said_plainly_to_the_line_without_numbers() -> None:
