@@ -58,7 +58,7 @@ def test_a_unit_without_a_map_says_why_in_the_language_of_the_reader(calibrated,
     shown = show(calibrated, "unit", role=None, unit="A4", lang=language).info[0].value
     assert said(why, partial(texts.text, language)) in shown
     lot = show(calibrated, "lot", role=None, lang=language)
-    assert texts.text(language, "lot.first_pass") in {metric.label for metric in lot.metric}
+    assert texts.text(language, "lot.yield") in {metric.label for metric in lot.metric}
 
 
 def test_a_filter_that_leaves_fewer_pages_goes_back_to_the_first(calibrated, show):
