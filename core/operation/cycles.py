@@ -75,7 +75,7 @@ class SegmenterState:
         has_start: whether the cycle under way was seen from its start.
         samples: samples of the cycle under way, every `stride`th.
         tail: last TAPS - 1 samples, for changes over a window.
-        stride, count: decimation of `kept`, and samples of the cycle so far.
+        stride, count: decimation of `samples`, and samples of the cycle so far.
         start_s, end_s: times of its first and newest sample.
         changes, squared_changes: number and sum of squares of its changes over a window.
     """

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from softcal.core.errors import InputError
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.network.network import Network
-from softcal.core.operation.adapter import STATE_FORMAT, AdaptConfig, Adapter
+from softcal.core.operation.adapter import STATE_FORMAT, AdaptConfig, Adapter, learn_sensitivity
 from softcal.core.operation.method import DriftTracking
 from softcal.core.operation.stream_estimator import FLAG_SEPARATOR, RECALIBRATE, STATES, UNSETTLED
 from softcal.core.operation.stream_windows import WRONG_RATE
@@ -178,11 +178,14 @@ def test_a_use_that_turns_without_a_rest_has_its_zero_load_where_f_sees_it_in_mo
     output_V = REST_V + 0.0328 + 0.1 * (1 - np.cos(phase)) + noise_V
     load_N = 0.1328 / GAIN_V_N * (1 - np.cos(phase - np.deg2rad(9.73)))
 
-    use = maker(load_N, output_V, network)().calibrated_operation
+    made = maker(load_N, output_V, network)
+    recording = OutputRecording("A1", np.arange(len(output_V)) / RATE_HZ, output_V, RATE_HZ)
 
-    assert use.zero is not None and use.curve is not None
-    assert use.mean + use.scale * use.zero == pytest.approx(REST_V + 0.0342, abs=0.004)
-    assert np.interp(use.zero, use.curve.output, use.curve.load) == pytest.approx(0, abs=0.01)
+    operation, _ = learn_sensitivity(made.network, made.calibration, recording, DriftTracking())  # type: ignore[attr-defined]
+
+    assert operation.zero is not None and operation.curve is not None
+    assert operation.mean + operation.scale * operation.zero == pytest.approx(REST_V + 0.0342, abs=0.004)
+    assert np.interp(operation.zero, operation.curve.output, operation.curve.load) == pytest.approx(0, abs=0.01)
 
 
 def test_drift_that_is_followed_raises_no_alarm(make_adapter: Callable[..., Adapter]) -> None:

@@ -104,7 +104,7 @@ def test_memory_of_a_cycle_does_not_grow_with_its_length() -> None:
     for k in range(0, 100_000, 1000):
         segmenter.advance(np.arange(k, k + 1000) / RATE_HZ, np.full(1000, 0.5) + 1e-6 * np.arange(1000))
 
-    assert len(segmenter.state()["kept"]) <= MAX_SAMPLES  # type: ignore[arg-type]
+    assert len(segmenter.state()["samples"]) <= MAX_SAMPLES  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("gain", "offset"), [(1.0, 0.08), (0.92, 0.0), (1.06, -0.1)])

@@ -251,7 +251,8 @@ def test_a_bare_stream_of_small_counts_is_not_taken_for_a_readout(rng):
 
 def test_every_move_of_softcal_is_made_in_one_place():
     root = Path(__file__).parents[2]
-    simulated_only = root / "app" / "use" / "source.py"  # presses the simulated unit to show how a map is followed
+    # It presses the simulated unit to show how a map is followed.
+    simulated_only = root / "app" / "operation" / "source.py"
     callers = [
         f"{path.relative_to(root)}: {line.strip()}"
         for folder in ("station", "app", "core")
