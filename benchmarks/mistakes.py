@@ -160,10 +160,10 @@ def clipped(unit: Unit, others: list[Unit], rng: Rng) -> OutputRecording | None:
 
 
 def another_sensor(unit: Unit, others: list[Unit], rng: Rng) -> OutputRecording | None:
-    strangers = [one for one in others if one.kind != unit.kind]
-    if not strangers:
+    other_kinds = [one for one in others if one.kind != unit.kind]
+    if not other_kinds:
         return None
-    other = strangers[int(rng.integers(len(strangers)))].recording.unlabelled
+    other = other_kinds[int(rng.integers(len(other_kinds)))].recording.unlabelled
     rate_Hz = unit.recording.unlabelled.sample_rate_Hz
     return replace(other, sample_rate_Hz=rate_Hz, t_s=np.arange(len(other)) / rate_Hz)
 

@@ -82,7 +82,7 @@ def look_at_audits(
         if look.unit is None:
             refusal = plain(look.problem)
         elif look.serial not in units:
-            refusal = reason("audit.stranger", serial=look.serial)
+            refusal = reason("audit.foreign_unit", serial=look.serial)
         elif look.unit.reference is None:
             is_asked = columns.reference is not None
             refusal = no_reference_column(columns, look.unit.file.table) if is_asked else Reason("audit.no_reference")

@@ -27,10 +27,10 @@ def read_anchors(path: Path, serials: Collection[str], options: TableOptions = D
             )
         return {next(iter(serials)): Anchors(output, reference)}
     owners = np.array(table.texts("serial"))
-    strangers = sorted(set(owners) - set(serials))
-    if strangers:
-        row = int(np.flatnonzero(owners == strangers[0])[0])
-        raise InputError(f"{path}: line {table.lines[row]}: the lot has no unit {strangers[0]!r}")
+    foreign_units = sorted(set(owners) - set(serials))
+    if foreign_units:
+        row = int(np.flatnonzero(owners == foreign_units[0])[0])
+        raise InputError(f"{path}: line {table.lines[row]}: the lot has no unit {foreign_units[0]!r}")
     return {serial: Anchors(output[owners == serial], reference[owners == serial]) for serial in sorted(set(owners))}
 
 

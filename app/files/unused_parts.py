@@ -105,7 +105,7 @@ def unused_of_lot(root: Path, sources: Mapping[str, Path], units: Mapping[str, P
                 items.append(NotUsed("file", name, _format()))
             elif used is not None and normalize("NFC", entry.stem) not in used:
                 if part.name == "audit":
-                    items.append(NotUsed("audit", entry.stem, reason("unused.stranger"), name))
+                    items.append(NotUsed("audit", entry.stem, reason("unused.foreign_unit"), name))
                 else:
                     items.append(NotUsed("file", name, reason("unused.source", sources=", ".join(sources))))
     for entry in _entries(root):

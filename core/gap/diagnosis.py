@@ -242,7 +242,7 @@ def diagnose_with(
     search = under_its_floor(search)
     if spoilt := model.mistakes_by_search(search):
         return Diagnosis.stopped(model, search.base, spoilt)
-    if search.stranger is None:
+    if search.unmodelled is None:
         search.hold_open()
     judgement = judged(search)
     if on_fits is not None:
@@ -327,7 +327,7 @@ def judged(search: Search) -> Judgement:
     every = {i: 0.5 * (p + exact[i]) if i in open_ else p for i, p in every.items()}
     trust = dict.fromkeys(effects if best.ids and not quantified.stands else doubted, config.verdict.imitated_trust)
     chances = {i: p * trust.get(i, 1.0) for i, p in every.items()}
-    if verdict == "unknown" and search.stranger is None:
+    if verdict == "unknown" and search.unmodelled is None:
         if quantified.stands and any(chances[i] >= config.presence.certain for i in best.ids):
             verdict = "explained_in_part"
         elif model.hands_on_closest and (best := closest_set(search)) is not search.best:
@@ -351,7 +351,7 @@ def closest_set(search: Search) -> Fit:
 
 
 def _completeness(search: Search, found: Fit) -> float:
-    has_unlisted = search.stranger is not None or search.model.is_uneven(found)
+    has_unlisted = search.unmodelled is not None or search.model.is_uneven(found)
     gap, chance = max(search.base.chi2 - search.base.problem.count, 1.0), noise_chance(found)
     rest = min(rest_energy(found, chance) / gap, 1.0) if found.ids else 1.0
     return list_completeness(chance, rest, has_unlisted, search.model.method.presence)
@@ -375,7 +375,7 @@ def _presence(search: Search, logs: Mapping[tuple[str, ...], float], effects: It
 
 def _verdict(search: Search, group: tuple[Fit, ...], quantified: Quantified) -> DiagnosisVerdict:
     best, base, model = search.best, search.base, search.model
-    if search.stranger is not None:
+    if search.unmodelled is not None:
         return "unknown"
     if not best.ids or not quantified.stands:
         is_sound = model.is_clean(base) and noise_chance(base) > model.method.floor.chance and not model.is_uneven(base)

@@ -242,11 +242,11 @@ class RivalConfig:
 
 
 @dataclass(frozen=True)
-class StrangerConfig:
+class UnmodelledConfig:
     """Departures that no equation says, and other equations of causes (`search.py`)."""
 
-    # log evidence by which a stranger must beat a catalogue that leaves no structure; one that leaves some must be no
-    # rival any more ...
+    # log evidence by which an unmodelled effect must beat a catalogue that leaves no structure; one that leaves some
+    # must be no rival any more ...
     clean_odds: float = setting(2.0)
     # ... and by how much it must lower χ² besides, unless it stands for two causes more than itself: three that
     # together imitate one departure.
@@ -375,7 +375,7 @@ class GapMethod(NumberedMethod):
     simulator_search: SearchConfig = field(default_factory=lambda: SearchConfig(leads=(8, 5), beam=(3,)))
     evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
     rival: RivalConfig = field(default_factory=RivalConfig)
-    stranger: StrangerConfig = field(default_factory=StrangerConfig)
+    unmodelled: UnmodelledConfig = field(default_factory=UnmodelledConfig)
     shrink: ShrinkConfig = field(default_factory=ShrinkConfig)
     learn: LearnConfig = field(default_factory=LearnConfig)
     telling: TellingConfig = field(default_factory=TellingConfig)

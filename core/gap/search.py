@@ -87,7 +87,7 @@ class Search:
         self._to_place = [effect for effect in candidates if effect.signs.placing is not None]
         self.start = self.base = self.best = base
         self.fits: dict[tuple[str, ...], Fit] = {(): base}
-        self.stranger: Fit | None = None
+        self.unmodelled: Fit | None = None
         self.held_open: dict[str, Fit] = {}
         """Causes that another equation of those beside them explains as well, with fits."""
 
@@ -153,7 +153,7 @@ class Search:
         self._look_beside()
         # A departure outside the list stands alone or in the place of a cause.
         parents = self.one_less(self.best).values() if len(self.best.ids) > 1 else ()
-        self.stranger = stranger(self.best, [self.base, *parents], list(self.fits.values()))
+        self.unmodelled = best_unmodelled(self.best, [self.base, *parents], list(self.fits.values()))
 
     def hold_open(self) -> None:
         """Take causes that a free form of the others imitates out of the best; they stay in play."""
@@ -299,8 +299,8 @@ class Search:
         self.base = self.fits[()]
 
 
-def stranger(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> Fit | None:
-    """Return the best fit with a stranger beside a parent; None where none beats the catalogue."""
+def best_unmodelled(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> Fit | None:
+    """Return the best fit with an unmodelled effect beside a parent; None where none beats the catalogue."""
     if best.problem.is_driven_by_force:
         return None
     problem = best.problem
@@ -315,22 +315,17 @@ def stranger(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> Fit | No
     closest = max(found, key=yardstick.log_evidence)
     ahead = yardstick.log_evidence(closest) - yardstick.log_evidence(best)
     is_decisive = ahead > (
-        problem.method.stranger.clean_odds if problem.model.is_clean(closest) else problem.method.rival.odds
+        problem.method.unmodelled.clean_odds if problem.model.is_clean(closest) else problem.method.rival.odds
     )
     is_simpler = len(closest.ids) <= len(best.ids) - 2
-    return (
-        closest
-        if is_decisive and (is_simpler or closest.chi2 < best.chi2 - problem.method.stranger.least_gain)
-        else None
-    )
+    is_better = is_simpler or closest.chi2 < best.chi2 - problem.method.unmodelled.least_gain
+    return closest if is_decisive and is_better else None
 
 
 def imitated_causes(best: Fit, smaller: Mapping[str, Fit]) -> list[str]:
     """Return the causes that a free form of the others, `smaller`, imitates, the weakest first."""
-    order = sorted(smaller, key=lambda effect_id: smaller[effect_id].chi2)
-    return [
-        effect_id for effect_id in order if imitation(smaller[effect_id], best) >= best.problem.method.stranger.imitated
-    ]
+    order, least = sorted(smaller, key=lambda one: smaller[one].chi2), best.problem.method.unmodelled.imitated
+    return [effect_id for effect_id in order if imitation(smaller[effect_id], best) >= least]
 
 
 def imitation(rest: Fit, best: Fit) -> float:
@@ -356,7 +351,7 @@ def _directions(found: Fit, effect: Effect) -> Iterator[Array]:
     shapes = list(zip(own, parameters, strict=True))[1:] or list(zip(own, parameters, strict=True))
     # A hum at another pitch, or with other phases, is another hum.
     for k, parameter in () if effect.belongs_to_run else shapes:
-        for ratio in problem.method.stranger.ratios:
+        for ratio in problem.method.unmodelled.ratios:
             moved = found.coordinates.copy()
             value = from_fit(parameter, moved[k])
             if np.isfinite(value) and value != 0.0:
@@ -392,4 +387,4 @@ def under_its_floor(search: Search) -> Search:
     fits = [fit(problem, hypothesis, start, steps=60) for start in starts]
     again = Search(min(fits, key=lambda found: found.chi2), search.candidates, search.say)
     again.run()
-    return again if again.stranger is None and model.is_clean(again.best) and is_noise(again.best) else search
+    return again if again.unmodelled is None and model.is_clean(again.best) and is_noise(again.best) else search

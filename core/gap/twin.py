@@ -18,7 +18,7 @@ from softcal.core.gap.places import cases_of_maps, explained_twin, likely_stages
 from softcal.core.gap.problem import BASE, Block, Hypothesis, Problem
 from softcal.core.gap.residual import noise_levels, with_driving_noise
 from softcal.core.gap.twin_reach import (
-    STRANGERS,
+    UNMODELLED_EFFECTS,
     WARM_DIVIDER,
     bases_of,
     dither_of,
@@ -239,8 +239,8 @@ class TwinModel(Model):
             first = search.leader.coordinates[search.leader.hypothesis.of_base]
 
     def departures(self, case: Case) -> tuple[Effect, ...]:
-        is_warming, warmed_K = case.changes("temperature_C"), self.method.stranger.warmed_K
-        seen = [e for e in STRANGERS if e.stage not in case.unseen_stages]
+        is_warming, warmed_K = case.changes("temperature_C"), self.method.unmodelled.warmed_K
+        seen = [e for e in UNMODELLED_EFFECTS if e.stage not in case.unseen_stages]
         seen = [e for e in seen if is_warming or not e.parameters[0].unit.endswith("/K")]
         # A dummy resistor that was read while it warmed tells of the electronics.
         return (*seen, *((WARM_DIVIDER,) if case.changes("temperature_C", "dummy_resistor", warmed_K) else ()))
@@ -355,16 +355,16 @@ def _unknown_places(search: "Search", maps: tuple[Map, ...], seen: GapPlace, sha
     """Where a gap lies that nothing in the catalogue explains: the likeliest stage first."""
     loose, detail = loose_noise(search.best), seen.detail
     stages: tuple[str, ...] = likely_stages(search.base, maps)
-    if search.stranger is not None:
-        stranger = next(one for one in (*STRANGERS, WARM_DIVIDER) if one in search.stranger.effects)
-        stages = tuple(dict.fromkeys((stranger.stage, *stages)))
-        detail = reason("gap.seen.like", like=Reason(stranger.id), seen=detail)
+    if search.unmodelled is not None:
+        effect = next(one for one in (*UNMODELLED_EFFECTS, WARM_DIVIDER) if one in search.unmodelled.effects)
+        stages = tuple(dict.fromkeys((effect.stage, *stages)))
+        detail = reason("gap.seen.like", like=Reason(effect.id), seen=detail)
     elif loose is not None and (not stages or search.model.is_clean(search.best)):
         stages = tuple(dict.fromkeys((loose.stage, *stages)))
         detail = reason("gap.seen.noise", noise=loose.detail, seen=detail)
     if not stages:
         stages = tuple(dict.fromkeys(EFFECTS[i].stage for i in search.best.ids)) or ("unknown",)
-    code = "gap.seen.left" if search.stranger is None else "gap.seen.better"
+    code = "gap.seen.left" if search.unmodelled is None else "gap.seen.better"
     # Nothing measures how a gap splits between stages that may each hold it: the likelier is first.
     others = [replace(seen, stage=stage, detail=Reason("gap.seen.same_maps")) for stage in stages[1:]]
     return [replace(seen, stage=stages[0], detail=reason(code, seen=detail, share=share)), *others]

@@ -235,29 +235,29 @@ def _cell_lag(flow: Flow, values: Sequence[float], _: Memory) -> None:
     flow.reading_N = low_pass(flow.reading_N, flow.step_s, max(values[0], 1e-4), np.full(2, flow.reading_N[0]))
 
 
-def _stranger(
+def _unmodelled(
     code: str, stage: ChainStage, hook: Hook, step: Step, unit: str, usual: float, is_signed: bool = True
 ) -> Effect:
     size = Parameter("size", unit, -30.0 * usual if is_signed else 0.0, 30.0 * usual, usual, neutral=0.0)
     return Effect(code, stage, hook, "", "no effect of the catalogue", (size,), step)
 
 
-STRANGERS = (
-    _stranger("gap.like.stiffness_in_time", "mechanics", Hook.FORCE, changing("force_N", TIME), "1/s", 1e-3),
-    _stranger("gap.like.stiffness_when_warm", "mechanics", Hook.FORCE, changing("force_N", WARMTH), "1/K", 5e-3),
-    _stranger("gap.like.sensitivity_in_time", "transduction", Hook.CHANNEL, changing("drive", TIME), "1/s", 1e-3),
-    _stranger("gap.like.sensitivity_when_warm", "transduction", Hook.CHANNEL, changing("drive", WARMTH), "1/K", 5e-3),
-    _stranger("gap.like.offset_in_time", "electronics", Hook.OUTPUT, _offset("output_V", TIME), "V/s", 2e-4),
-    _stranger("gap.like.offset_when_warm", "electronics", Hook.OUTPUT, _offset("output_V", WARMTH), "V/K", 1e-3),
-    _stranger("gap.like.cell_span_in_time", "load_cell", Hook.READING, changing("reading_N", TIME), "1/s", 1e-3),
-    _stranger("gap.like.cell_span_when_warm", "load_cell", Hook.READING, changing("reading_N", WARMTH), "1/K", 5e-3),
-    _stranger("gap.like.cell_zero_when_warm", "load_cell", Hook.READING, _offset("reading_N", WARMTH), "N/K", 0.01),
-    _stranger("gap.like.cell_by_position", "load_cell", Hook.READING, _offset("reading_N", PLACE), "N/mm", 0.05),
-    _stranger("gap.like.cell_late", "load_cell", Hook.READING, _cell_lag, "s", 0.1, is_signed=False),
+UNMODELLED_EFFECTS = (
+    _unmodelled("gap.like.stiffness_in_time", "mechanics", Hook.FORCE, changing("force_N", TIME), "1/s", 1e-3),
+    _unmodelled("gap.like.stiffness_when_warm", "mechanics", Hook.FORCE, changing("force_N", WARMTH), "1/K", 5e-3),
+    _unmodelled("gap.like.sensitivity_in_time", "transduction", Hook.CHANNEL, changing("drive", TIME), "1/s", 1e-3),
+    _unmodelled("gap.like.sensitivity_when_warm", "transduction", Hook.CHANNEL, changing("drive", WARMTH), "1/K", 5e-3),
+    _unmodelled("gap.like.offset_in_time", "electronics", Hook.OUTPUT, _offset("output_V", TIME), "V/s", 2e-4),
+    _unmodelled("gap.like.offset_when_warm", "electronics", Hook.OUTPUT, _offset("output_V", WARMTH), "V/K", 1e-3),
+    _unmodelled("gap.like.cell_span_in_time", "load_cell", Hook.READING, changing("reading_N", TIME), "1/s", 1e-3),
+    _unmodelled("gap.like.cell_span_when_warm", "load_cell", Hook.READING, changing("reading_N", WARMTH), "1/K", 5e-3),
+    _unmodelled("gap.like.cell_zero_when_warm", "load_cell", Hook.READING, _offset("reading_N", WARMTH), "N/K", 0.01),
+    _unmodelled("gap.like.cell_by_position", "load_cell", Hook.READING, _offset("reading_N", PLACE), "N/mm", 0.05),
+    _unmodelled("gap.like.cell_late", "load_cell", Hook.READING, _cell_lag, "s", 0.1, is_signed=False),
 )
 """Generic departures; the identifier is the reason that says what one is like."""
 
-WARM_DIVIDER = _stranger("gap.like.divider_when_warm", "electronics", Hook.REFERENCE, _divider, "1/K", 1e-3)
+WARM_DIVIDER = _unmodelled("gap.like.divider_when_warm", "electronics", Hook.REFERENCE, _divider, "1/K", 1e-3)
 """Looks like a channel that follows the temperature, sign reversed, while the channel is read."""
 
 

@@ -22,7 +22,7 @@ def doubtful_audits(readings: Readings, method: Method) -> Doubts:
     Those that a person confirmed are not among the readings.
     """
     doubts = _one_recording(readings)
-    for look in (_exchanged, _out_of_line, _strangers):
+    for look in (_exchanged, _out_of_line, _foreign_units):
         doubts |= look({serial: one for serial, one in readings.items() if serial not in doubts}, method)
     return doubts
 
@@ -87,13 +87,15 @@ def _out_of_line(readings: Readings, method: Method) -> Doubts:
     return doubts
 
 
-def _strangers(readings: Readings, method: Method) -> Doubts:
+def _foreign_units(readings: Readings, method: Method) -> Doubts:
     """Name an audit that rests far from where its unit does while the others rest where theirs do."""
     doubts, config = Doubts(), method.release
     moved = {serial: _moved(one) / max(one.span, 1e-12) for serial, one in readings.items()}
     for serial, own, others, usual in _beside(moved, config):
         farthest = max(abs(other - usual) for other in others)
-        if abs(own - usual) > max(config.stranger_rest, config.stranger_factor * farthest):
+        if abs(own - usual) > max(config.foreign_unit_rest, config.foreign_unit_factor * farthest):
             one = readings[serial]
-            doubts[serial] = reason("doubt.stranger", rest=one.audit_rest, unit_rest=one.unit_rest, others=len(others))
+            doubts[serial] = reason(
+                "doubt.foreign_unit", rest=one.audit_rest, unit_rest=one.unit_rest, others=len(others)
+            )
     return doubts

@@ -211,8 +211,8 @@ class ReleaseConfig:
             spread of a line or its days.
         exchanged, min_rest: two audits look exchanged where each rests nearer to the other unit than to its own by so
             many standard deviations of what the other audits of the lot moved, or of this share of the span.
-        stranger_rest, stranger_factor: an audit is of another unit where its rest moved by more than the first share
-            of the span, and by the second times as much as that of any other audit.
+        foreign_unit_rest, foreign_unit_factor: an audit is of another unit where its rest moved by more than the first
+            share of the span, and by the second times as much as that of any other audit.
         min_correction_audits: below so many audited units the spread between units says nothing of their mean, and
             nothing is taken off the maps of the lot.
     """
@@ -230,8 +230,8 @@ class ReleaseConfig:
     min_others: int = setting(3)
     exchanged: float = setting(4.0, f"{SET}: by chance one pair of audits in millions")
     min_rest: float = setting(0.005)
-    stranger_rest: float = setting(0.2)
-    stranger_factor: float = setting(4.0)
+    foreign_unit_rest: float = setting(0.2)
+    foreign_unit_factor: float = setting(4.0)
     min_correction_audits: int = setting(3)
 
 

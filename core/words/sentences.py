@@ -43,7 +43,7 @@ unused.format: it is no table of a kind that is read here ({suffixes})
 unused.folder: folders inside a folder are not read, except source/ and units/
 unused.place: recordings lie in source/, units/, audit/ and golden/
 unused.source: the lot does not name this source (it names: {sources})
-unused.stranger: units/ has no unit of this serial
+unused.foreign_unit: units/ has no unit of this serial
 unused.column: nobody asked for this column
 unused.unit_column: of a unit, t_s, output and stage_mm are read
 unused.labelled: no fit reads a reference in units/; put the labelled recording into audit/
@@ -66,7 +66,7 @@ doubt.exchanged: its audit does not count for now; it looks exchanged with that 
 doubt.gain: its audit does not count for now; its reference may be in another unit, or of another
   sensor; bring it again, or confirm it (estimates are {gain:.3g} x the reference, in other audits
   {usual:.3g} x, other audits: {others})
-doubt.stranger: its audit does not count for now; it may be of another unit; bring the right file,
+doubt.foreign_unit: its audit does not count for now; it may be of another unit; bring the right file,
   or confirm this one (output at rest in the audit {rest:.4g}, of this unit {unit_rest:.4g}, other
   audits, which agree with their units: {others})
 forecast_only: its error and its interval are only predicted, not measured; nothing is promised
@@ -158,7 +158,7 @@ predicted_otherwise: before the audit it was predicted {verdict}: {why}
 # What is wrong with a table that was to audit a unit.
 audit.unreadable: its audit cannot be used: {error}; bring it again on the page Audit and choose its
   columns there
-audit.stranger: the lot has no unit {serial}; name the file by the serial of its unit
+audit.foreign_unit: the lot has no unit {serial}; name the file by the serial of its unit
 audit.no_reference: the file has no reference; choose the column of the load cell
 
 # What one look at a recording shows.

@@ -36,7 +36,7 @@ from softcal.core.challenge.protocols import PROTOCOLS
 from softcal.core.gap import case as recordings
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
-from softcal.core.gap.twin_reach import STRANGERS, WARM_DIVIDER, SET_UP_min
+from softcal.core.gap.twin_reach import UNMODELLED_EFFECTS, WARM_DIVIDER, SET_UP_min
 from softcal.core.orders import RunState
 from softcal.core.twin.catalogue import BUILTIN_EFFECTS, FORMS
 from softcal.core.twin.effects import Alias
@@ -239,5 +239,5 @@ def test_every_sentence_on_a_gap_is_korean(english_in: English) -> None:
 
 
 def test_every_departure_outside_the_catalogue_has_its_sentence() -> None:
-    likes = [Reason(one.id) for one in (*STRANGERS, WARM_DIVIDER)]
+    likes = [Reason(one.id) for one in (*UNMODELLED_EFFECTS, WARM_DIVIDER)]
     assert {one.code for one in likes} == {code for code in GAP_SENTENCES if code.startswith("gap.like.")}

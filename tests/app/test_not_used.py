@@ -107,7 +107,7 @@ def test_files_of_a_lot_folder_that_no_batch_reads_are_named(tables, tmp_path) -
     (lot / "README.txt.md").write_text("about this lot")
     items = {(item.kind, item.name, item.why.code) for item in open_lot_folder(lot).not_used}
     assert items == {
-        ("audit", "S9", "unused.stranger"),
+        ("audit", "S9", "unused.foreign_unit"),
         ("file", "source/S8.csv", "unused.source"),
         ("file", "audits/", "unused.place"),
         ("file", "units/S2.doc", "unused.format"),

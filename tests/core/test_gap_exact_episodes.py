@@ -424,8 +424,8 @@ def test_one_run_with_a_gain_or_a_zero_of_its_own_is_a_mistake(change, what, cha
 
 def test_a_run_of_another_unit_is_told():
     other = replace(PAD, k1_N_mm=1.6, k3_N_mm3=0.16, r0_ohm=4.6, kappa_per_N=0.05)
-    stranger = run_of(3, 500, pad=other)
-    found = outlier_run(odd_fit(force_N=lambda r: stranger.force_N, output_V=lambda r: stranger.output_V))
+    pressed = run_of(3, 500, pad=other)
+    found = outlier_run(odd_fit(force_N=lambda r: pressed.force_N, output_V=lambda r: pressed.output_V))
     assert (found.what, found.runs) == ("other_unit", (3,))
     values = found.evidence.values
     assert values["stiffness"] == pytest.approx(0.5, abs=0.1)

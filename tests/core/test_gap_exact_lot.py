@@ -226,14 +226,14 @@ def test_another_noise_is_kept_only_where_it_explains(monkeypatch):
     assert under_its_floor(first) is first
     monkeypatch.setattr(search, "coloured", lambda found: "problem")
     monkeypatch.setattr(search, "fit", lambda problem, hypothesis, start, steps=20: closest)
-    for stranger, best, is_floor_before, is_floor, kept in (
+    for unmodelled, best, is_floor_before, is_floor, kept in (
         (None, "clean", True, True, True),
         ("x", "clean", True, True, False),
         (None, "left", True, True, False),
         (None, "clean", True, False, False),
         (None, "clean", False, True, False),
     ):
-        again = SimpleNamespace(stranger=stranger, best=best, run=lambda: None)
+        again = SimpleNamespace(unmodelled=unmodelled, best=best, run=lambda: None)
         answers = {id(closest): is_floor_before, id(best): is_floor}
         monkeypatch.setattr(search, "is_noise", lambda found, answers=answers: answers[id(found)])
         monkeypatch.setattr(search, "Search", lambda base, candidates, say, again=again: again)

@@ -25,10 +25,10 @@ from softcal.core.gap.places import (
 )
 from softcal.core.gap.problem import BASE, Hypothesis, Problem, own_rows, rows_of_runs
 from softcal.core.gap.residual import with_driving_noise
-from softcal.core.gap.search import imitated_causes, imitation, joined, screen, stranger
+from softcal.core.gap.search import best_unmodelled, imitated_causes, imitation, joined, screen
 from softcal.core.gap.twin import TWIN
 from softcal.core.gap.twin_reach import (
-    STRANGERS,
+    UNMODELLED_EFFECTS,
     WARM_DIVIDER,
     bases_of,
     changing,
@@ -700,7 +700,7 @@ def test_the_chain_offers_what_its_base_knows():
     np.testing.assert_array_equal(TWIN.halves(found, block)[0], run.stage_mm > found.base.u0_mm)
 
 
-# Strangers and free forms.
+# Unmodelled effects and free forms.
 
 
 def test_a_departure_multiplies_or_adds_what_it_follows():
@@ -709,7 +709,7 @@ def test_a_departure_multiplies_or_adds_what_it_follows():
     np.testing.assert_allclose(flow.force_N, [2.2, 5.2])
     changing("force_N", lambda f: f.t_s, is_offset=True)(flow, (0.1,), {})
     np.testing.assert_allclose(flow.force_N, [2.3, 5.5])
-    for one in (*STRANGERS, WARM_DIVIDER):
+    for one in (*UNMODELLED_EFFECTS, WARM_DIVIDER):
         (size,) = one.parameters
         assert size.high == pytest.approx(30 * size.usual) and size.low in (0.0, -size.high) and size.neutral == 0.0
 
@@ -718,7 +718,7 @@ def test_a_departure_multiplies_or_adds_what_it_follows():
     "name", ["stiffness_in_time", "offset_in_time", "cell_by_position", "cell_late", "sensitivity_in_time"]
 )
 def test_a_departure_of_another_kind_is_found(name):
-    (one,) = [s for s in STRANGERS if s.id.endswith(name)]
+    (one,) = [s for s in UNMODELLED_EFFECTS if s.id.endswith(name)]
     usual = 8.0 * one.parameters[0].usual
     made = PROBLEM.bare.predict(Hypothesis((one,)), np.append(AT, usual))
     noise = PROBLEM.measured - PROBLEM.bare.predict(Hypothesis(), AT)
@@ -727,11 +727,11 @@ def test_a_departure_of_another_kind_is_found(name):
         replace(r, force_N=parts[k, "force_N"], output_V=parts[k, "output_V"]) for k, r in enumerate(CASE.runs)
     )
     base = fit(Problem(TWIN, Case("S", runs), SIGMA), Hypothesis(), AT)
-    found = stranger(base, [base], [base])
+    found = best_unmodelled(base, [base], [base])
     assert found.effects[0].id == one.id
     assert found.effect_values[0][0] == pytest.approx(usual, rel=0.15)
     clean = pad_fit()
-    assert stranger(clean, [clean], [clean]) is None
+    assert best_unmodelled(clean, [clean], [clean]) is None
 
 
 def test_a_free_form_of_a_cause_takes_what_looks_like_it():
@@ -753,7 +753,7 @@ def test_a_free_form_of_a_cause_takes_what_looks_like_it():
     assert imitation(rest, rest) == 0.0
     bare = fit(problem, Hypothesis(), AT)
     assert imitation(bare, best) == 0.0
-    assert imitated_causes(best, {"x": rest}) == (["x"] if imitation(rest, best) >= METHOD.stranger.imitated else [])
+    assert imitated_causes(best, {"x": rest}) == (["x"] if imitation(rest, best) >= METHOD.unmodelled.imitated else [])
 
 
 # Twins to go on with.
@@ -883,7 +883,7 @@ DEPARTURES = {
 
 
 @pytest.mark.parametrize(
-    "one", [s for s in (*STRANGERS, WARM_DIVIDER) if not s.id.endswith("late")], ids=lambda s: s.id
+    "one", [s for s in (*UNMODELLED_EFFECTS, WARM_DIVIDER) if not s.id.endswith("late")], ids=lambda s: s.id
 )
 def test_a_departure_is_its_equation(one):
     reading, output = DEPARTURES[one.id.removeprefix("gap.like.")]
@@ -894,7 +894,7 @@ def test_a_departure_is_its_equation(one):
 
 
 def test_a_late_cell_follows_by_a_low_pass():
-    (late,) = [s for s in STRANGERS if s.id.endswith("cell_late")]
+    (late,) = [s for s in UNMODELLED_EFFECTS if s.id.endswith("cell_late")]
     out = Problem(TWIN, WARM_CASE, SIGMA).bare.predict(Hypothesis((late,)), np.append(AT, 0.2))[:400]
     y, expected = FORCE_N[0], [FORCE_N[0]]
     for k in range(1, 400):
@@ -906,15 +906,15 @@ def test_a_late_cell_follows_by_a_low_pass():
 
 
 def test_what_needs_warmth_or_a_channel_is_not_tried_without():
-    made = Problem(TWIN, WARM_CASE, SIGMA).bare.predict(Hypothesis((STRANGERS[5],)), np.append(AT, 0.01))
+    made = Problem(TWIN, WARM_CASE, SIGMA).bare.predict(Hypothesis((UNMODELLED_EFFECTS[5],)), np.append(AT, 0.01))
     noise = np.random.default_rng(3).normal(size=800) * np.repeat([0.01, 0.001], 400)
     run = replace(WARM_CASE.runs[0], force_N=(made + noise)[:400], output_V=(made + noise)[400:])
     for is_warm in (True, False):
         one = run if is_warm else replace(run, temperature_C=None)
         base = fit(Problem(TWIN, case_of(one), SIGMA), Hypothesis(), AT)
-        found = stranger(base, [base], [base])
+        found = best_unmodelled(base, [base], [base])
         if is_warm:
-            assert found.effects[0].id == STRANGERS[5].id
+            assert found.effects[0].id == UNMODELLED_EFFECTS[5].id
             assert found.effect_values[0][0] == pytest.approx(0.01, rel=0.1)
         else:
             assert found is None or not found.effects[0].id.endswith("warm")

@@ -84,7 +84,7 @@ def _stand_together(first: str, second: str, printed: list[str]) -> bool:
     )
 
 
-def _strangers(name: str, page: str) -> list[str]:
+def _unprinted(name: str, page: str) -> list[str]:
     """Return the figures of a page that nothing printed."""
     settings, found = set(SETTINGS[name].split()), []
     for said, printed in _sections(_prose(page)):
@@ -100,7 +100,7 @@ def _strangers(name: str, page: str) -> list[str]:
 
 @pytest.mark.parametrize("name", sorted(SETTINGS))
 def test_every_figure_of_a_page_was_printed_by_a_benchmark_it_names(name: str) -> None:
-    assert _strangers(name, (ROOT / f"docs/{name}.md").read_text("utf-8")) == []
+    assert _unprinted(name, (ROOT / f"docs/{name}.md").read_text("utf-8")) == []
 
 
 @pytest.mark.parametrize("name", sorted(SETTINGS))
@@ -112,5 +112,5 @@ def test_every_setting_still_stands_on_its_page(name: str) -> None:
 @pytest.mark.parametrize(("said", "other"), [("1.190", "1.191"), ("8.3 %", "8.4 %"), ("13 of 13", "11 of 13")])
 def test_a_figure_that_nobody_printed_is_found(said: str, other: str) -> None:
     page = "## Any\n\n`python benchmarks/maps_egain.py`, `python benchmarks/trust.py`: {}.\n"
-    assert _strangers("results", page.format(said)) == []
-    assert _strangers("results", page.format(other)) == [other]
+    assert _unprinted("results", page.format(said)) == []
+    assert _unprinted("results", page.format(other)) == [other]

@@ -49,7 +49,7 @@ NO_DECISION = {
     "core/gap/simulator_reach.py": {"FACTORS", "BLUNT", "MEMORIES", "STANDS_OUT"},  # units, parts of stored terms
     "core/gap/twin.py": {"QUIETEST"},  # a guard
     # equations, numbers of a solver, and runs that may be proposed
-    "core/gap/twin_reach.py": {"WARM_DIVIDER", "STRANGERS", "LEVELS", "REST_s", "SET_UP_min", "TOUCHING_share"}
+    "core/gap/twin_reach.py": {"WARM_DIVIDER", "UNMODELLED_EFFECTS", "LEVELS", "REST_s", "SET_UP_min", "TOUCHING_share"}
     | {"INVERSE_STEPS", "SHARPEST", "RETRACTED_mm", "HARMONICS", "SMOOTH"},
     "core/lot_diagnosis.py": {"FEWEST_UNITS"},  # what is refused
     "core/transfer.py": {"NETWORK"},  # the same network for rig and twins
