@@ -22,19 +22,10 @@ from softcal.core.recording import OutputRecording
 from softcal.core.unit.estimate import estimate
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
+from tests.presses import held_presses
 
 RATE_HZ, UNITS = 50.0, [f"U{k}" for k in range(1, 7)]
 NETWORK = ("--hidden", "16,8", "--no-own")
-
-
-def presses(seed: int, count: int, dwell: float) -> np.ndarray:
-    rng, parts, length = np.random.default_rng(seed), [np.zeros(20)], 20
-    while length < count:
-        peak, up, down = rng.uniform(0.8, 3.0), rng.integers(15, 40), rng.integers(15, 40)
-        parts += [np.linspace(0, peak, up), np.full(1 + int(rng.exponential(dwell)), peak), np.linspace(peak, 0, down)]
-        parts += [np.zeros(8)]
-        length += sum(map(len, parts[-4:]))
-    return np.concatenate(parts)[:count]
 
 
 def recorded(force_N: np.ndarray, seed: int) -> pd.DataFrame:
@@ -50,7 +41,7 @@ def press(folder: Path, serial: str, force_N: np.ndarray) -> None:
     recorded(force_N, int(serial[1:]))[["t_s", "output"]].to_csv(folder / f"units/{serial}.csv", index=False)
 
 
-TOGETHER_N = presses(9, 2500, 60.0)
+TOGETHER_N = held_presses(9, 2500, 60.0)
 """What the units are pressed with at once: held much longer than the source was."""
 
 
@@ -65,7 +56,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         'sample_rate_Hz = 50.0\nsource = "S0"\n[lot]\nid = "tuesday"\nsimulated = true\n[reference]\nunit = "N"\n'
         '[output]\nunit = "V"\n[limit]\nrmse = 0.4\n'
     )
-    recorded(presses(1, 4000, 2.0), 0).to_csv(folder / "source/S0.csv", index=False)
+    recorded(held_presses(1, 4000, 2.0), 0).to_csv(folder / "source/S0.csv", index=False)
     for serial in UNITS:
         press(folder, serial, TOGETHER_N)
     main(["batch", str(folder), "--registry", f"sqlite:///{root / 'r.db'}", *NETWORK, "--json", str(root / "b.json")])
@@ -140,7 +131,7 @@ def test_a_second_batch_changes_nothing(registry, batch):
 
 def test_pressing_one_unit_changes_that_unit_alone_and_says_what_a_fit_would_change(lot, registry, batch, capsys):
     before = maps(registry)
-    press(lot / "lot", "U5", presses(77, 2500, 60.0))
+    press(lot / "lot", "U5", held_presses(77, 2500, 60.0))
     report = batch()
     after = maps(registry)
     assert {serial for serial in UNITS if after[serial] != before[serial]} == {"U5"}
@@ -152,7 +143,7 @@ def test_pressing_one_unit_changes_that_unit_alone_and_says_what_a_fit_would_cha
 
 
 def test_the_line_says_what_a_fit_would_change(lot, registry):
-    away = recorded(presses(77, 2500, 60.0), 5)
+    away = recorded(held_presses(77, 2500, 60.0), 5)
     moved = OutputRecording("U5", away["t_s"].to_numpy(), away["output"].to_numpy(), RATE_HZ)
     assert str(open_lot_fit(registry, "tuesday", moved)) == "lot fit 2 would change maps (units: 5)"
     with_them = recorded(TOGETHER_N, 9)
@@ -163,7 +154,7 @@ def test_the_line_says_what_a_fit_would_change(lot, registry):
 
 
 def test_a_person_makes_the_next_one_and_is_asked(lot, registry, run, batch, capsys):
-    press(lot / "lot", "U5", presses(77, 2500, 60.0))
+    press(lot / "lot", "U5", held_presses(77, 2500, 60.0))
     batch()
     before = maps(registry)
     assert run("lot", "fit", "tuesday") == 2
@@ -207,7 +198,7 @@ def test_who_was_pressed_otherwise_is_named(lot, registry, run, batch, capsys):
 
 
 def test_a_fit_that_somebody_else_made_meanwhile_is_not_overwritten(lot, registry, batch):
-    press(lot / "lot", "U5", presses(77, 2500, 60.0))
+    press(lot / "lot", "U5", held_presses(77, 2500, 60.0))
     batch()
     plan = plan_lot_fit(registry, "tuesday")
     make_lot_fit(registry, plan)
@@ -216,7 +207,7 @@ def test_a_fit_that_somebody_else_made_meanwhile_is_not_overwritten(lot, registr
 
 
 def test_a_unit_that_somebody_else_changed_meanwhile_keeps_its_newest_map(lot, registry, run, batch):
-    press(lot / "lot", "U5", presses(77, 2500, 60.0))
+    press(lot / "lot", "U5", held_presses(77, 2500, 60.0))
     batch()
     plan, before = plan_lot_fit(registry, "tuesday"), maps(registry)
     assert "U1" in plan.states
@@ -229,7 +220,7 @@ def test_a_unit_that_somebody_else_changed_meanwhile_keeps_its_newest_map(lot, r
 
 
 def test_an_audit_is_scored_by_the_map_of_the_lot(lot, registry, batch):
-    recorded(presses(33, 1500, 5.0), 4).to_csv(lot / "lot/audit/U4.csv", index=False)
+    recorded(held_presses(33, 1500, 5.0), 4).to_csv(lot / "lot/audit/U4.csv", index=False)
     report = batch()
     (unit,) = [one for one in report["units"] if one["serial"] == "U4"]
     state = registry.calibrations.get("U4", lot_id="tuesday").state
@@ -247,7 +238,7 @@ def test_one_labelled_recording_of_the_sitting_gives_the_loads_of_all_and_is_no_
     for unit in report["units"]:
         assert unit["knowledge"] == "paired" and not unit["audited"] and unit["after_rmse"] is None
         assert any("U3 was pressed with under the load cell" in why for why in unit["reasons"])
-        test = recorded(presses(33, 1500, 5.0), int(unit["serial"][1:]))
+        test = recorded(held_presses(33, 1500, 5.0), int(unit["serial"][1:]))
         output = OutputRecording(unit["serial"], test["t_s"].to_numpy(), test["output"].to_numpy(), RATE_HZ)
         errors = [
             rmse(estimate(network, state.calibration, output).estimate, test["reference"].to_numpy())

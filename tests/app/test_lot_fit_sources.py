@@ -10,20 +10,11 @@ import pytest
 from softcal.app.batch.lot_decision import decision_in_force
 from softcal.app.cli.main import main
 from softcal.db.connection import open_registry
+from tests.presses import held_presses
 
 UNITS = [f"U{k}" for k in range(1, 6)]
 LOW = 0.7
 """Reading over load of the cell under the last source."""
-
-
-def presses(seed: int, count: int, dwell: float) -> np.ndarray:
-    rng, parts, length = np.random.default_rng(seed), [np.zeros(20)], 20
-    while length < count:
-        peak, up, down = rng.uniform(0.8, 3.0), rng.integers(15, 40), rng.integers(15, 40)
-        parts += [np.linspace(0, peak, up), np.full(1 + int(rng.exponential(dwell)), peak), np.linspace(peak, 0, down)]
-        parts += [np.zeros(8)]
-        length += sum(map(len, parts[-4:]))
-    return np.concatenate(parts)[:count]
 
 
 def recorded(force_N: np.ndarray, seed: int, reading: float = 1.0) -> pd.DataFrame:
@@ -46,9 +37,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         'unit = "N"\n[output]\nunit = "V"\n'
     )
     for k, reading in ((1, 1.0), (2, 1.0), (3, LOW)):
-        recorded(presses(k, 3000, 2.0), 20 + k, reading).to_csv(folder / f"source/S{k}.csv", index=False)
+        recorded(held_presses(k, 3000, 2.0), 20 + k, reading).to_csv(folder / f"source/S{k}.csv", index=False)
     for serial in UNITS:
-        table = recorded(presses(9, 2000, 60.0), int(serial[1:]))
+        table = recorded(held_presses(9, 2000, 60.0), int(serial[1:]))
         table[["t_s", "output"]].to_csv(folder / f"units/{serial}.csv", index=False)
     main(["batch", str(folder), "--registry", f"sqlite:///{root / 'r.db'}", "--hidden", "16,8", "--no-own",
           "--json", str(root / "b.json")])  # fmt: skip

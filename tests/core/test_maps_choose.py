@@ -19,19 +19,10 @@ from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import TrainedNetwork, fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
+from tests.presses import presses
 
 GAIN, OFFSET = 1.3, 0.04
 NOISE_V = 0.0005
-
-
-def presses(seed: int, count: int, dwell: float = 0.0) -> np.ndarray:
-    rng, parts, length = np.random.default_rng(seed), [np.zeros(10)], 10
-    while length < count:
-        peak, up, down = rng.uniform(1.0, 3.0), rng.integers(10, 40), rng.integers(10, 40)
-        rest = np.zeros(5 + int(rng.exponential(dwell)) if dwell else 5)
-        parts += [np.linspace(0, peak, up), np.linspace(peak, 0, down), rest]
-        length += up + down + len(rest)
-    return np.concatenate(parts)[:count]
 
 
 def recording(
@@ -111,7 +102,8 @@ def test_a_long_opening_does_not_make_the_whole_one_load(make, source):
 def test_one_slow_rise_alike_is_no_opening():
     rise = np.linspace(0.0, 3.0, 1500)
     known = LabelledRecording(
-        recording("S", np.concatenate([rise, presses(3, 1500)])), np.concatenate([rise, presses(3, 1500)])
+        recording("S", np.concatenate([rise, presses(3, 1500)])),
+        np.concatenate([rise, presses(3, 1500)]),
     )
     target = recording("T", np.concatenate([rise, presses(4, 1500)]), GAIN, OFFSET, 9)
     assert not find_synchrony(known.unlabelled, target, MapConfig()).is_synchronous

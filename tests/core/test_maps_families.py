@@ -21,20 +21,10 @@ from softcal.core.maps.plan import barycentric, solve_exact
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.windows import windows
+from tests.presses import presses
 
 GAIN, OFFSET = 1.3, 0.04
 MAPS = MapConfig()
-
-
-def presses(seed: int, count: int = 1500, dwell: float = 0.0) -> np.ndarray:
-    """Random presses to 1 ... 3 N at random speeds, with rests whose length is a matter of programme."""
-    rng, parts, length = np.random.default_rng(seed), [np.zeros(10)], 10
-    while length < count:
-        peak, up, down = rng.uniform(1.0, 3.0), rng.integers(10, 40), rng.integers(10, 40)
-        rest = np.zeros(5 + int(rng.exponential(dwell)) if dwell else 5)
-        parts += [np.linspace(0, peak, up), np.linspace(peak, 0, down), rest]
-        length += up + down + len(rest)
-    return np.concatenate(parts)[:count]
 
 
 def source_output(force_N: np.ndarray) -> np.ndarray:
@@ -74,7 +64,7 @@ def relative_error(unit_map: UnitMap, load_N: np.ndarray) -> float:
     return float(np.sqrt(np.mean((mapped - truth) ** 2)) / np.ptp(truth))
 
 
-SAME = problem(presses(1), presses(1), stage=True)
+SAME = problem(presses(1, 1500), presses(1, 1500), stage=True)
 
 
 @pytest.mark.parametrize("name", [n for n in FAMILIES if n != "identity"])
@@ -190,7 +180,8 @@ def test_ends_match_a_short_recording_to_stretches_as_short() -> None:
     lot = problem(presses(1, 6000), presses(2, 250))
     match = match_ends(lot.source, lot.target, MAPS)
     assert match.gain == pytest.approx(GAIN, rel=0.25)
-    assert match.gain_error > 3 * match_ends(lot.source, problem(presses(1), presses(2, 6000)).target, MAPS).gain_error
+    longer = problem(presses(1, 1500), presses(2, 6000)).target
+    assert match.gain_error > 3 * match_ends(lot.source, longer, MAPS).gain_error
 
 
 @pytest.mark.parametrize("output_V", [0.5, 0.1])
@@ -205,7 +196,7 @@ def test_constant_output_is_refused(name: str, output_V: float) -> None:
 @pytest.mark.parametrize(("name", "code"), [("stage_matched", "no_position"), ("synchronous", "not_synchronous")])
 def test_what_cannot_be_paired_is_refused(name: str, code: str) -> None:
     with pytest.raises(UnitRefused) as refused:
-        family(name).fit(problem(presses(1), presses(2)))
+        family(name).fit(problem(presses(1, 1500), presses(2, 1500)))
     assert refused.value.reason.code == code
 
 

@@ -20,21 +20,10 @@ from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.lot_fit import LotMap
+from tests.presses import held_presses
 
 RATE_HZ, NOISE_V = 50.0, 0.0005
 UNITS = 6
-
-
-def presses(seed: int, count: int, dwell: float, spread: float = 0.0, own: int = 0) -> np.ndarray:
-    """Triangular presses in N; with a spread each is harder or softer on a unit of its own."""
-    rng, differs, parts, length = np.random.default_rng(seed), np.random.default_rng(own), [np.zeros(20)], 20
-    while length < count:
-        peak, up, down = rng.uniform(0.8, 3.0), rng.integers(15, 40), rng.integers(15, 40)
-        peak *= 1.0 + spread * differs.normal()
-        parts += [np.linspace(0, peak, up), np.full(1 + int(rng.exponential(dwell)), peak), np.linspace(peak, 0, down)]
-        parts += [np.zeros(8)]
-        length += sum(map(len, parts[-4:]))
-    return np.concatenate(parts)[:count]
 
 
 def unit(serial: str, force_N: np.ndarray, seed: int, start_s: float = 0.0) -> LabelledRecording:
@@ -49,7 +38,7 @@ def unit(serial: str, force_N: np.ndarray, seed: int, start_s: float = 0.0) -> L
 
 @pytest.fixture(scope="module")
 def source() -> LabelledRecording:
-    return unit("S0", presses(1, 4000, dwell=2.0), 0)
+    return unit("S0", held_presses(1, 4000, dwell=2.0), 0)
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +48,7 @@ def network(source: LabelledRecording) -> Network:
 
 def lot(spread: float = 0.0, units: int = UNITS) -> list[LabelledRecording]:
     """Units pressed together under a programme that the source did not have: held much longer."""
-    return [unit(f"U{k}", presses(9, 3000, 60.0, spread, k), k) for k in range(1, units + 1)]
+    return [unit(f"U{k}", held_presses(9, 3000, 60.0, spread, k), k) for k in range(1, units + 1)]
 
 
 def outputs(units: list[LabelledRecording]) -> list[OutputRecording]:
@@ -70,7 +59,7 @@ def errors(fit: LotFit, network: Network, alone: bool) -> np.ndarray:
     """Error of each map on a recording that no fit has seen."""
     found = []
     for serial, one in fit.units.items():
-        test = unit(serial, presses(33, 2000, dwell=5.0), int(serial[1:]))
+        test = unit(serial, held_presses(33, 2000, dwell=5.0), int(serial[1:]))
         unit_map = one.alone.unit_map if alone else one.unit_map
         found.append(rmse(network.evaluate(unit_map.apply(test.windows)), test.window_reference))
     return np.array(found)
@@ -89,7 +78,7 @@ def test_a_load_that_all_share_is_known_better_than_by_any_of_them(fit, network)
 
 def test_its_uncertainties_are_those_of_its_estimates(fit, network):
     (group,) = fit.groups
-    known = presses(9, 3000, 60.0)[14:]
+    known = held_presses(9, 3000, 60.0)[14:]
     common = rmse(group.load, known)
     # What all misread alike is no part of it: the true error is no smaller than this by much, and not far beyond.
     assert 0.3 * common < group.common_rmse < 3 * common
@@ -100,7 +89,7 @@ def test_its_uncertainties_are_those_of_its_estimates(fit, network):
 
 def test_the_order_of_the_units_changes_nothing(source, network, fit):
     backwards = fit_lot(source, network, outputs(lot())[::-1])
-    test = unit("U2", presses(33, 2000, dwell=5.0), 2)
+    test = unit("U2", held_presses(33, 2000, dwell=5.0), 2)
     one, other = (network.evaluate(f.units["U2"].unit_map.apply(test.windows)) for f in (fit, backwards))
     assert rmse(one, other) < 0.02 * np.ptp(test.reference)
 
@@ -113,7 +102,7 @@ def test_a_map_is_rebuilt_from_what_is_stored(fit):
 
 def test_who_was_pressed_otherwise_keeps_its_own_map_and_is_named(source, network):
     units = lot()
-    foreign = unit("U5", presses(77, 3000, 60.0), 5)
+    foreign = unit("U5", held_presses(77, 3000, 60.0), 5)
     still = replace(units[5].unlabelled, output=np.full(3000, 0.5))
     fit = fit_lot(source, network, [*outputs(units[:4]), foreign.unlabelled, still])
     assert fit.members == ("U1", "U2", "U3", "U4")
@@ -125,7 +114,7 @@ def test_who_was_pressed_otherwise_keeps_its_own_map_and_is_named(source, networ
 def test_a_unit_that_no_map_brings_to_the_others_stands_alone(source, network):
     units = lot()
     # A press that slips now and then on one unit: as synchronous as the rest, and not under their load.
-    slipping = presses(9, 3000, 60.0)
+    slipping = held_presses(9, 3000, 60.0)
     slipping[900:1100] *= 0.7
     fit = fit_lot(source, network, [*outputs(units[:5]), unit("U6", slipping, 6).unlabelled])
     assert fit.members == tuple(f"U{k}" for k in range(1, 6))
@@ -134,7 +123,7 @@ def test_a_unit_that_no_map_brings_to_the_others_stands_alone(source, network):
 
 def test_a_unit_that_swings_like_noise_under_the_common_load_stands_alone(source, network):
     units = outputs(lot())
-    jitter = 0.05 * np.resize(np.repeat([1.0, -1.0], 5), 3000) * (presses(9, 3000, 60.0) > 0.5)
+    jitter = 0.05 * np.resize(np.repeat([1.0, -1.0], 5), 3000) * (held_presses(9, 3000, 60.0) > 0.5)
     noisy = replace(units[5], output=units[5].output + jitter)
     fit = fit_lot(source, network, [*units[:5], noisy])
     assert fit.members == tuple(f"U{k}" for k in range(1, 6))
@@ -160,7 +149,7 @@ def test_clocks_that_differ_and_gaps_are_no_obstacle(source, network, fit):
 
 
 def test_who_was_pressed_with_the_source_keeps_its_pairs(source, network):
-    units = [unit(f"U{k}", presses(1, 4000, dwell=2.0), k) for k in range(1, 4)]
+    units = [unit(f"U{k}", held_presses(1, 4000, dwell=2.0), k) for k in range(1, 4)]
     fit = fit_lot(source, network, outputs(units))
     assert {why.code for why in fit.outliers.values()} == {"lot_fit.known"} and not fit.groups
 
@@ -177,7 +166,7 @@ def test_the_cost_is_linear_in_the_units(source, network, monkeypatch):
     counts = []
     for count in (10, 20, 30):
         calls.clear()
-        fit_lot(source, network, [unit(f"U{k}", presses(100 + k, 800, 20.0), k).unlabelled for k in range(count)])
+        fit_lot(source, network, [unit(f"U{k}", held_presses(100 + k, 800, 20.0), k).unlabelled for k in range(count)])
         counts.append(len(calls))
     steps = [b - a for a, b in pairwise(counts)]
     assert steps[0] == steps[1]
@@ -187,7 +176,7 @@ def read_by_sources(fit: LotFit) -> dict[str, tuple[LoadGroup, ...]]:
     """Common loads by three sources; the load cell of the last reads low, and so does its network."""
     groups = {"S0": fit.groups}
     for serial, factor in (("S1", 1.0), ("S2", 0.75)):
-        force_N = presses(40 + int(serial[1:]), 4000, dwell=2.0)
+        force_N = held_presses(40 + int(serial[1:]), 4000, dwell=2.0)
         known = replace(unit(serial, force_N, 50 + int(serial[1:])), reference=factor * force_N)
         own = fit_network(known, NetworkConfig(hidden=(24, 12), max_epochs=40)).network
         groups[serial] = fit_lot(known, own, outputs(lot()), paired=()).groups
@@ -197,7 +186,7 @@ def read_by_sources(fit: LotFit) -> dict[str, tuple[LoadGroup, ...]]:
 def test_a_source_whose_network_reads_the_lot_low_is_named_with_what_its_units_err_by(fit):
     biases = compare_sources(read_by_sources(fit), SharedLoadConfig())
     assert {serial for serial, one in biases.items() if one.is_bad} == {"S2"}
-    known = presses(9, 3000, 60.0)
+    known = held_presses(9, 3000, 60.0)
     one = biases["S2"]
     assert one.bias == pytest.approx(np.mean(0.75 * known) - np.mean(known), abs=2.5 * one.uncertainty)
     assert one.others == 2 and one.common_rmse > 0.5 * rmse(0.75 * known, known)
