@@ -15,6 +15,13 @@ if TYPE_CHECKING:
 
 REGISTRY_VARIABLE = "SOFTCAL_REGISTRY"
 
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+"""Environment of a process whose numerical libraries start no threads of their own.
+
+All matrices here are small: threads that wait for each other cost more than they compute, and many times more where
+other work keeps the cores busy. What runs in parallel runs in processes.
+"""
+
 
 def registry_url(option: str | None = None) -> str:
     """Return the registry's URL: the option, else $SOFTCAL_REGISTRY, else an SQLite file in the user's data folder.

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from multiprocessing.connection import wait as wait_for_end
 from typing import Any, Generic, TypeVar
 
+from softcal.app.bootstrap import ONE_THREAD
 from softcal.core.errors import InputError
 
 Item = TypeVar("Item")
@@ -30,7 +31,6 @@ ITEMS_AHEAD = 2
 
 WORKERS_WITHIN_S = 60.0
 TRIES_ALONE = 2
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 _END: Any = object()
 _shared: Any = None
@@ -189,8 +189,8 @@ def _end_with_parent() -> None:
 @contextmanager
 def _process_pool(choice: EngineChoice, shared: Any) -> Iterator[Pool]:
     # Workers read the limits when they import libraries: two must not start four threads.
-    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
-    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
     executor = ProcessPoolExecutor(
         choice.jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker, initargs=(shared,)
     )

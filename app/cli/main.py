@@ -2,11 +2,13 @@
 
 import argparse
 import importlib
+import os
 import sys
 from collections.abc import Collection
 from functools import partial
 from unicodedata import normalize
 
+from softcal.app.bootstrap import ONE_THREAD
 from softcal.app.cli.configuration import configure, files_in_use
 from softcal.app.cli.parser import Parser
 from softcal.app.extras import missing_extra
@@ -57,6 +59,8 @@ def main(arguments: list[str] | None = None) -> int:
     A defect of softcal itself is one line for the person, too; its traceback goes to the log.
     """
     given = sys.argv[1:] if arguments is None else arguments
+    # Libraries read it when they are imported, which is later.
+    os.environ.update(ONE_THREAD | os.environ)
     # A configuration file is checked whole, with the options of every command.
     parser = command_parser(COMMANDS if files_in_use() else ())
     try:

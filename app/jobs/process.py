@@ -8,12 +8,9 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from softcal.app.bootstrap import open_chosen_registry
+from softcal.app.bootstrap import ONE_THREAD, open_chosen_registry
 from softcal.app.logs import log_folder
 from softcal.db.registry import Registry
-
-THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-"""The station at this machine comes first: a job takes one core."""
 
 DEMO = "demo"
 """Name of the demo's lot."""
@@ -30,11 +27,11 @@ def start_job(registry: Registry, kind: str, request: Mapping[str, Any], actor: 
 
 
 def launch(job_id: str, on_end: Callable[[], None] = lambda: None) -> None:
-    """Start the process of a job on the registry of the environment; it outlives this one.
+    """Start the process of a job, on one core, on the registry of the environment; it outlives this one.
 
     `on_end` is called in a thread once the process has ended, however it did.
     """
-    _detached(["softcal.app.jobs.process", job_id], "jobs.log", f"job {job_id}", THREADS, on_end)
+    _detached(["softcal.app.jobs.process", job_id], "jobs.log", f"job {job_id}", ONE_THREAD, on_end)
 
 
 def start_simulated_station(name: str) -> None:

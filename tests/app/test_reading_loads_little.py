@@ -1,12 +1,14 @@
 """Commands that only read load what they use and nothing else: a person waits for every library that is loaded."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from softcal.app.bootstrap import ONE_THREAD
 from softcal.app.cli.main import COMMANDS, main
 from softcal.db.connection import open_registry
 
@@ -93,3 +95,12 @@ def test_a_batch_does_not_load_what_no_map_needs(calibrated, trained_lot):
 
 def test_what_calibrates_loads_no_search_tree_before_a_stage_asks_for_it():
     assert "scipy.spatial" not in modules_of("import softcal.app.batch.calibrating")
+
+
+def test_a_command_starts_no_threads_of_a_numerical_library():
+    """On busy cores small matrices would take ten times as long."""
+    code = "from softcal.app.cli.main import main; main(['completion', 'bash'])\nimport numpy, os"
+    code += "\nnumpy.ones((200, 200)) @ numpy.ones((200, 200)); print(len(os.listdir('/proc/self/task')))"
+    free = {name: value for name, value in os.environ.items() if name not in ONE_THREAD}
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=free)
+    assert answer.stdout.splitlines()[-1] == "1"
