@@ -16,7 +16,7 @@ class LotRow:
         state: the text `lots.state.STATE`.
         decided: units with a result, of `units` target units.
         good: decided units that pass, the yield; None while none is decided.
-        audits: units with an audit.
+        audited: units whose error was measured with the load cell, as on the lot's page.
         released: units that pass.
         changed_at: when its newest recording was added, or its newest decision made; None before both.
     """
@@ -27,7 +27,7 @@ class LotRow:
     units: int
     decided: int
     good: Share | None
-    audits: int
+    audited: int
     released: int
     changed_at: datetime | None
 
@@ -64,7 +64,7 @@ def _row(registry: Registry, lot_id: str) -> LotRow:
         units,
         decided,
         Share(released, decided) if decided else None,
-        len({entry.serial for entry in recordings if entry.kind == "audit"}),
+        registry.pages.audited_count(lot_id),
         released,
         max(instants, default=None),
     )

@@ -17,6 +17,7 @@ from common.planted import planted
 from common.screens import THEMES, Theme, keep_picture, served
 from playwright.sync_api import Browser, Page, ViewportSize
 
+from softcal.app.batch.changes import change_limit
 from softcal.app.cli.main import main as softcal
 from softcal.app.files.recording_file import write_columns
 from softcal.app.gap.desk import practise
@@ -75,7 +76,7 @@ def fill(url: str, folder: Path) -> None:
         registry.people.set(QUALITY, "quality", QUALITY_PIN, actor="installation")
         registry.people.set(NAME, "engineer", PIN, actor=QUALITY)
         registry.people.set("Oh", "operator", "1111", actor=QUALITY)
-        registry.lots.set_limit(LOT, 0.14, reason="drawing D 117 rev. B", actor=NAME)
+        change_limit(registry, LOT, 0.14, reason="drawing D 117 rev. B", actor=NAME)
         registry.stations.add_certificate(
             CellCertificate("K1", "2026-0815", "Calibration laboratory", date(2026, 1, 5), date(2036, 1, 5), 20.0, 0.02)
         )
@@ -126,7 +127,7 @@ def add_golden_runs(registry: Registry) -> None:
         at = datetime.now(UTC) - timedelta(hours=12 * (16 - k))
         above = reason("golden.error", error=value, unit="N", what=reason("golden.own_limit"), limit=0.0742)
         reasons = () if is_good else (above,)
-        registry.stations.add_golden_run(GoldenRun("line-1", LOT, "U001", at, value, "N", is_good, reasons, "Oh"))
+        registry.stations.add_golden_run(GoldenRun("line-1", LOT, "S0", at, value, "N", is_good, reasons, "Oh"))
 
 
 def add_course(registry: Registry) -> None:

@@ -74,9 +74,9 @@ forecast_only: its error and its interval are only predicted, not measured; noth
 not_qualified: not released by sample; {why}
 part.here: audited units of this lot: {audits}
 part.of_lots: audited units of earlier lots: {audits}, lots: {lots}
-part.unqualified: too few units of this lot are audited; {why}; audit {missing} more, drawn by the
-  audit plan (audited so far: {audits})
-part.unqualified_small: too few units of this lot are audited; {why}; {small}; audited so far:
+part.unqualified: too few units of this lot were drawn and then audited; {why}; audit {missing} more,
+  drawn by the audit plan (so far: {audits})
+part.unqualified_small: too few units of this lot were drawn and then audited; {why}; {small}; so far:
   {audits}
 part.small_lot: the lot is too small for a release by sample; measure every unit, or audit earlier
   lots of this sensor model (units: {units}, audits needed: {wanted}, earlier lots needed: {least})

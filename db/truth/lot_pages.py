@@ -183,6 +183,14 @@ class LotPages(RegistryBase):
             counts = {str(v): int(n) for v, n in self.database.tuples(select(verdict, func.count()).group_by(verdict))}
         return {name: counts.get(name, 0) for name in (*_severities(), "none")}
 
+    def audited_count(self, lot_id: str) -> int:
+        """Return how many target units of a lot have an error that was measured, and an audit that is not set aside."""
+        with self.database.reading():
+            table = StandingQuery(self.database, lot_id).table(role="target")
+            measured = and_(table.c.after_rmse.is_not(None), ~table.c.is_suspect)
+            ((count,),) = self.database.tuples(select(func.count()).select_from(table).where(measured))
+            return int(count)
+
     def lot_errors(self, lot_id: str) -> list[UnitErrors]:
         """Return the errors of every target unit with a map, by serial."""
         with self.database.reading():

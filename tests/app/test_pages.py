@@ -10,10 +10,12 @@ from softcal.app.batch.release import lot_standing, outline_lot
 from softcal.app.texts.catalogue import catalogue, text
 from softcal.app.ui.pages import MOVED, PAGES, moved, page_of
 from softcal.app.views.common import number
+from softcal.app.views.lot import lot_view
 from softcal.app.views.lots import lot_list
 from softcal.app.views.next_step import next_step
 from softcal.app.views.search import search
 from softcal.core.lot import Lot
+from softcal.core.recording import LabelledRecording
 from softcal.core.orders import Heartbeat, StationState
 from softcal.core.quality.audit_plan import AuditConfig
 from softcal.db.connection import open_registry
@@ -130,6 +132,14 @@ def test_the_list_of_lots_says_how_far_each_is(calibrated: str, show) -> None:
     assert rows["other"].good is None
     table = show(calibrated, "lots").table[0].value
     assert len(table) == 2 and any("lot?lot=small" in cell for cell in table.iloc[:, 0])
+
+
+def test_an_audit_that_measured_nothing_yet_is_counted_nowhere(calibrated: str) -> None:
+    with open_registry(calibrated) as registry:
+        unit = registry.recordings.get(registry.calibrations.get("A2").state.fit.recording_sha256)
+        registry.recordings.add("small", LabelledRecording(unit, unit.output), "audit")
+        (small,) = lot_list(registry)
+        assert small.audited == len(lot_view(registry, "small").audited)
 
 
 def test_a_unit_says_in_its_head_what_was_decided_when_by_whom_and_where(calibrated: str, show) -> None:

@@ -40,7 +40,7 @@ def render() -> None:
             say("column.state"): say(f"lots.state.{row.state}"),
             say("lots.decided"): f"{row.decided} / {row.units}",
             say("lot.yield"): percent(None if row.good is None else row.good.value),
-            say("lots.audits"): row.audits,
+            say("lot.audited"): row.audited,
             say("lots.released"): row.released,
             say("lots.changed"): instant(row.changed_at),
         }
