@@ -1,7 +1,8 @@
 """All lots of a registry, one row each. No Streamlit."""
 
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import date, datetime
+from itertools import count
 
 from softcal.app.registry.limit import limit_or_none
 from softcal.core.quality.yields import Share
@@ -38,6 +39,13 @@ def lot_list(registry: Registry) -> list[LotRow]:
     undated = [row for row in rows if row.changed_at is None]
     dated = [row for row in rows if row.changed_at is not None]
     return sorted(dated, key=lambda row: str(row.changed_at), reverse=True) + undated
+
+
+def proposed_lot_id(registry: Registry, today: date) -> str:
+    """Return the name of a new lot where nobody gives one: year and week (ISO 8601), counted on where it is taken."""
+    week, stored = f"{today:%G-%V}", set(registry.lots.ids())
+    names = (week if number == 1 else f"{week}-{number}" for number in count(1))
+    return next(name for name in names if name not in stored)
 
 
 def _row(registry: Registry, lot_id: str) -> LotRow:

@@ -11,7 +11,7 @@ from softcal.app.texts.catalogue import catalogue, text
 from softcal.app.ui.pages import MOVED, PAGES, moved, page_of
 from softcal.app.views.common import number
 from softcal.app.views.lot import lot_view
-from softcal.app.views.lots import lot_list
+from softcal.app.views.lots import lot_list, proposed_lot_id
 from softcal.app.views.next_step import next_step
 from softcal.app.views.search import search
 from softcal.core.lot import Lot
@@ -132,6 +132,16 @@ def test_the_list_of_lots_says_how_far_each_is(calibrated: str, show) -> None:
     assert rows["other"].good is None
     table = show(calibrated, "lots").table[0].value
     assert len(table) == 2 and any("lot?lot=small" in cell for cell in table.iloc[:, 0])
+
+
+def test_a_new_lot_is_called_by_its_week_and_never_as_another(calibrated: str) -> None:
+    day, names = date(2027, 1, 2), []
+    with open_registry(calibrated) as registry:
+        for _ in range(3):
+            names.append(proposed_lot_id(registry, day))
+            registry.lots.add(Lot(names[-1], "S1", 50.0))
+    # 2 January 2027 lies in the last week of 2026 (ISO 8601).
+    assert names == ["2026-53", "2026-53-2", "2026-53-3"]
 
 
 def test_an_audit_that_measured_nothing_yet_is_counted_nowhere(calibrated: str) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +27,10 @@ from softcal.app.ui.components.lot_upload import (
     forget_files,
 )
 from softcal.app.ui.components.station_run import choose_station, newest_run, place, run_panel
-from softcal.app.ui.desk import choose, colours, in_words, instant, say
+from softcal.app.ui.desk import choose, colours, in_words, instant, say, zone
 from softcal.app.ui.panels import go_to, numbers, rest_may_follow, show_figure, step, table
 from softcal.app.ui.server_memory import registry
+from softcal.app.views.lots import proposed_lot_id
 from softcal.app.views.network import network_rows
 from softcal.app.views.station import source_facts
 from softcal.core.errors import InputError
@@ -113,8 +115,9 @@ def _facts(files: Sequence[Path], content: pd.DataFrame, columns: Columns) -> tu
     else:
         serials = [file.stem for file in files]
     first, second, third, fourth = st.columns(4)
+    proposed = proposed_lot_id(registry(), datetime.now(zone()).date())
     facts: dict[str, Any] = {
-        "id": first.text_input(say("choose.lot"), placeholder="2026-48", key="new-lot-name"),
+        "id": first.text_input(say("choose.lot"), proposed, key="new-lot-name"),
         "sensor_model": third.text_input(say("source.model"), placeholder="eGaIn pad, 3 mm", key="new-lot-model"),
     }
     source = str(second.selectbox(say("new_lot.source"), serials, key="new-lot-source") or "")
