@@ -281,11 +281,11 @@ def sign_in(hand: Hand, name: str) -> None:
 def jobs(folder: Path) -> Iterator[tuple[str, str, str, Callable[[Hand], object]]]:
     """Give who, signed in as whom, what, and how."""
     alone = "engineer, alone on the machine"
-    yield alone, "", "files dropped into an empty registry, calibrated", lambda hand: new_lot(hand, folder)
+    yield alone, "", "try the demo and land on its lot", try_demo
+    yield alone, "", "own files dropped, calibrated", lambda hand: new_lot(hand, folder)
     yield alone, "", "the certificates of its units", certificate
     yield "auditor", "", "the first account: a second person comes", first_account
     yield "auditor", "Quinn", "give the engineer an account", add_engineer
-    yield "engineer", "Erin", "try the demo and land on its lot", try_demo
     yield "engineer", "Erin", "set the limit, with the reason", set_limit
     yield "engineer", "Erin", "draw an audit, bring its recordings, see what they say", lambda hand: audit(hand, folder)
     yield "engineer", "Erin", "find the worst unit and why", look_at_unit

@@ -1,6 +1,5 @@
-"""Drift, map and predicted error of a unit in use over time, from what the registry keeps of it."""
+"""Drift, map and predicted error of a unit in use over time; of a stream at hand its output and estimates too."""
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import plotly.graph_objects as go
@@ -10,44 +9,61 @@ from softcal.app.charts.palette import Palette
 from softcal.app.charts.style import axis_titles, coloured, dots
 from softcal.app.texts.reasons import Words
 from softcal.app.views.common import thinned
-from softcal.app.views.long_term import Course
+from softcal.app.views.long_term import Course, Trace
 
-EVENTS = (("held", "x"), ("jumped", "diamond"))
+EVENTS = (("held", "x"), ("tried", "triangle-up"), ("jumped", "diamond"))
+ROW_PX = 190
+HOURS_FROM_S = 7200.0
+"""A longer course is drawn in hours."""
 
 
-def course_figure(course: Course, colours: Palette, words: Words) -> go.Figure:
-    """Draw drift, gain, offset and predicted error; what was held and alarms stand out."""
-    at = thinned(course.steps)
-    t_h = [t_s / 3600 for t_s in course.column("t_s")][at]
-    figure = make_subplots(rows=4, shared_xaxes=True, vertical_spacing=0.05)
-    shift, sd = course.column("shift")[at], course.column("shift_sd")[at]
-    edge = {"mode": "lines", "line": {"width": 0}, "hoverinfo": "skip", "showlegend": False, "row": 1, "col": 1}
-    figure.add_scatter(x=t_h, y=[v - s for v, s in zip(shift, sd, strict=True)], **edge)
-    upper = [v + s for v, s in zip(shift, sd, strict=True)]
-    figure.add_scatter(x=t_h, y=upper, fill="tonexty", fillcolor=colours.band, **edge)
-    line = {"color": colours.mapped, "width": 1.8}
-    figure.add_scatter(x=t_h, y=shift, mode="lines", line=line, name=words("chart.drift"), row=1, col=1)
+def course_figure(course: Course, colours: Palette, words: Words, trace: Trace | None = None) -> go.Figure:
+    """Draw drift, gain, offset and predicted error; where the map was held, where it jumped and alarms stand out."""
+    time_s = [*course.column("t_s"), *(trace.t_s if trace else ())]
+    scale, time_title = (3600.0, "chart.time_h") if max(time_s, default=0.0) > HOURS_FROM_S else (1.0, "chart.time")
+    rows = 6 if trace else 4
+    figure = make_subplots(rows=rows, shared_xaxes=True, vertical_spacing=0.04)
+    at, first = thinned(course.steps), 2 if trace else 1
+    times = [t_s / scale for t_s in course.column("t_s")][at]
+
+    def line(
+        row: int, x: list[float], y: list[float], colour: str, title: str, is_map: bool = True, name: str | None = None
+    ) -> None:
+        look, legend = {"color": colour, "width": 1.6} | ({"shape": "hv"} if is_map else {}), {"showlegend": bool(name)}
+        figure.add_scatter(x=x, y=y, line=look, mode="lines", name=name, row=row, col=1, **legend)
+        axis_titles(figure, row, title)
+
+    def band(row: int, x: list[float], lower: list[float], upper: list[float]) -> None:
+        edge: dict[str, Any] = {"mode": "lines", "line": {"width": 0}, "hoverinfo": "skip", "showlegend": False}
+        figure.add_scatter(x=x, y=lower, row=row, col=1, **edge)
+        figure.add_scatter(x=x, y=upper, fill="tonexty", fillcolor=colours.band, row=row, col=1, **edge)
+
+    def mark(row: int, which: str, by: str, value: str, why: str, colour: str, symbol: str) -> None:
+        steps = [step for step in course.steps if step[by] and (by == "alarm" or step[by] == which)]
+        if steps:
+            x, y = [step["t_s"] / scale for step in steps], [step[value] for step in steps]
+            hover: dict[str, Any] = {"text": [step[why] for step in steps], "hovertemplate": "%{text}<extra></extra>"}
+            dots(figure, x, y, colour, words(f"event.{which}"), 9, row, symbol=symbol, **hover)
+
+    if trace:
+        stream = [t_s / scale for t_s in trace.t_s]
+        line(1, stream, trace.output, colours.source, f"{words('chart.output')} [{course.output_unit}]", False)
+        band(rows - 1, stream, trace.lower, trace.upper)
+        title = f"{words('chart.estimate')} [{course.reference_unit}]"
+        line(rows - 1, stream, trace.estimate, colours.mapped, title, False)
+    for name, colour in (("shift", colours.mapped), ("log_gain", colours.raw)):
+        drift, sd = course.column(name)[at], course.column(f"{name}_sd")[at]
+        band(first, times, *([v + sign * s for v, s in zip(drift, sd, strict=True)] for sign in (-1, 1)))
+        line(first, times, drift, colour, words("chart.drift_scale"), False, words(f"chart.{name}"))
     for event, symbol in EVENTS:
-        held = [step for step in course.steps if step["verdict"] == event]
-        _marked(figure, held, "shift", "reason", words(f"event.{event}"), colours.raw, symbol=symbol, size=8, row=1)
-    axis_titles(figure, 1, words("chart.drift_scale"))
-    for row, (name, unit) in enumerate((("gain", ""), ("offset", course.output_unit)), 2):
-        line = {"color": colours.source, "shape": "hv", "width": 1.6}
-        figure.add_scatter(x=t_h, y=course.column(name)[at], line=line, mode="lines", showlegend=False, row=row, col=1)
-        axis_titles(figure, row, f"{words(f'chart.{name}')} [{unit}]" if unit else words(f"chart.{name}"))
-    line, values = {"color": colours.mapped, "shape": "hv", "width": 1.8}, course.column("predicted_rmse")[at]
-    figure.add_scatter(x=t_h, y=values, mode="lines", line=line, showlegend=False, row=4, col=1)
-    alarms, look = [step for step in course.steps if step["alarm"]], {"symbol": "triangle-up", "size": 9}
-    _marked(figure, alarms, "predicted_rmse", "alarm", words("event.alarm"), colours.limit, row=4, **look)
-    axis_titles(figure, 4, f"{words('lot.predicted')} [{course.reference_unit}]", words("chart.time_h"))
-    figure.update_yaxes(rangemode="tozero", row=4, col=1)
-    return coloured(figure, colours, 760)
-
-
-def _marked(
-    figure: go.Figure, steps: Sequence[Mapping[str, Any]], value: str, why: str, name: str, colour: str, **look: Any
-) -> None:
-    if steps:
-        x, y = [step["t_s"] / 3600 for step in steps], [step[value] for step in steps]
-        hover: dict[str, Any] = {"text": [step[why] for step in steps], "hovertemplate": "%{text}<extra></extra>"}
-        dots(figure, x, y, colour, name, **hover, **look)
+        mark(first, event, "verdict", "shift", "reason", colours.raw, symbol)
+    line(first + 1, times, course.column("gain")[at], colours.source, words("chart.gain"))
+    line(
+        first + 2, times, course.column("offset")[at], colours.source, f"{words('chart.offset')} [{course.output_unit}]"
+    )
+    title = f"{words('lot.predicted')} [{course.reference_unit}]"
+    line(rows, times, course.column("predicted_rmse")[at], colours.mapped, title)
+    mark(rows, "alarm", "alarm", "predicted_rmse", "alarm", colours.limit, "triangle-up")
+    axis_titles(figure, rows, title, words(time_title))
+    figure.update_yaxes(rangemode="tozero", row=rows, col=1)
+    return coloured(figure, colours, ROW_PX * rows)

@@ -5,15 +5,16 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, Future
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from softcal.app.charts.adaptation import Trace, adaptation_figure
 from softcal.app.files.atomic import write_text
 from softcal.app.files.recording_file import PLAIN, ColumnNames
 from softcal.app.files.stream_file import Stream, estimate_writer
 from softcal.app.registry.lot_recordings import source_recording
 from softcal.app.registry.unit import UnitInUse, unit_in_use
+from softcal.app.views.long_term import Course, Trace
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot, UnitKey
@@ -168,7 +169,7 @@ class Follower:
         report.flags.update(word for flag in rows.flag.tolist() for word in flag.split(FLAG_SEPARATOR))
         report.verdicts.update(update.verdict for update in updates)
         report.current = self._adapter.current
-        report.trace.add(rows, output, report.current)
+        report.trace.add(rows, output)
         self._since_maps += len(output)
         self._since_state += len(output)
         return rows
@@ -308,7 +309,12 @@ def maps_of(course: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
 
 def write_figure(registry: Registry, path: Path, report: AdaptReport, maps: list[Mapping[str, Any]]) -> None:
     """Write drift, map, estimate and predicted error over time as one page."""
-    lot = report.lot
-    title = f"{report.serial}, stream {report.stream}"
-    figure = adaptation_figure(title, report.trace, maps, lot.output_unit, lot.reference_unit)
+    from softcal.app.charts.long_term import course_figure
+    from softcal.app.charts.palette import LIGHT
+    from softcal.app.texts.catalogue import text
+
+    units, steps = (report.lot.output_unit, report.lot.reference_unit), tuple(s for s in maps if s["t_s"] is not None)
+    course = Course(report.serial, report.stream, steps, *units)
+    figure = course_figure(course, LIGHT, partial(text, "en"), report.trace)
+    figure.update_layout(title={"text": f"{report.serial}, stream {report.stream}", "x": 0.99, "xanchor": "right"})
     write_text(path, figure.to_html(include_plotlyjs=True))

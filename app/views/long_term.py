@@ -1,12 +1,17 @@
 """Units in use: who needs a calibration, and the course of one over time."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from softcal.core.lot import UnitKey
+from softcal.core.recording import Array
+from softcal.core.unit.estimate import Estimate
 from softcal.db.registry import Registry
 from softcal.db.truth.adaptations import AdaptedUnit
+
+MAX_ROWS = 6000
+"""Of a stream that is drawn."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +32,34 @@ class Course:
     def column(self, name: str) -> list[Any]:
         """Return one value of every step."""
         return [step[name] for step in self.steps]
+
+
+@dataclass
+class Trace:
+    """Columns of equal length, evenly thinned over the rows of a stream."""
+
+    t_s: list[float] = field(default_factory=list)
+    output: list[float] = field(default_factory=list)
+    estimate: list[float] = field(default_factory=list)
+    lower: list[float] = field(default_factory=list)
+    upper: list[float] = field(default_factory=list)
+    stride: int = 1
+    rows: int = 0
+
+    def add(self, rows: Estimate, output: Array) -> None:
+        """Add rows with their estimates."""
+        kept = slice(-self.rows % self.stride, None, self.stride)
+        self.rows += len(output)
+        self.t_s += rows.t_s[kept].tolist()
+        self.output += output[kept].tolist()
+        self.estimate += rows.estimate[kept].tolist()
+        self.lower += rows.lower[kept].tolist()
+        self.upper += rows.upper[kept].tolist()
+        while len(self.t_s) > MAX_ROWS:
+            self.stride *= 2
+            for name, values in vars(self).items():
+                if isinstance(values, list):
+                    setattr(self, name, values[::2])
 
 
 def units_in_use(registry: Registry) -> list[tuple[AdaptedUnit, str]]:

@@ -15,9 +15,9 @@ from softcal.app.views.lots import lot_list, proposed_lot_id
 from softcal.app.views.next_step import next_step
 from softcal.app.views.search import search
 from softcal.core.lot import Lot
-from softcal.core.recording import LabelledRecording
 from softcal.core.orders import Heartbeat, StationState
 from softcal.core.quality.audit_plan import AuditConfig
+from softcal.core.recording import LabelledRecording
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate
 
