@@ -4,11 +4,13 @@ python benchmarks/registry.py commands [--quick] [--units 100]
 python benchmarks/registry.py list [--quick] [--units 1000 10000] [--databases SQLite PostgreSQL]
 python benchmarks/registry.py redecide [--quick] [--units 2000] [--databases SQLite PostgreSQL]
 python benchmarks/registry.py writers [--quick] [--writers 8] [--seconds 60]
+python benchmarks/registry.py plant [--quick] [--stations 40] [--seconds 120]
 python benchmarks/registry.py kill [--quick] [--kills 100] [--seed N] [--what writer batch station]
 """
 
 import argparse
 import contextlib
+import math
 import multiprocessing
 import os
 import random
@@ -18,6 +20,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
 from functools import partial
 from multiprocessing.synchronize import Barrier
 from pathlib import Path
@@ -26,6 +29,7 @@ import numpy as np
 from common.command import Commands, median_s
 from common.registries import DATABASES, RATE_HZ, SOFTCAL, begin_lot, database_of, fresh_url, make_lot, state
 from common.tables import print_table
+from sqlalchemy import make_url
 
 from softcal.app.batch.batch import run_batch
 from softcal.app.batch.changes import change_limit, compare_verdicts, read_verdicts
@@ -39,6 +43,8 @@ from softcal.app.line.recover import recover
 from softcal.app.line.rig import chosen_bench, profile_for, record_to_files
 from softcal.core.lot import Lot
 from softcal.core.network.config import NetworkConfig
+from softcal.core.orders import Heartbeat, StationState
+from softcal.core.recording import OutputRecording
 from softcal.db.care.backup import back_up
 from softcal.db.care.sync import synchronise
 from softcal.db.connection import open_registry
@@ -49,6 +55,7 @@ CHUNK = 100
 NETWORK = NetworkConfig(hidden=(16, 8), max_epochs=30)
 UNITS_PER_KILL = 8
 PRESS_S = 6.0
+HOSTS, PRESS_ROWS, UNIT_EVERY_S = 8, 7800, 42.0
 KILLED = ("writer", "batch", "station")
 
 Acknowledge = Callable[[str], None]
@@ -238,6 +245,62 @@ def written_by(kind: str, writers: int, seconds: float) -> Row:
     return (database_of(kind), writers, seconds, *numbers)
 
 
+def plant(options: argparse.Namespace) -> None:
+    """Write what many stations write: each a heartbeat every second, and a pressed unit every 42 s.
+
+    A unit is its recording of 7,800 rows and its calibration, each on disk when it is acknowledged. Eight processes
+    share the stations, as hosts would. A station that is silent for 3 s counts as off on every screen.
+    """
+    seconds = 5.0 if options.quick else options.seconds
+    head = "database | stations | s | units | units/h | median ms | 99 % ms | worst ms | beats/s | longest silence s | kB a unit"
+    print_table(head, (served_by_many(kind, options.stations, seconds) for kind in DATABASES))
+
+
+def serve_some(arguments: tuple[str, str, list[int], float]) -> tuple[list[float], dict[int, list[float]]]:
+    """Write what some stations write; return how long each unit took, s, and when each station beat."""
+    url, network_id, stations, seconds = arguments
+    rng = np.random.default_rng(stations[0])
+    t_s = np.arange(PRESS_ROWS) / RATE_HZ
+    unit_s, beats = list[float](), {station: list[float]() for station in stations}
+    next_s = {station: float(rng.uniform(0.0, UNIT_EVERY_S)) for station in stations}
+    with open_registry(url, create=False) as registry:
+        _together.wait()
+        start_s = time.perf_counter()
+        while (now_s := time.perf_counter() - start_s) < seconds:
+            for station in stations:
+                beat = Heartbeat(f"line-{station}", StationState.READY, datetime.now(UTC), process=f"host:{station}")
+                registry.order_queue.beat(beat)
+                beats[station].append(time.perf_counter() - start_s)
+                if now_s >= next_s[station]:
+                    next_s[station] += UNIT_EVERY_S
+                    began_s, serial = time.perf_counter(), f"{station}-{len(unit_s)}"
+                    recording = OutputRecording(serial, t_s, rng.normal(size=PRESS_ROWS), RATE_HZ)
+                    registry.recordings.add("bench", recording, "unit")
+                    registry.calibrations.add("bench", state(serial, station * 1_000_000 + len(unit_s), network_id))
+                    unit_s.append(time.perf_counter() - began_s)
+            time.sleep(max(0.0, 1.0 - (time.perf_counter() - start_s - now_s)))
+    return unit_s, beats
+
+
+def served_by_many(kind: str, stations: int, seconds: float) -> Row:
+    """Run all stations on a fresh registry."""
+    with fresh_url(kind) as url:
+        with open_registry(url) as registry:
+            network_id = begin_lot(registry)
+        hosts = [list(range(k, stations, HOSTS)) for k in range(min(HOSTS, stations))]
+        context = multiprocessing.get_context("spawn")
+        with context.Pool(len(hosts), start_together, (context.Barrier(len(hosts)),)) as pool:
+            answers = pool.map(serve_some, [(url, network_id, some, seconds) for some in hosts], chunksize=1)
+        size_kB = Path(str(make_url(url).database)).stat().st_size / 1024 if kind == "SQLite" else math.nan
+    unit_ms = 1e3 * np.array([one for units, _ in answers for one in units])
+    beats = [times for _, some in answers for times in some.values()]
+    silence_s = max(float(np.max(np.diff([0.0, *times, seconds]))) for times in beats)
+    numbers = map(float, np.percentile(unit_ms, [50, 99, 100]))
+    per_h, per_s = 3600.0 * len(unit_ms) / seconds, sum(map(len, beats)) / seconds
+    of_unit = f"{size_kB / len(unit_ms):.0f}" if math.isfinite(size_kB) else "–"
+    return (database_of(kind), stations, seconds, len(unit_ms), per_h, *numbers, per_s, silence_s, of_unit)
+
+
 def kill(options: argparse.Namespace) -> None:
     """kill -9 at random moments: what was acknowledged must be there, nothing by half, nothing twice.
 
@@ -393,6 +456,9 @@ def main() -> None:
     parser = every.add(writers, "three seconds instead of a minute")
     parser.add_argument("--writers", type=int, default=8)
     parser.add_argument("--seconds", type=float, default=60.0)
+    parser = every.add(plant, "five seconds")
+    parser.add_argument("--stations", type=int, default=40)
+    parser.add_argument("--seconds", type=float, default=120.0)
     parser = every.add(kill, "3 kills")
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
