@@ -252,7 +252,7 @@ def plant(options: argparse.Namespace) -> None:
     share the stations, as hosts would. A station that is silent for 3 s counts as off on every screen.
     """
     seconds = 5.0 if options.quick else options.seconds
-    head = "database | stations | s | units | units/h | median ms | 99 % ms | worst ms | beats/s | longest silence s | kB a unit"
+    head = "database | stations | s | units | units/h | median ms | 99 % ms | worst ms | beats/s | silence s | kB/unit"
     print_table(head, (served_by_many(kind, options.stations, seconds) for kind in DATABASES))
 
 

@@ -19,6 +19,7 @@ from softcal.app.bootstrap import data_folder
 from softcal.app.jobs.process import DEMO
 from softcal.app.logs import log_crash
 from softcal.core.errors import InputError, SoftcalError
+from softcal.core.identity import content_sha256
 from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.orders import RunState
 from softcal.core.recording import LabelledRecording
@@ -265,6 +266,12 @@ def archive_path(job: Job) -> Path:
     return archives_folder() / f"{job.job_id}.zip"
 
 
+def archived_state(registry: Registry, lot_id: str) -> str:
+    """Return the SHA-256 of what an archive of a lot rests on: every unit's verdict and state."""
+    units = [[unit.serial, unit.verdict, unit.state_sha256] for unit in registry.lots.units(lot_id)]
+    return content_sha256({}, {"units": units})
+
+
 def archive(registry: Registry, job: Job, tell: Teller) -> Outcome:
     """Pack files and certificates of a lot; request: lot, serials, formats, release.
 
@@ -276,6 +283,7 @@ def archive(registry: Registry, job: Job, tell: Teller) -> Outcome:
 
     request = job.request
     lot_id = request["lot"]
+    state = archived_state(registry, lot_id)
     known = [unit.serial for unit in registry.lots.units(lot_id) if unit.role == "target" and unit.revision is not None]
     serials = request["serials"] or known
     if not serials:
@@ -303,4 +311,4 @@ def archive(registry: Registry, job: Job, tell: Teller) -> Outcome:
     facts = {"lot": lot_id, "units": len(serials), "formats": request["formats"]}
     registry.trail.add("export", "lots", (lot_id,), facts, actor=job.actor)
     refused = [[unit.serial, unit.refusal] for unit in exported if unit.refusal]
-    return Outcome("", {"lot": lot_id, "units": len(exported), "refused": refused})
+    return Outcome("", {"lot": lot_id, "units": len(exported), "refused": refused, "state": state})

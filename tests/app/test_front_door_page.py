@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from softcal.app.batch import front_door
-from softcal.app.batch.changes import Changes, VerdictChange
+from softcal.app.batch.changes import Changes, VerdictChange, change_limit
 from softcal.app.batch.front_door import lot_files, lots_folder, network_of
 from softcal.app.export.certificates.laboratory import Laboratory, registry_laboratory
 from softcal.app.export.check import check_folder
@@ -213,6 +213,19 @@ def test_the_archive_of_a_lot_is_whole_and_says_what_is_not_in_it(calibrated: st
     assert {name for name in names if name.endswith(".pdf")} and job.result["units"] == len(kept)
     assert {serial for serial, _ in job.result["refused"]} == kept - passed
     assert len([name for name in names if name.endswith(".ssc") and name.startswith("unit-")]) == len(passed)
+
+
+def test_an_archive_is_offered_only_while_its_lot_is_as_it_was_packed(calibrated: str, show) -> None:
+    done(calibrated, "archive", {"lot": "small", "serials": None, "formats": ["json"], "release": "pass"})
+
+    def is_offered() -> bool:
+        screen = show(calibrated, "lot", lot="small", tab="release")
+        return any("archive" in button.key for button in screen.get("download_button"))
+
+    assert is_offered()
+    with open_registry(calibrated) as registry:
+        change_limit(registry, "small", 1e-6, reason="another drawing")
+    assert not is_offered()
 
 
 def test_what_the_form_of_the_laboratory_says_stands_on_the_certificate(calibrated: str, show, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from softcal.app.batch.release import decide_lot
 from softcal.app.export.certificates.lot_statement import build_lot_statement, lot_statement_pdf
 from softcal.app.export.export import withdraw_given
 from softcal.app.export.names import FORMATS
-from softcal.app.jobs.jobs import archive_path
+from softcal.app.jobs.jobs import archive_path, archived_state
 from softcal.app.ui.account import actor, allows, permit
 from softcal.app.ui.actions import download, finish, say_finished
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
@@ -146,6 +146,9 @@ def _archive(lot_id: str) -> None:
         path = archive_path(job)
         if not path.is_file():
             st.caption(say("release.pack.gone"))
+            return
+        if job.result["state"] != archived_state(registry(), lot_id):
+            st.caption(say("release.pack.old"))
             return
         label = say("release.take", units=job.result["units"])
         download(label, f"{lot_id}.zip", path.read_bytes, "archive", kind="primary")
