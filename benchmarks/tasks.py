@@ -232,6 +232,7 @@ def press_units(hand: Hand) -> None:
 
 def stop_and_read(hand: Hand) -> None:
     hand.open("line")
+    hand.card("ready", "hand", "closed", "pass", "conditional", "fail", "retest")
     hand.scan("A8")
     if hand.card("armed", "ask_new") == "ask_new":
         hand.key("F4")
