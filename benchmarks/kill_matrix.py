@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from common.command import parser_of
 from common.registries import DATABASES, fresh_url, make_lot
 from common.tables import print_table
@@ -52,19 +53,17 @@ class Case:
     Args:
         argv: with {url}, {lot}, {id}, {root} (files of this trial) and {other} (a second registry) to be filled in.
         is_fresh: whether it begins with an empty registry, else with that of a lot that was calibrated.
-        answer: what is typed when it asks.
     """
 
     name: str
     argv: tuple[str, ...]
     is_fresh: bool = False
-    answer: str = ""
 
 
-def _case(words: str, *more: str, is_fresh: bool = False, answer: str = "") -> Case:
+def _case(words: str, *more: str, is_fresh: bool = False) -> Case:
     argv = (*words.split(), *more, "--registry", "{url}")
     name = " ".join(takewhile(lambda word: not word.startswith(("--", "{")), words.split()))
-    return Case(name, argv, is_fresh, answer)
+    return Case(name, argv, is_fresh)
 
 
 WHY = ("--reason", "agreed with the customer")
@@ -72,9 +71,11 @@ CASES = (
     _case("lot rules {id} --target 7", *WHY),
     _case("lot audit-plan {id} --random 2 --seed 3"),
     _case("registry rollback --serial U000001 --to 1 --yes", *WHY),
-    _case("account set --name kim --role operator", answer="2580\n2580\n"),
-    _case("station certificate --cell 7 --number C1 --laboratory lab --issued 2026-01-02 --due 2027-01-02"),
-    _case("station order unit --name s1 --serial U000003 --lot {id}"),
+    _case("account set kim --role operator --pin-file {pin}", *WHY),
+    _case(
+        "station certificate --cell 7 --number C1 --laboratory lab --issued 2026-01-02 --due 2027-01-02 "
+        "--capacity 20 --uncertainty 0.02"
+    ),
     _case("lot network {id} --withdraw {network}", *WHY),
     _case("lot limit {id} --rmse 0.31 --yes", *WHY),
     _case("trim --serial U000002 --loads {loads} --yes"),
@@ -129,8 +130,9 @@ class _World:
     def __init__(self, root: Path, stack: contextlib.ExitStack) -> None:
         self.stack = stack
         self.root, self.lot = root, make_lot(root / "killed", UNITS, 60.0)
-        self.audit, self.loads, self.base = root / "audit", root / "loads.csv", root / "base.db"
+        self.audit, self.pin, self.base = root / "audit", root / "pin", root / "base.db"
         self.audit.mkdir()
+        self.pin.write_text("2580\n")
         rng = np.random.default_rng(1)
         source = np.loadtxt(self.lot / "source/S0.csv", delimiter=",", skiprows=1)[:1250]
         for k in range(2):
@@ -141,10 +143,21 @@ class _World:
         _run(["batch", str(self.lot), "--registry", url, *SMALL])
         with open_registry(url, create=False) as registry:
             self.network = registry.networks.all()[-1].id
-            levels = [float(x) for x in np.quantile(source[:, 1], [0.1, 0.5, 0.9])]
-        self.loads.write_text("output,reference\n" + "".join(f"{v:.4f},{k}\n" for k, v in enumerate(levels)))
+        # A second revision, so that there is one to go back from.
+        _run(["trim", "--serial", "U000001", "--loads", str(self._loads("U000001", url)), "--yes", "--registry", url])
+        self.loads = self._loads("U000002", url)
         self.backup = root / "backup.db"
         _run(["registry", "backup", str(self.backup), "--registry", url])
+
+    def _loads(self, serial: str, url: str) -> Path:
+        """Write three known loads of a unit, as its own calibration reads them, a little off."""
+        estimates, loads = self.root / f"{serial}-estimates.csv", self.root / f"{serial}-loads.csv"
+        unit = self.lot / f"units/{serial}.csv"
+        _run(["estimate", str(unit), "--serial", serial, "--registry", url, "--out", str(estimates)])
+        table = pd.read_csv(unit).merge(pd.read_csv(estimates)[["t_s", "estimate"]]).dropna().sort_values("output")
+        chosen = table.iloc[[int(share * len(table)) for share in (0.1, 0.5, 0.9)]]
+        chosen.assign(reference=1.02 * chosen.estimate)[["output", "reference"]].to_csv(loads, index=False)
+        return loads
 
     @contextlib.contextmanager
     def registry(self, kind: str, is_fresh: bool) -> Iterator[str]:
@@ -169,6 +182,7 @@ class _World:
             "root": root,
             "audit": self.audit,
             "loads": self.loads,
+            "pin": self.pin,
             "network": self.network[:12],
             "backup": self.backup,
             "other": f"sqlite:///{root / 'other.db'}",
@@ -176,16 +190,11 @@ class _World:
         return [word.format(**names) for word in case.argv]
 
 
-def _run(argv: list[str], answer: str = "") -> int:
+def _run(argv: list[str]) -> int:
     """Run a command in this process; return its exit code."""
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as said:
-        stdin = io.StringIO(answer)
         try:
-            with contextlib.ExitStack() as stack:
-                if answer:
-                    stack.callback(setattr, sys, "stdin", sys.stdin)
-                    sys.stdin = stdin
-                code = softcal(argv)
+            code = softcal(argv)
         except SystemExit as end:
             code = int(end.code or 0)
     if code not in (0, 1):
@@ -193,13 +202,13 @@ def _run(argv: list[str], answer: str = "") -> int:
     return code
 
 
-def _forked(argv: list[str], answer: str, after_s: float) -> bool:
+def _forked(argv: list[str], after_s: float) -> bool:
     """Run a command in a process of its own and kill it after so long; whether it was cut before its end."""
     child = os.fork()
     if not child:
         os.setsid()
         with contextlib.suppress(BaseException):
-            _run(argv, answer)
+            _run(argv)
         os._exit(0)
     end_s = time.monotonic() + after_s
     while time.monotonic() < end_s:
@@ -226,11 +235,11 @@ def _undisturbed(world: _World, case: Case, kind: str) -> tuple[Outcome, float]:
         began_s = time.monotonic()
         child = os.fork()
         if not child:
-            os._exit(_run(argv, case.answer))
+            os._exit(_run(argv))
         code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
         seconds = time.monotonic() - began_s
         if code not in (0, 1):
-            _run(argv, case.answer)
+            _run(argv)
             raise CommandFailed(f"exit {code}: {getattr(_run, 'said', '')[-300:]}")
         return (_dump(url), _files(Path(name))), seconds
 
@@ -254,13 +263,13 @@ def _killed(
             root = Path(name)
             _prepare(case, world, root)
             argv = world.argv(case, url, root)
-            if not _forked(argv, case.answer, moments.uniform(0.0, seconds)):
+            if not _forked(argv, moments.uniform(0.0, seconds)):
                 seconds *= 0.9
                 continue
             cut += 1
             with open_registry(url) as registry:
                 is_whole = registry.verify() == []
-            _run(argv, case.answer)
+            _run(argv)
             left, written = _dump(url), _files(root)
             is_like = {t: set(r) for t, r in left.items()} == {t: set(r) for t, r in rows.items()}
             is_like = is_like and set(written) == set(files) and all(written[path] == files[path] for path in same)
