@@ -66,6 +66,8 @@ class People(RegistryBase):
     ) -> User:
         """Add a person (version 0), or change the version that was looked at; without a `pin` the old one stays.
 
+        What is so already is no change: no row of it is written. A PIN is hashed outside any transaction.
+
         `InputError`: no such role, a PIN too short, or another change since `version`.
         """
         if not name.strip():
@@ -75,6 +77,10 @@ class People(RegistryBase):
         if pin is not None and (len(pin) < SHORTEST_PIN or not pin.isdigit()):
             raise InputError(Reason("account.pin_short", {"digits": SHORTEST_PIN}))
         named = select(users).where(users.c.name == name)
+        with self.database.reading():
+            before = self.database.row(named)
+        is_same_pin = pin is None or (before is not None and _is_pin(before, pin))
+        pin_hash = None if pin is None or is_same_pin else _hasher().hash(pin)
         with self.database.writing():
             known = self.database.row(named)
             current = known["version"] if known else 0
@@ -84,15 +90,17 @@ class People(RegistryBase):
                 )
             if known is None and pin is None:
                 raise InputError(Reason("account.needs_pin", {"name": repr(name)}))
-            values = {"name": name, "role": role, "is_active": is_active, "version": version + 1}
-            values |= {"failures": 0, "locked_until": None, "changed_at": self.settings.clock()}
-            if pin is not None:
-                values["pin_hash"] = _hasher().hash(pin)
+            requested = {"role": role, "is_active": is_active, "failures": 0, "locked_until": None}
+            if known is not None and is_same_pin and all(known[field] == value for field, value in requested.items()):
+                return user_of(self.database, known)
+            values = requested | {"name": name, "version": version + 1, "changed_at": self.settings.clock()}
+            if pin_hash is not None:
+                values["pin_hash"] = pin_hash
             statement = insert(users) if known is None else update(users).where(users.c.name == name)
             self.database.change(statement.values(**values))
             row = self.database.rows(named)[0]
-            before = people_as_told(known) if known else None
-            self._tell("set_user", "users", (name,), actor, after=people_as_told(row), before=before, reason=reason)
+            earlier = people_as_told(known) if known else None
+            self._tell("set_user", "users", (name,), actor, after=people_as_told(row), before=earlier, reason=reason)
             return user_of(self.database, row)
 
     def all(self) -> list[User]:

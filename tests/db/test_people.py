@@ -157,6 +157,16 @@ def test_a_token_of_a_machine_that_is_none_is_no_error(registry, machine):
     assert registry.people.sign_in("kim", "2580", machine).name == "kim"
 
 
+def test_what_is_so_already_is_no_change(registry):
+    user = registry.people.set("kim", "operator", "2580", actor="admin")
+    rows = len(registry.trail.rows())
+    for pin in (None, "2580"):
+        assert registry.people.set("kim", "operator", pin, actor="admin", version=user.version) == user
+    assert len(registry.trail.rows()) == rows
+    assert registry.people.set("kim", "operator", "2581", actor="admin", version=user.version).version > user.version
+    assert registry.people.sign_in("kim", "2581")
+
+
 def test_two_editors_do_not_overwrite_each_other(registry):
     first = registry.people.set("kim", "operator", "2580", actor="admin")
     registry.people.set("kim", "engineer", actor="anna", version=first.version)
