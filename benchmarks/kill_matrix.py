@@ -34,6 +34,7 @@ from common.tables import print_table
 from sqlalchemy import create_engine, make_url, select
 
 from softcal.app.cli.main import main as softcal
+from softcal.core.errors import NoRegistry
 from softcal.db.connection import open_registry
 from softcal.db.schema.tables import UtcTime, metadata
 
@@ -267,7 +268,9 @@ def _killed(
                 seconds *= 0.9
                 continue
             cut += 1
-            with open_registry(url) as registry:
+            is_whole = True
+            # A registry that the command was to make may not be there yet.
+            with contextlib.suppress(NoRegistry), open_registry(url, create=False) as registry:
                 is_whole = registry.verify() == []
             _run(argv)
             left, written = _dump(url), _files(root)
@@ -314,7 +317,9 @@ def _plain(value: Any) -> Any:
 
 
 def _files(root: Path) -> dict[str, str]:
+    """Return the SHA-256 of every file by its name, but for registries and hidden parts that a kill leaves."""
     paths = [path for path in root.rglob("*") if path.is_file() and ".db" not in path.name]
+    paths = [path for path in paths if ".part" not in str(path.relative_to(root))]
     return {str(path.relative_to(root)): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
 
 

@@ -124,8 +124,9 @@ class Follower:
         changed: list[str] = []
         last = registry.adaptations.last_checkpoint(key, unit.revision, stream)
         # A file that was broken off is begun again, and so is one whose content names its stream.
-        has_begun = last is not None and options.stream is not None if is_repeatable else newest is not None
-        if options.resume and last is not None:
+        is_named_by_content = is_repeatable and options.stream is None
+        has_begun = last is not None and not is_named_by_content if is_repeatable else newest is not None
+        if options.resume and last is not None and not is_named_by_content:
             try:
                 changed = self._adapter.restore(last["state"])
             except InputError as error:

@@ -16,7 +16,7 @@ from urllib.parse import quote
 from sqlalchemy import URL, Connection, Engine, create_engine, event
 from sqlalchemy.pool import NullPool, StaticPool
 
-from softcal.core.errors import RegistryError
+from softcal.core.errors import NoRegistry, RegistryError
 from softcal.db.schema.transaction_cache import forget
 
 SQLITE_WAIT_S = 60
@@ -69,7 +69,7 @@ def sqlite_engine(url: URL, create: bool) -> Engine:
         except OSError as error:
             problem = f"registry {path}: cannot be read: {error.strerror}"
         if problem:
-            raise RegistryError(problem)
+            raise (RegistryError if create or path.exists() else NoRegistry)(problem)
         parts = (path, folder) if path.exists() else (folder,)
         if why := next((f"{part} cannot be written" for part in parts if not os.access(part, os.W_OK)), ""):
             if path.exists():

@@ -165,6 +165,16 @@ def test_a_state_that_names_no_format_is_refused_in_one_line_that_says_what_to_d
     assert adapt(bench, stream, tmp_path / "out.csv", "--stream", "hall-6") == 0
 
 
+def test_a_file_that_names_its_own_stream_is_followed_once_however_often_it_comes(bench, stream, tmp_path) -> None:
+    with open_registry(url(bench)) as registry:
+        steps = []
+        for name in ("first", "again"):
+            assert adapt(bench, stream, tmp_path / f"{name}.csv", "--resume") == 0
+            steps.append(len(registry.adaptations.all(A1)))
+    assert steps[0] == steps[1] > 0
+    assert (tmp_path / "first.csv").read_bytes() == (tmp_path / "again.csv").read_bytes()
+
+
 def test_figure_stands_alone(bench: Path, stream: Path, tmp_path: Path) -> None:
     assert adapt(bench, stream, tmp_path / "out.csv", "--html", str(tmp_path / "drift.html")) == 0
 
