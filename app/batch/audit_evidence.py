@@ -91,8 +91,14 @@ class AuditReader:
         )
         audited = {serial: known for serial, known in audited.items() if serial not in suspects}
         own = {serial: known for serial, known in audited.items() if known[2].fit.method.id == self._method.id}
-        # The error of another map than the one in force is nobody's: it counts where it is a fail that stays.
-        measured = {serial: known for serial, known in own.items() if known[2].decision.measured is not None}
+        # The error of another map than the one in force is nobody's: it counts where it is a fail that stays. Nor does
+        # one count that was decided on by another limit, before the unit is decided on again.
+        limit = lot_limit(registry, lot_id)
+        measured = {
+            serial: known
+            for serial, known in own.items()
+            if known[2].decision.measured is not None and known[2].limit.stated_rmse == limit.stated_rmse
+        }
         here = [audit for serial, (audit, _, _) in measured.items() if serial in drawn]
         past: list[PastAudit] = []
         if len(here) < min_units(self._config.risk) and lot.sensor_model:
@@ -127,7 +133,7 @@ class AuditReader:
             for serial, (_, _, state) in own.items()
             if state.audit is not None and not state.fit.knowledge.is_anchored
         }
-        samples, limit = self._samples(qualification, lot_id), lot_limit(registry, lot_id)
+        samples = self._samples(qualification, lot_id)
         widening = fit_widening(samples, CONFIDENCE, self._config) if qualification.audits else Widening()
         seen, days = seen_gains(gains, self._config.min_others), self._days(lot, now)
         return AuditEvidence(self._config, qualification, limit, widening, seen, days, suspects, lines)

@@ -4,7 +4,7 @@ A sample release and a correction are decisions of the lot, numbered and stored.
 whatever else happens, to the lot or to one of its units, can only withdraw units that they released.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 
@@ -72,24 +72,21 @@ def redecide_lot(registry: Registry, lot_id: str, actor: str | None = None) -> N
         in_force = decision_in_force(registry, lot_id)
         if not lot.states or in_force.source in ("", NONE):
             return
-        decided = lot.decided(lot.evidence(), in_force.correction)
-        is_new_limit = in_force.limit_rmse != decided.limit.stated_rmse
-        released = set(decided.released) if is_new_limit else set(in_force.released) & set(decided.released)
-        # A unit that the audits say nothing of any more, as it was trimmed or measured, is its own affair.
-        lost = {serial for serial in in_force.released if serial in decided.forecasts} - released
-        if not lost and not is_new_limit and decided.qualification.is_given:
+        evidence = lot.evidence()
+        is_new_limit = in_force.limit_rmse != evidence.limit.stated_rmse
+        spoken_of = {serial: one.release for serial, one in lot.open().items() if one.release is not None}
+        before = {serial for serial, release in spoken_of.items() if release.is_released}
+        among = (None, None) if is_new_limit else (spoken_of, before)
+        decided = lot.decided(evidence, in_force.correction, *among)
+        is_upheld = before <= set(decided.released) and decided.qualification.is_given
+        if is_upheld and not is_new_limit:
             return
         number = next_number(registry, lot_id)
-        following = decided.next_unit(number) if released else None
-        said = lot.following(in_force, decided, next_unit=following, released=tuple(sorted(released)))
+        following = decided.next_unit(number)
+        said = lot.following(in_force, decided, next_unit=following, released=decided.released)
         registry.decisions.add(lot_id, msgspec.to_builtins(said), action="withhold", actor=actor, reason=WHY)
-        following_states = {}
-        for serial, state in lot.open().items():
-            if state.release is not None or is_new_limit:
-                says = _says(decided, state, number)
-                says = says and replace(says, is_released=serial in released)
-                following_states[serial] = replace(state, release=says)
-        lot.put_all(following_states, WHY)
+        units = {s: one for s, one in lot.open().items() if is_new_limit or s in spoken_of}
+        lot.put_all({s: replace(one, release=_says(decided, one, number)) for s, one in units.items()}, WHY)
 
 
 def decide_unit(registry: Registry, lot_id: str, serial: str, actor: str | None = None) -> None:
@@ -257,8 +254,21 @@ class _Lot:
             if state.decision.measured is None and state.fit.is_open and not state.blocking_reasons
         }
 
-    def decided(self, evidence: AuditEvidence, correction: LotCorrection) -> LotRelease:
-        units = self.open()
+    def decided(
+        self,
+        evidence: AuditEvidence,
+        correction: LotCorrection,
+        among: Collection[str] | None = None,
+        candidates: Collection[str] | None = None,
+    ) -> LotRelease:
+        """Return what is decided on unmeasured units: on all, or among some on those that may be released."""
+        open_units, stated_rmse = self.open(), evidence.limit.stated_rmse
+        # Rules of other packages hold a unit to the limit of its fit: by another one nothing is decided on it.
+        units = {
+            serial: one
+            for serial, one in open_units.items()
+            if one.limit.stated_rmse == stated_rmse and (among is None or serial in among)
+        }
         held = [s for s in self.states.values() if s.decision.is_audited and s.verdict.is_open]
         days = {} if evidence.days is None else {s: evidence.day_rmse(one.fit.load_rms) for s, one in units.items()}
         return release_lot(
@@ -267,12 +277,13 @@ class _Lot:
             evidence.limit,
             evidence.config,
             widening=evidence.widening,
-            least=min_passing(self.units, len(held), evidence.config),
+            least=min_passing(self.units - len(open_units) + len(units), len(held), evidence.config),
             seen=evidence.seen,
             days=days,
             doubts=evidence.suspects,
             sittings={serial: one.fit.lot_fit.sitting for serial, one in units.items() if one.fit.lot_fit is not None},
             corrected_by=len(correction.lines) if any(one.correction for one in self.states.values()) else 0,
+            candidates=candidates,
         )
 
     def correct(self, correction: LotCorrection) -> None:

@@ -1,6 +1,6 @@
 """The decision on the units of a lot that nobody measured: qualification, bound, a judgement a unit, one statement."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -176,6 +176,7 @@ def release_lot(
     doubts: Mapping[str, Reason] | None = None,
     corrected_by: int = 0,
     sittings: Mapping[str, str] | None = None,
+    candidates: Collection[str] | None = None,
 ) -> LotRelease:
     """Decide on the units of a lot that nobody measured.
 
@@ -184,13 +185,14 @@ def release_lot(
         least: number of units that must pass, or none is released.
         days: by serial, the error that another day adds as golden runs show it, in the forecasts' unit.
         sittings: by serial, of the units that share an error with those of their sitting.
+        candidates: serials that may be released; None for all.
     """
     sampled = sampled_units(
         qualification.audits, {serial: (sittings or {}).get(serial, "") for serial in forecasts}, config
     )
     forecasts = {serial: rmse for serial, rmse in forecasts.items() if serial in sampled.serials}
     may_release = qualification.is_given and limit.is_stated
-    decided = release(forecasts, sampled.audits, limit, config, least, days) if may_release else None
+    decided = release(forecasts, sampled.audits, limit, config, least, days, candidates) if may_release else None
     days, doubts = days or {}, doubts or {}
     return LotRelease(
         qualification, limit, config, forecasts, decided, widening, seen, days, doubts, corrected_by, sampled

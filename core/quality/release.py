@@ -5,7 +5,7 @@ released where its forecast times the bound of that ratio is within the limit.
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -143,6 +143,7 @@ def release(
     config: ReleaseConfig,
     least: float = 0.0,
     days: Mapping[str, float] | None = None,
+    candidates: Collection[str] | None = None,
 ) -> PromisedRelease:
     """Choose which unmeasured units to release so that the promise holds for the released ones.
 
@@ -154,6 +155,7 @@ def release(
     Args:
         forecasts: forecast RMSE by serial of the units that nobody measured and nothing else stands against.
         audits: of the same lot, drawn at random; or of several earlier lots.
+        candidates: serials that may be released; None for all. The promise counts the others as considered.
 
     Raises:
         InputError: a unit was audited twice, or a forecast is no positive number.
@@ -168,7 +170,8 @@ def release(
         serial: float(np.sqrt(max(limit.acceptance_rmse**2 - days.get(serial, 0.0) ** 2, 0.0))) for serial in forecasts
     }
     need = {serial: forecasts[serial] / limits[serial] if limits[serial] else np.inf for serial in forecasts}
-    ordered = sorted(forecasts, key=lambda serial: (need[serial], serial))
+    chosen = forecasts if candidates is None else forecasts.keys() & candidates
+    ordered = sorted(chosen, key=lambda serial: (need[serial], serial))
     needed = np.array([need[serial] for serial in ordered])
     count, factor = considered, ratios.bound(config)
     least = max(config.min_part * considered, least, 1)

@@ -4,7 +4,7 @@ what its preview named, and the order of independent acts changes nothing. Fits 
 import itertools
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
@@ -20,6 +20,7 @@ from softcal.app.batch.calibrating import Calibrated
 from softcal.app.batch.changes import carry_out, change_limit, preview
 from softcal.app.batch.judging import confirm, redecide, redecide_stale
 from softcal.app.batch.known import keep_result
+from softcal.app.batch.lot_decision import decision_in_force
 from softcal.app.batch.release import decide_lot, lot_standing, roll_back
 from softcal.app.export.certificates.lot_statement import build_lot_statement
 from softcal.app.registry.listing import unit_json
@@ -61,21 +62,21 @@ def recording_of(serial: str, gain: float = 1.0, shift: int = 0) -> LabelledReco
     return LabelledRecording(output, load)
 
 
-def unit_state(registry: Registry, serial: str, number: int) -> UnitState:
+def calibrated(registry: Registry, serial: str, number: int, rmse_N: float = 0.1) -> Calibrated:
     """A fit of a recording of its own, whose map is a little off: by its number."""
     sha256 = registry.recordings.add(LOT.id, recording_of(serial, shift=number).unlabelled, "unit")
     unit_map = AffineMap(1.0 + 0.01 * number, 0.0)
     fitted = FittedMap(unit_map, interval(), OutputLimits(-np.inf, np.inf, 100))
-    forecast = ErrorForecast(0.1, 0.05, 0.2)
+    forecast = ErrorForecast(rmse_N, rmse_N / 2, 2 * rmse_N)
     others = {"fitted": fitted, "map_sha256": map_sha256(unit_map), "forecast": forecast}
-    return UnitState(fit=fit_of(serial, NETWORK.id, sha256, number, **others), limit=Limit("N", 0.5))
+    state = UnitState(fit=fit_of(serial, NETWORK.id, sha256, number, **others), limit=Limit("N", 0.5))
+    return Calibrated(state, content_sha256({}, {serial: number}))
 
 
 def batch(registry: Registry, numbers: dict[str, int]) -> None:
     with registry.transaction():
         for serial, number in numbers.items():
-            made = Calibrated(unit_state(registry, serial, number), content_sha256({}, {serial: number}))
-            keep_result(registry, LOT.id, serial, made, "batch")
+            keep_result(registry, LOT.id, serial, calibrated(registry, serial, number), "batch")
         decide_lot(registry, LOT.id)
         update_lot(registry, LOT.id)
 
@@ -119,6 +120,43 @@ def two_registries(tmp_path_factory: pytest.TempPathFactory) -> Path:
         assert lot_standing(first, LOT.id).on(Way.SAMPLED), "units are released by sample"
         synchronise(first, second)
     return folder
+
+
+@pytest.fixture
+def registry(two_registries: Path, tmp_path: Path) -> Iterator[Registry]:
+    """The registry of one side, after its release."""
+    shutil.copy(two_registries / "station.db", tmp_path)
+    ticks = itertools.count(86_400)
+    clock = RegistrySettings(clock=lambda: START + timedelta(seconds=next(ticks)))
+    with open_registry(f"sqlite:///{tmp_path / 'station.db'}", clock) as registry:
+        yield registry
+
+
+def test_an_audit_decided_on_by_another_limit_qualifies_nothing_before_its_unit_is_decided_again(registry):
+    audited = [unit.serial for unit in lot_standing(registry, LOT.id).on(Way.MEASURED)]
+    registry.lots.set_limit(LOT.id, 0.4, reason="drawing D")
+    roll_back(registry, audited[0], 1, reason="drawn", lot_id=LOT.id)
+    standing = lot_standing(registry, LOT.id)
+    assert {unit.serial for unit in standing.units if unit.is_measured} == set(audited[:1])
+    assert {one.serial for one in standing.decided.qualification.here} <= set(audited[:1])
+
+
+def test_a_statement_made_again_counts_the_units_that_it_releases(registry):
+    standing = lot_standing(registry, LOT.id)
+    measured, sampled = ([unit.serial for unit in standing.on(way)] for way in (Way.MEASURED, Way.SAMPLED))
+    near, firm, new = *sampled, "U99"
+    forecasts_N = {near: 0.98 * 0.5 / standing.decided.found.factor, firm: 0.02, new: 0.02}
+    for serial in (near, firm):
+        keep_result(registry, LOT.id, serial, calibrated(registry, serial, 1, forecasts_N[serial]), "batch")
+    decide_lot(registry, LOT.id)
+    assert set(decision_in_force(registry, LOT.id).released) == {near, firm}
+    # A batch is at work: its unit is calibrated, and nobody has decided on it.
+    keep_result(registry, LOT.id, new, calibrated(registry, new, 0, forecasts_N[new]), "batch")
+    bring_audit(registry, measured[0], 1.04, 9)
+    in_force, standing = decision_in_force(registry, LOT.id), lot_standing(registry, LOT.id)
+    assert [unit.serial for unit in standing.on(Way.SAMPLED)] == [firm] == list(in_force.released)
+    promised = in_force.statement.values["first"].values
+    assert (promised["released"], promised["open"]) == (1, 2)
 
 
 class UnitHistories(RuleBasedStateMachine):
