@@ -80,8 +80,11 @@ def read_lot_toml(folder: Path) -> LotToml:
         for name, table in tables.items():
             if not isinstance(table, dict):
                 raise InputError(f"[{name}] must be a table")
-        spreads = [typed(f"[line] {key}", float, tables["line"].get(key, 0.0)) for key in ("load_spread", "day_spread")]
-        line, reference = LineSpread(*spreads) if tables["line"] else None, None
+        names = {"load_spread": "load", "day_spread": "day"}
+        spreads = {
+            names[key]: typed(f"[line] {key}", float, tables["line"][key]) for key in names if key in tables["line"]
+        }
+        line, reference = LineSpread(**spreads) if spreads else None, None
         is_simulated = tables["lot"].get("simulated", False)
         if not isinstance(is_simulated, bool):
             raise InputError(f"[lot] simulated is {is_simulated!r}; true or false was expected")

@@ -100,7 +100,7 @@ def fit_unit(problem: UnitProblem) -> tuple[Fit, Array]:
         own_rmse=forecast_own(own, evidence.knowledge),
         diagnostics=chosen.evidence,
         findings=findings,
-        remarks=(*problem.lot_fit_reasons(), *problem.bridge_reasons(), problem.line_reason(evidence.load_rms)),
+        remarks=(*problem.lot_fit_reasons(), *problem.bridge_reasons(), *problem.line_reasons(evidence.load_rms)),
         blocking_reasons=problem.blocking_reasons(),
         rules=problem.rules,
         reference=problem.reference,

@@ -16,32 +16,32 @@ MOST_SPREAD = 1.0
 
 @dataclass(frozen=True)
 class LineSpread:
-    """Standard deviations, as shares of the load.
+    """Standard deviations, as shares of the load; None where nobody stated one.
 
     Args:
         load: from unit to unit: stiffness, contact and mounting on the press.
         day: from day to day: gain of press and readout.
 
     Raises:
-        InputError: one of them is no share, or both are zero: a line without any spread is not known yet.
+        InputError: one of them is no share, or none is above zero: a line without any spread is not known yet.
     """
 
-    load: float
-    day: float = 0.0
+    load: float | None = None
+    day: float | None = None
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not 0 <= value < MOST_SPREAD:
+            if value is not None and not 0 <= value < MOST_SPREAD:
                 raise InputError(
                     f"[line] {name}_spread is {value:g}; a share of the load between 0 and 1 was expected, such as 0.03"
                 )
         if not self.share:
-            raise InputError("[line] states no spread at all; leave it out, and the default of the method is told")
+            raise InputError("[line] states no spread at all; leave out what nobody knows, and units say the default")
 
     @property
     def share(self) -> float:
-        """Both together, as a share of the load."""
-        return float(np.hypot(self.load, self.day))
+        """All that is stated together, as a share of the load."""
+        return float(np.hypot(self.load or 0.0, self.day or 0.0))
 
 
 @dataclass(frozen=True)

@@ -140,13 +140,20 @@ class UnitProblem:
         """Why a file that was brought as its audit cannot be read; None where none was or it can."""
         return reason("audit.unreadable", error=self.unread_audit) if self.unread_audit else None
 
-    def line_reason(self, load_rms: float) -> Reason:
+    def line_reasons(self, load_rms: float) -> tuple[Reason, ...]:
         """Say what the line adds that no recording shows, at the RMS load above rest of the unit's recording."""
-        config = self.source.method.line
-        share = (self.line or LineSpread(config.load_spread, config.day_spread)).share
-        # A stated spread is in the forecast already; else it is the method's default, and said beside it.
-        code = "line.open" if self.line is None else "line.stated"
-        return reason(code, share=share, rmse=share * load_rms, unit=self.source.source.reference_unit)
+        config, line = self.source.method.line, self.line
+        is_stated = line is not None and line.load is not None, line is not None and line.day is not None
+        open_share = float(np.hypot(*np.where(is_stated, 0.0, [config.load_spread, config.day_spread])))
+        said, unit = list[Reason](), self.source.source.reference_unit
+        # A stated spread is in the forecast already; beside it stands the method's default of what nobody stated.
+        if line is not None:
+            between, rmse = _between(*is_stated), line.share * load_rms
+            said.append(reason("line.stated", between=between, share=line.share, rmse=rmse, unit=unit))
+        if not all(is_stated):
+            between, rmse = _between(*(not one for one in is_stated)), open_share * load_rms
+            said.append(reason("line.open", between=between, share=open_share, rmse=rmse, unit=unit))
+        return tuple(said)
 
     def lot_fit_reasons(self) -> tuple[Reason, ...]:
         """Say which fit of the lot the map comes from; nothing where the unit is mapped by itself."""
@@ -166,3 +173,10 @@ class UnitProblem:
         if not self.bridge.is_measured:
             return (reason("bridge.read"),)
         return (reason("bridge.measured", day=self.bridge.day_rmse, unit=self.bridge.golden.reference_unit),)
+
+
+def _between(is_load: bool, is_day: bool) -> Reason:
+    """Say between what a line differs: units, days, or both."""
+    if is_load and is_day:
+        return reason("part.units_and_days")
+    return reason("part.units") if is_load else reason("part.days")

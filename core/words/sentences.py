@@ -140,11 +140,14 @@ bridge.unit: fitted to the loads of its sitting, which {serial} was pressed with
   that run is no audit
 bridge.unused: the golden unit was not pressed at the same times as this unit, so its run was not
   used; press both with one programme from one start (rank correlation {correlation:.2f})
-line.stated: the line presses units differently, as was stated for it; the forecast allows for that
+line.stated: the line presses differently {between}, as was stated for it; the forecast allows for that
   ({share:.1%} of the load, {rmse:.3g} {unit})
-line.open: the forecast leaves out how differently the line presses its units, since nobody stated
+line.open: the forecast leaves out how differently the line presses {between}, since nobody stated
   it; audit units, or ask the engineer to state it (the usual {share:.1%} of the load is {rmse:.3g}
   {unit} here)
+part.units: from unit to unit
+part.days: from day to day
+part.units_and_days: from unit to unit and from day to day
 trimmed: trimmed by known loads and not measured since; audit it for a firm verdict (loads: {loads},
   RMSE there {before:.3g} before, {after:.3g} now)
 trim.older: its trim was made before this recording and is left out; trim it again where it is used,

@@ -239,7 +239,7 @@ refusals = table(
 lot_decisions = numbered("lot_decisions", "number", needed(version=Text, build=Text, decision=CanonicalJson))
 """What was decided on a lot as a whole: its correction, and the statement on the units that nobody measured."""
 
-declared("line_spreads", OF_LOT, needed(load=Double, day=Double))
+declared("line_spreads", OF_LOT, optional(load=Double, day=Double))
 declared("map_families", OF_LOT, needed(family=Text))
 declared("lot_sources", OF_LOT, needed(networks=CanonicalJson))
 declared(

@@ -64,6 +64,21 @@ def test_a_spread_nobody_stated_is_said_in_newton_and_changes_no_number(plain):
     assert "line" not in plain.fit.budget and "line" not in contributions(plain.fit)
 
 
+@pytest.mark.parametrize(("stated", "left_out"), [({"load": 0.06}, "day_spread"), ({"day": 0.08}, "load_spread")])
+def test_of_two_spreads_the_one_that_nobody_stated_is_open_and_not_zero(problem, plain, stated, left_out):
+    one = calibrate(replace(problem, line=LineSpread(**stated)))
+    (share,), usual = stated.values(), getattr(LineConfig(), left_out)
+    assert one.forecast.rmse == pytest.approx(np.hypot(plain.forecast.rmse, share * load_N(plain)))
+    known, unknown = one.decision.predicted.reasons[-2:]
+    assert (known.code, known.values["share"]) == ("line.stated", share)
+    assert (unknown.code, unknown.values["share"]) == ("line.open", pytest.approx(usual))
+    assert unknown.values["rmse"] == pytest.approx(usual * load_N(plain))
+    days, units = "from day to day", "from unit to unit"
+    assert ((days, units) if "day" in stated else (units, days)) == tuple(
+        str(r.values["between"]) for r in (known, unknown)
+    )
+
+
 def test_a_stated_spread_is_no_finding_and_no_doubt_of_the_map(plain, stated):
     assert stated.fit.findings == plain.fit.findings
     assert stated.fit.own_rmse == plain.fit.own_rmse
