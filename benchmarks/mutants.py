@@ -45,6 +45,7 @@ ROOMS = {
     "station": "station/motion/*.py",
     "db": "db/*/*.py",
     "app/batch": "app/batch/*.py",
+    "app/calibration": "app/calibration/*.py",
 }
 COMPARE = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,

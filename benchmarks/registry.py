@@ -32,10 +32,10 @@ from common.tables import print_table
 from sqlalchemy import make_url
 
 from softcal.app.batch.batch import run_batch
-from softcal.app.batch.changes import change_limit, compare_verdicts, read_verdicts
 from softcal.app.batch.lot_work import BatchConfig, Watch
-from softcal.app.batch.report import UnitResult
 from softcal.app.batch.train import train_or_find
+from softcal.app.calibration.changes import change_limit, compare_verdicts, read_verdicts
+from softcal.app.calibration.unit_result import UnitResult
 from softcal.app.files.lot_folder import LotFolder, open_lot_folder
 from softcal.app.files.lot_toml import write_lot_toml
 from softcal.app.files.recording_file import inspect_recording

@@ -4,8 +4,8 @@ from datetime import date
 
 import numpy as np
 
-from softcal.app.batch.audit import draw_plan
-from softcal.app.batch.known import state_family, state_line, state_sources
+from softcal.app.calibration.audit import draw_plan
+from softcal.app.calibration.lot_context import state_family, state_line, state_sources
 from softcal.app.export.certificates.laboratory import Laboratory, Person, store_laboratory
 from softcal.app.registry.given_files import remember_files
 from softcal.app.registry.golden import keep_golden_of

@@ -11,7 +11,7 @@ from softcal.app.api.given import labelled_of, recording_of, recording_with
 from softcal.app.api.network import SourceNetwork
 from softcal.app.api.recording import COLUMNS, Recording
 from softcal.app.api.unit import Unit, unit_frame, unit_row
-from softcal.app.batch.calibrating import LotFacts, UnitInputs
+from softcal.app.calibration.unit_calibration import LotFacts, UnitInputs
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps.catalogue import check_family
 from softcal.core.maps.config import DEFAULT

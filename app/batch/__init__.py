@@ -1,1 +1,1 @@
-"""A lot from its folder to verdicts: train f, fit every unit, audit, report, trim; no screen here."""
+"""A lot from its folder to verdicts: train f, fit every unit in workers, report; no screen here."""

@@ -3,16 +3,23 @@
 import time
 from dataclasses import replace
 
-from softcal.app.batch.audit import update_lot
-from softcal.app.batch.changes import compare_verdicts, read_verdicts
-from softcal.app.batch.judging import redecide_dependent_lots
-from softcal.app.batch.known import KeptFacts, lot_facts, lot_method, state_family, state_line, state_sources
-from softcal.app.batch.lot_fit import make_batch_fit
 from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
-from softcal.app.batch.release import decide_lot
 from softcal.app.batch.report import BatchReport, unused_audits
 from softcal.app.batch.train import train_or_find
 from softcal.app.batch.unit_work import ReadFile
+from softcal.app.calibration.audit import update_lot
+from softcal.app.calibration.changes import compare_verdicts, read_verdicts
+from softcal.app.calibration.lot_context import (
+    KeptFacts,
+    lot_facts,
+    lot_method,
+    state_family,
+    state_line,
+    state_sources,
+)
+from softcal.app.calibration.lot_fit import make_batch_fit
+from softcal.app.calibration.redecision import redecide_dependent_lots
+from softcal.app.calibration.release import decide_lot
 from softcal.app.files.lot_folder import LotFolder
 from softcal.app.files.measured_at import local_time_remarks
 from softcal.app.files.recording_file import naming

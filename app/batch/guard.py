@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from softcal.app.batch.calibrating import Refusal
 from softcal.app.batch.unit_work import Chunk, ChunkOutcome, SharedWork, UnitOutcome
+from softcal.app.calibration.unit_calibration import Refusal
 from softcal.core.unit.verdict import Verdict
 from softcal.core.words.reason import plain, reason
 

@@ -18,12 +18,9 @@ from itertools import chain
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from softcal.app.batch.calibrating import Known, LotFacts, Refusal
 from softcal.app.batch.claims import Claims
 from softcal.app.batch.engine import EngineChoice, WorkerLost, run_all
 from softcal.app.batch.guard import PassingRefusal, each_alone, lost
-from softcal.app.batch.known import KeptFacts, keep_result, put_back
-from softcal.app.batch.report import UnitResult
 from softcal.app.batch.unit_work import (
     Chunk,
     ChunkOutcome,
@@ -34,6 +31,9 @@ from softcal.app.batch.unit_work import (
     UnitTask,
     work_on,
 )
+from softcal.app.calibration.lot_context import KeptFacts, keep_result, put_back
+from softcal.app.calibration.unit_calibration import Known, LotFacts, Refusal
+from softcal.app.calibration.unit_result import UnitResult
 from softcal.app.files.lot_folder import LotFolder
 from softcal.app.files.regular import read_regular
 from softcal.app.logs import note

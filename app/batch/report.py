@@ -3,18 +3,16 @@
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
-from softcal.app.batch.audit import LotAudit, audit_json, audit_line
-from softcal.app.batch.changes import Changes
-from softcal.app.batch.lot_fit import LotFitPlan
 from softcal.app.batch.train import TrainedOrFound
+from softcal.app.calibration.audit import LotAudit, audit_json, audit_line
+from softcal.app.calibration.changes import Changes
+from softcal.app.calibration.lot_fit import LotFitPlan
+from softcal.app.calibration.unit_result import UnitResult
 from softcal.app.files.not_used import NotUsed
 from softcal.core.quality.lot_release import LotRelease
-from softcal.core.unit.state import UnitState
 from softcal.core.unit.verdict import VERDICTS, Release, Verdict, worst_of
 from softcal.core.words.reason import DOUBT, ENGLISH, PLAIN, Reason, Value, filled
-from softcal.db.entries import UNIT_ERRORS, CalibrationSummary
 
 OWN_RATIO = "after/own, test rows"
 """Heading of the one ratio whose errors are of other rows than `after`: those the own calibration was tested on."""
@@ -22,47 +20,6 @@ OWN_RATIO = "after/own, test rows"
 TABLE_HEADER = ("serial", "verdict", "predicted", "before", "after", "own", OWN_RATIO, "fit_s", "map")
 MAX_NAMES = 8
 """So many units are named where a reason is of many; the table and the JSON have all."""
-
-
-@dataclass(frozen=True)
-class UnitResult:
-    """One row of the report, reasons most important first. A unit that could not be read or mapped
-    has no `summary`. `is_new`: this batch fitted it, else the registry had it.
-    """
-
-    serial: str
-    verdict: str
-    reasons: tuple[Reason, ...]
-    summary: CalibrationSummary | None = None
-    is_new: bool = True
-
-    @property
-    def state(self) -> UnitState | None:
-        return None if self.summary is None else self.summary.state
-
-    @property
-    def is_audited(self) -> bool:
-        return self.state is not None and self.state.decision.is_audited
-
-    @property
-    def errors(self) -> dict[str, float | None]:
-        """Its errors in the lot's reference unit, by `UNIT_ERRORS`; None where there is none."""
-        return dict.fromkeys(UNIT_ERRORS) if self.state is None else self.state.errors
-
-    def to_json(self) -> dict[str, Any]:
-        """Return what every machine-readable result says of the unit."""
-        state = self.state
-        return {
-            "serial": self.serial,
-            "verdict": self.verdict,
-            "reasons": [str(why) for why in self.reasons],
-            "reason_codes": [why.code for why in self.reasons],
-            "released": self.verdict == Verdict.PASS,
-            "audited": self.is_audited,
-            "knowledge": state and str(state.knowledge),
-            "fit_s": state and state.fit.fit_s,
-            **self.errors,
-        }
 
 
 @dataclass(frozen=True, eq=False)

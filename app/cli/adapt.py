@@ -80,7 +80,7 @@ MODE_HELP = (
 
 def run(options: argparse.Namespace) -> None:
     """Follow the stream, and say what was followed, held and flagged."""
-    from softcal.app.batch.trim import trimmed_by
+    from softcal.app.calibration.trim import trimmed_by
     from softcal.app.files.recording_file import PLAIN
     from softcal.app.files.stream_file import count_rows
     from softcal.app.operation.adapt import AdaptOptions, adapt_file

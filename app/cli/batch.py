@@ -111,7 +111,7 @@ def run(options: argparse.Namespace) -> int:
         if options.out is not None:
             _write_files(registry, report, options.out)
         if options.parquet is not None:
-            from softcal.app.batch.results import lot_results, parquet_bytes
+            from softcal.app.calibration.results import lot_results, parquet_bytes
             from softcal.app.files.atomic import write_bytes
 
             write_bytes(options.parquet, parquet_bytes(lot_results(registry, report.lot_id)))

@@ -27,7 +27,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Map the units by each family and print a row each."""
-    from softcal.app.batch.compare import compare_on_lot
+    from softcal.app.calibration.comparison import compare_on_lot
     from softcal.core.maps.catalogue import check_family
 
     families = list(dict.fromkeys(check_family(name.strip()) for name in options.maps.split(",")))

@@ -8,7 +8,7 @@ from softcal.app.output import print_table, say
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from softcal.app.batch.changes import Changes
+    from softcal.app.calibration.changes import Changes
     from softcal.app.registry.given_files import Recall
     from softcal.db.registry import Registry
 
@@ -46,7 +46,7 @@ def print_recalls(recalls: "Sequence[Recall]") -> None:
 
 def withdraw_files(registry: "Registry", lot_id: str) -> None:
     """Take files that an act on a lot made untrue out of the folders of this computer, and say so."""
-    from softcal.app.batch.changes import reached_lots
+    from softcal.app.calibration.changes import reached_lots
     from softcal.app.export.export import withdraw_given
 
     if recalls := withdraw_given(registry, reached_lots(registry, lot_id)):
@@ -58,7 +58,7 @@ def may_do(registry: "Registry", lot_id: str, act: "Callable[[], object]", is_gi
 
     What it would change is printed first; nothing is done yet.
     """
-    from softcal.app.batch.changes import preview
+    from softcal.app.calibration.changes import preview
 
     changes = preview(registry, lot_id, act)
     if not changes.withdrawn and not changes.released and not changes.recalled:

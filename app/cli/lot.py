@@ -164,7 +164,7 @@ def _release(options: argparse.Namespace) -> int:
     """Decides on the units nobody measured from the audits in the registry, and says what it
     promises.
     """
-    from softcal.app.batch.release import decide_lot, is_decided, lot_standing
+    from softcal.app.calibration.release import decide_lot, is_decided, lot_standing
     from softcal.app.export.certificates.lot_statement import build_lot_statement, lot_statement_pdf
     from softcal.app.files.atomic import write_bytes
     from softcal.app.texts.catalogue import text
@@ -225,8 +225,8 @@ def _folder(options: argparse.Namespace) -> None:
 
 def _audit_plan(options: argparse.Namespace) -> int:
     """The first call draws the plan and writes it down; later calls show where it stands."""
-    from softcal.app.batch.audit import AUDIT_HEADER, audit_json, audit_line, audit_rows, draw_plan, lot_audit
-    from softcal.app.batch.known import lot_method
+    from softcal.app.calibration.audit import AUDIT_HEADER, audit_json, audit_line, audit_rows, draw_plan, lot_audit
+    from softcal.app.calibration.lot_context import lot_method
     from softcal.core.quality.acceptance import PROMISE_HEADER, promise_rows
     from softcal.core.quality.audit_plan import AuditConfig
     from softcal.core.quality.qualification import small_lot
@@ -275,7 +275,7 @@ def _watch(options: argparse.Namespace) -> int:
 
 def _limit(options: argparse.Namespace) -> int:
     """Print what another limit would change, and ask; without a new one, every version of it."""
-    from softcal.app.batch.changes import change_limit, preview_limit
+    from softcal.app.calibration.changes import change_limit, preview_limit
 
     is_new = options.rmse is not None or options.withdraw
     if is_new and not (options.reason or "").strip():
@@ -351,7 +351,7 @@ def _audit(options: argparse.Namespace) -> int:
     """Take labelled recordings of units, one file a unit and called by its serial. A file that
     cannot be used is named and left out, and the others are taken.
     """
-    from softcal.app.batch.judging import confirm
+    from softcal.app.calibration.redecision import confirm
 
     if options.confirm is not None:
         if options.files:
@@ -374,9 +374,9 @@ def _audit(options: argparse.Namespace) -> int:
 
 
 def _bring(options: argparse.Namespace) -> int:
-    from softcal.app.batch.audit_files import look_at_audits, store_audits, unused_of_audits, write_audits
-    from softcal.app.batch.changes import carry_out
-    from softcal.app.batch.judging import redecide
+    from softcal.app.calibration.audit_files import look_at_audits, store_audits, unused_of_audits, write_audits
+    from softcal.app.calibration.changes import carry_out
+    from softcal.app.calibration.redecision import redecide
     from softcal.app.files.importing import Columns, tables_of
     from softcal.app.files.lot_folder import open_lot_folder
     from softcal.app.files.measured_at import local_time_remarks, parse_instant

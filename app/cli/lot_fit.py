@@ -20,8 +20,8 @@ def add_fit(action: Action) -> None:
 
 def _fit(options: argparse.Namespace) -> int:
     """Say which maps a fit of the lot changes, ask, and do it."""
-    from softcal.app.batch.changes import preview
-    from softcal.app.batch.lot_fit import make_lot_fit, plan_lot_fit
+    from softcal.app.calibration.changes import preview
+    from softcal.app.calibration.lot_fit import make_lot_fit, plan_lot_fit
 
     if options.withdraw and not options.reason.strip():
         raise InputError("say why the fit of the lot is taken back: --reason TEXT was expected; nothing was changed")

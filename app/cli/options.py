@@ -10,7 +10,7 @@ from softcal.app.output import ProgressLine, say, write_json
 
 if TYPE_CHECKING:
     from softcal.app.batch.lot_work import Watch
-    from softcal.app.batch.report import UnitResult
+    from softcal.app.calibration.unit_result import UnitResult
     from softcal.app.files.not_used import NotUsed
     from softcal.app.files.recording_file import ColumnNames
     from softcal.app.tables.options import TableOptions

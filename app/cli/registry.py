@@ -152,7 +152,7 @@ def _restore(options: argparse.Namespace) -> None:
 
 
 def _rollback(options: argparse.Namespace) -> int:
-    from softcal.app.batch.release import roll_back
+    from softcal.app.calibration.release import roll_back
 
     with registry_of(options) as registry:
         which = {"lot_id": options.lot, "origin": options.origin}
@@ -170,7 +170,7 @@ def _rollback(options: argparse.Namespace) -> int:
 
 
 def _sync(options: argparse.Namespace) -> None:
-    from softcal.app.batch.judging import redecide_stale
+    from softcal.app.calibration.redecision import redecide_stale
     from softcal.app.export.export import withdraw_given
     from softcal.app.registry.maintenance import synchronise_with
 

@@ -25,7 +25,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Trim, and say what it changed."""
-    from softcal.app.batch.trim import trim_unit
+    from softcal.app.calibration.trim import trim_unit
     from softcal.app.tables.read import read_table
 
     table = read_table(options.loads, table_options(options))

@@ -165,7 +165,7 @@ def newest_source(registry: Registry, lot_id: str) -> LabelledRecording:
 
 def compare(registry: Registry, job: Job, tell: Teller) -> Outcome:
     """Map units with several networks and families; request: lot, networks, families, units."""
-    from softcal.app.batch.compare import compare_on_lot
+    from softcal.app.calibration.comparison import compare_on_lot
 
     rows = compare_on_lot(registry, job.request, tell)
     return Outcome("", {"rows": rows})
@@ -224,7 +224,7 @@ def lot_watch(tell: Steps, begin: float = 0.0) -> Watch:
 def demo(registry: Registry, job: Job, tell: Teller) -> Outcome:
     """Press the demo's lot on a simulated station and calibrate it; request: units."""
     from softcal.app.batch.batch import run_batch
-    from softcal.app.batch.front_door import lots_folder
+    from softcal.app.batch.lot_intake import lots_folder
     from softcal.app.line.demo import DemoConfig, press_demo_lot
 
     config = DemoConfig(units=job.request["units"], batch=BatchConfig(chunk=1, actor=job.actor))
@@ -244,7 +244,7 @@ def demo(registry: Registry, job: Job, tell: Teller) -> Outcome:
 def calibrate(registry: Registry, job: Job, tell: Teller) -> Outcome:
     """Calibrate every unit of a lot, or again; request: lot, map. What is known is not computed anew."""
     from softcal.app.batch.batch import run_batch
-    from softcal.app.batch.front_door import lot_files, network_of
+    from softcal.app.batch.lot_intake import lot_files, network_of
 
     lot_id = job.request["lot"]
     config = BatchConfig(network=network_of(registry, lot_id), family=job.request.get("map"), actor=job.actor)

@@ -12,7 +12,7 @@ import numpy as np
 
 from softcal.app.batch.engine import EngineChoice, WorkerLost, run_all
 from softcal.app.batch.lot_work import BatchConfig
-from softcal.app.batch.report import UnitResult
+from softcal.app.calibration.unit_result import UnitResult
 from softcal.app.files.atomic import whole_folder
 from softcal.app.files.lot_folder import LotFolder, open_lot_folder
 from softcal.app.files.lot_toml import write_lot_toml

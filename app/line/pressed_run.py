@@ -8,12 +8,12 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache, partial
 
-from softcal.app.batch.calibrating import Refusal, calibrate_unit
-from softcal.app.batch.judging import redecide
-from softcal.app.batch.known import KeptFacts, config_of, keep_result, lot_facts, lot_method, stated_sources
-from softcal.app.batch.lot_fit import open_lot_fit
-from softcal.app.batch.release import decide_unit
 from softcal.app.batch.train import train_or_find
+from softcal.app.calibration.lot_context import KeptFacts, config_of, keep_result, lot_facts, lot_method, stated_sources
+from softcal.app.calibration.lot_fit import open_lot_fit
+from softcal.app.calibration.redecision import redecide
+from softcal.app.calibration.release import decide_unit
+from softcal.app.calibration.unit_calibration import Refusal, calibrate_unit
 from softcal.app.line.gate_facts import SHIFT, check_golden, quarantine
 from softcal.app.line.load_readings import LoadReadings, check_stated
 from softcal.app.line.rig import check_labels, with_response

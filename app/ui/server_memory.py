@@ -6,10 +6,10 @@ from typing import Any, TypeVar, cast
 
 import streamlit as st
 
-from softcal.app.batch.audit import lot_audit
-from softcal.app.batch.changes import Changes, preview, preview_limit
-from softcal.app.batch.release import decide_lot, lot_standing, outline_lot
 from softcal.app.bootstrap import open_chosen_registry
+from softcal.app.calibration.audit import lot_audit
+from softcal.app.calibration.changes import Changes, preview, preview_limit
+from softcal.app.calibration.release import decide_lot, lot_standing, outline_lot
 from softcal.app.views.audited import AuditedView, audited_view
 from softcal.app.views.lot import EVERY_RUN, LotView, lot_view
 from softcal.app.views.lot_runs import LotFilter

@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from softcal.app.batch.audit import lot_audit
+from softcal.app.calibration.audit import lot_audit
 from softcal.app.texts.catalogue import text
 from softcal.app.views.alerts import Alert
 from softcal.app.views.lot import lot_view

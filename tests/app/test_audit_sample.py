@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from softcal.app.batch.audit import audited_sample, draw_plan
-from softcal.app.batch.release import lot_standing
+from softcal.app.calibration.audit import audited_sample, draw_plan
+from softcal.app.calibration.release import lot_standing
 from softcal.app.export.certificates.lot_statement import build_lot_statement
 from softcal.app.registry.lot_recordings import newest_audits
 from softcal.core.quality.audit_plan import AuditConfig

@@ -13,12 +13,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from softcal.app.batch import lot_fit, lot_work, unit_work
+from softcal.app.batch import lot_work, unit_work
 from softcal.app.batch.batch import run_batch
 from softcal.app.batch.claims import Claims
 from softcal.app.batch.engine import EngineChoice
-from softcal.app.batch.lot_decision import decision_in_force
 from softcal.app.batch.lot_work import BatchConfig
+from softcal.app.calibration import lot_fit
+from softcal.app.calibration.lot_decision import decision_in_force
 from softcal.app.cli.main import main
 from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.files.regular import read_regular
@@ -97,15 +98,17 @@ def test_a_batch_that_is_killed_goes_on_at_once_and_repeats_nothing(folder: Path
     assert_one_lot_fit(registry_url)
 
 
-@pytest.mark.parametrize("where", ["lot_fit.LotFitDecision", "batch.decide_lot"], ids=["as it is stored", "after it"])
+@pytest.mark.parametrize(
+    "where", ["calibration.lot_fit.LotFitDecision", "batch.batch.decide_lot"], ids=["as it is stored", "after it"]
+)
 def test_a_batch_that_is_killed_at_its_lot_fit_makes_one_all_the_same(
     where: str, folder: Path, registry_url: str
 ) -> None:
     command = ["batch", str(folder), "--registry", registry_url, *SMALL, "--no-own"]
-    module, name = where.split(".")
+    package, module, name = where.split(".")
     lines = f"""
 import os, signal
-from softcal.app.batch import {module} as module
+from softcal.app.{package} import {module} as module
 from softcal.app.cli.main import main
 module.{name} = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
 main({command})

@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from softcal.app.batch.results import RESULTS
+from softcal.app.calibration.results import RESULTS
 from softcal.app.cli.main import main
 from softcal.app.connect import alert_monitor
 from softcal.app.connect.alert_monitor import AlertMonitor, open_alerts

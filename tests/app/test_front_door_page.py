@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from softcal.app.batch import front_door
-from softcal.app.batch.changes import Changes, VerdictChange, change_limit
-from softcal.app.batch.front_door import lot_files, lots_folder, network_of
+from softcal.app.batch import lot_intake
+from softcal.app.batch.lot_intake import lot_files, lots_folder, network_of
+from softcal.app.calibration.changes import Changes, VerdictChange, change_limit
 from softcal.app.export.certificates.laboratory import Laboratory, registry_laboratory
 from softcal.app.export.check import check_folder
 from softcal.app.files.lot_folder import open_lot_folder
@@ -96,7 +96,7 @@ def dropped(folder: Path) -> list[tuple[str, bytes, str]]:
 def test_dropped_files_become_a_calibrated_lot_and_what_is_broken_is_left_out_with_its_reason(
     tmp_path: Path, lot_folder: Path, show, jobs_at_once: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(front_door, "network_of", lambda *_: NetworkConfig(hidden=(8,), max_epochs=5))
+    monkeypatch.setattr(lot_intake, "network_of", lambda *_: NetworkConfig(hidden=(8,), max_epochs=5))
     gone: list[str] = []
     url = f"sqlite:///{tmp_path / 'new.db'}"
     screen = show(url, "lots", tab="files")

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from softcal.app.batch.changes import change_limit, preview_limit
-from softcal.app.batch.release import roll_back
+from softcal.app.calibration.changes import change_limit, preview_limit
+from softcal.app.calibration.release import roll_back
 from softcal.app.cli.main import main
 from softcal.app.texts.catalogue import text
 from softcal.db.connection import open_registry

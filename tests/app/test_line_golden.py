@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softcal.app.batch.audit_evidence import AuditReader
-from softcal.app.batch.compare import compare_on_lot
-from softcal.app.batch.front_door import lot_files
+from softcal.app.batch.lot_intake import lot_files
+from softcal.app.calibration.audit_evidence import AuditReader
+from softcal.app.calibration.comparison import compare_on_lot
 from softcal.app.cli.main import main
 from softcal.app.files.recording_file import write_columns
 from softcal.app.line.pressed_run import RunKeeper

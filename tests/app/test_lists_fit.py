@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import pytest
 
 from softcal.app import output
-from softcal.app.batch.report import TABLE_HEADER, UnitResult, reasons_by_verdict, table_row
+from softcal.app.batch.report import TABLE_HEADER, reasons_by_verdict, table_row
+from softcal.app.calibration.unit_result import UnitResult
 from softcal.app.cli.main import main
 from softcal.app.output import ProgressLine, print_reasons, print_table
 from softcal.app.registry.listing import HISTORY_HEADER, UNIT_HEADER

@@ -11,7 +11,7 @@ import pytest
 import tomlkit
 
 import softcal
-from softcal.app.batch.audit_files import look_at_audits
+from softcal.app.calibration.audit_files import look_at_audits
 from softcal.app.cli.main import main
 from softcal.app.files.importing import Columns, ImportPlan, look_through
 from softcal.app.files.lot_folder import open_lot_folder

@@ -11,8 +11,8 @@ import pytest
 from fastapi.testclient import TestClient
 
 import softcal
-from softcal.app.batch.lot_decision import decision_in_force
-from softcal.app.batch.lot_fit import make_lot_fit, open_lot_fit, plan_lot_fit
+from softcal.app.calibration.lot_decision import decision_in_force
+from softcal.app.calibration.lot_fit import make_lot_fit, open_lot_fit, plan_lot_fit
 from softcal.app.cli.main import main
 from softcal.app.registry.lot_recordings import newest_audits
 from softcal.app.rest.server import rest_app

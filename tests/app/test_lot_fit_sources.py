@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from softcal.app.batch.lot_decision import decision_in_force
+from softcal.app.calibration.lot_decision import decision_in_force
 from softcal.app.cli.main import main
 from softcal.db.connection import open_registry
 from tests.presses import held_presses

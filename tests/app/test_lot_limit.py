@@ -2,7 +2,7 @@
 
 import pytest
 
-from softcal.app.batch.judging import redecide
+from softcal.app.calibration.redecision import redecide
 from softcal.app.registry.limit import lot_limit
 from softcal.app.registry.lot_recordings import source_model
 from softcal.core.unit.method import Method

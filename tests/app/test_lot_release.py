@@ -16,12 +16,12 @@ import pytest
 from sqlalchemy import Engine
 from sqlalchemy import event as sqlalchemy_event
 
-from softcal.app.batch.audit import audited_sample
-from softcal.app.batch.audit_evidence import AuditReader
-from softcal.app.batch.judging import redecide
-from softcal.app.batch.known import stated_line
-from softcal.app.batch.lot_decision import decision_in_force
-from softcal.app.batch.release import decide_lot, decide_unit, lot_standing, statement_provenance
+from softcal.app.calibration.audit import audited_sample
+from softcal.app.calibration.audit_evidence import AuditReader
+from softcal.app.calibration.lot_context import stated_line
+from softcal.app.calibration.lot_decision import decision_in_force
+from softcal.app.calibration.redecision import redecide
+from softcal.app.calibration.release import decide_lot, decide_unit, lot_standing, statement_provenance
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.export.certificates.content import build_certificate
@@ -474,7 +474,7 @@ def test_the_statement_says_who_made_it_when_and_from_what_and_not_who_reads_it(
     batch(make_lot())
     (made,) = {one.made_at for one in registry.decisions.of_lot("large") if one.decision["released"]}
     audits = {f"audit of {serial}": one.sha256 for serial, one in newest_audits(registry, "large").items()}
-    monkeypatch.setattr("softcal.app.batch.release.current_user", lambda: "a reader")
+    monkeypatch.setattr("softcal.app.calibration.release.current_user", lambda: "a reader")
     capsys.readouterr()
     main(["lot", "release", "large", "--registry", registry_url, "--json", "-"])
     told = json.loads(capsys.readouterr().out)["provenance"]

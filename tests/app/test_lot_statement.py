@@ -6,7 +6,7 @@ from functools import partial
 
 import pytest
 
-from softcal.app.batch.audit import Sample
+from softcal.app.calibration.audit import Sample
 from softcal.app.export.certificates.lot_statement import LotStatement, lot_statement_pdf
 from softcal.app.texts.catalogue import text as text_of
 from softcal.app.texts.reasons import said

@@ -81,7 +81,7 @@ def test_the_help_names_every_family_that_is_built_in(capsys):
 
 
 def test_a_job_takes_it_and_the_line_maps_by_it(lot, monkeypatch):
-    from softcal.app.batch.known import lot_method
+    from softcal.app.calibration.lot_context import lot_method
 
     monkeypatch.setenv("SOFTCAL_DATA_FOLDER", str(lot / "data"))
     batch(lot)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from softcal.app.batch.audit import audited_sample
+from softcal.app.calibration.audit import audited_sample
 from softcal.app.cli.main import main
 from softcal.app.registry.lot_recordings import newest_audits
 from softcal.db.connection import open_registry

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import create_engine, text
 
-from softcal.app.batch import calibrating
+from softcal.app.calibration import unit_calibration
 from softcal.app.cli.main import main
 from softcal.core.errors import InputError
 from softcal.db.connection import open_registry
@@ -55,7 +55,7 @@ def test_the_way_from_sqlite_to_postgresql_and_back_computes_nothing_again(
     def forbidden(*_):
         raise AssertionError("a unit was calibrated again")
 
-    monkeypatch.setattr(calibrating, "calibrated", forbidden)
+    monkeypatch.setattr(unit_calibration, "calibrated", forbidden)
     source = registry_url
     for number, url in enumerate([postgresql, f"sqlite:///{tmp_path / 'back.db'}"]):
         move(source, url, tmp_path / f"{number}.db")

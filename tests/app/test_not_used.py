@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from sqlalchemy import event
 
-from softcal.app.batch.front_door import expect, store_lot
+from softcal.app.batch.lot_intake import expect, store_lot
 from softcal.app.cli.main import main
 from softcal.app.files.importing import Columns, ImportPlan
 from softcal.app.files.lot_folder import open_lot_folder

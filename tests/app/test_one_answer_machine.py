@@ -19,10 +19,10 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from softcal.app.batch import lot_work
-from softcal.app.batch.calibrating import Calibrated, Known, LotFacts, Refusal
-from softcal.app.batch.known import KeptFacts
 from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
 from softcal.app.batch.unit_work import ChunkOutcome, UnitOutcome
+from softcal.app.calibration.lot_context import KeptFacts
+from softcal.app.calibration.unit_calibration import Calibrated, Known, LotFacts, Refusal
 from softcal.app.files.lot_folder import LotFolder
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256

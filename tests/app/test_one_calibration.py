@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 
 import softcal
-from softcal.app.batch.compare import compare_on_lot
-from softcal.app.batch.front_door import lot_files
+from softcal.app.batch.lot_intake import lot_files
+from softcal.app.calibration.comparison import compare_on_lot
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.export.certificates.content import build_certificate

@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from softcal.app.batch.audit import confirmed_audits
-from softcal.app.batch.lot_decision import decision_in_force
-from softcal.app.batch.release import lot_standing
-from softcal.app.batch.results import lot_results
+from softcal.app.calibration.audit import confirmed_audits
+from softcal.app.calibration.lot_decision import decision_in_force
+from softcal.app.calibration.release import lot_standing
+from softcal.app.calibration.results import lot_results
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions
 from softcal.app.export.certificates.lot_statement import build_lot_statement

@@ -12,7 +12,8 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from softcal.app.batch.report import BatchReport, UnitResult, report_json, table_row
+from softcal.app.batch.report import BatchReport, report_json, table_row
+from softcal.app.calibration.unit_result import UnitResult
 from softcal.app.charts.palette import palette
 from softcal.app.charts.why import why_figure
 from softcal.app.cli.main import main

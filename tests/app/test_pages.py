@@ -5,8 +5,8 @@ from datetime import UTC, date, datetime
 
 import pytest
 
-from softcal.app.batch.audit import draw_plan, lot_audit
-from softcal.app.batch.release import lot_standing, outline_lot
+from softcal.app.calibration.audit import draw_plan, lot_audit
+from softcal.app.calibration.release import lot_standing, outline_lot
 from softcal.app.texts.catalogue import catalogue, text
 from softcal.app.ui.pages import MOVED, PAGES, moved, page_of
 from softcal.app.views.common import number

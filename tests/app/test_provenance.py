@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import softcal
-from softcal.app.batch.lot_decision import LotDecision
 from softcal.app.bootstrap import current_user
+from softcal.app.calibration.lot_decision import LotDecision
 from softcal.app.cli.main import main
 from softcal.app.views.next_step import release_record
 from softcal.core import profiles

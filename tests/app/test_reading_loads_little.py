@@ -94,7 +94,7 @@ def test_a_batch_does_not_load_what_no_map_needs(calibrated, trained_lot):
 
 
 def test_what_calibrates_loads_no_search_tree_before_a_stage_asks_for_it():
-    assert "scipy.spatial" not in modules_of("import softcal.app.batch.calibrating")
+    assert "scipy.spatial" not in modules_of("import softcal.app.calibration.unit_calibration")
 
 
 def test_a_command_starts_no_threads_of_a_numerical_library():

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from fastapi.testclient import TestClient
 
-from softcal.app.batch.results import RESULTS
+from softcal.app.calibration.results import RESULTS
 from softcal.app.cli.main import main
 from softcal.app.connect.alert_monitor import store_alert
 from softcal.app.registry.listing import unit_json

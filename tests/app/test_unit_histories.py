@@ -15,13 +15,13 @@ from hypothesis import HealthCheck, seed, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
 
-from softcal.app.batch.audit import draw_plan, update_lot
-from softcal.app.batch.calibrating import Calibrated
-from softcal.app.batch.changes import carry_out, change_limit, preview
-from softcal.app.batch.judging import confirm, redecide, redecide_stale
-from softcal.app.batch.known import keep_result
-from softcal.app.batch.lot_decision import decision_in_force
-from softcal.app.batch.release import decide_lot, lot_standing, roll_back
+from softcal.app.calibration.audit import draw_plan, update_lot
+from softcal.app.calibration.changes import carry_out, change_limit, preview
+from softcal.app.calibration.lot_context import keep_result
+from softcal.app.calibration.lot_decision import decision_in_force
+from softcal.app.calibration.redecision import confirm, redecide, redecide_stale
+from softcal.app.calibration.release import decide_lot, lot_standing, roll_back
+from softcal.app.calibration.unit_calibration import Calibrated
 from softcal.app.export.certificates.lot_statement import build_lot_statement
 from softcal.app.registry.listing import unit_json
 from softcal.app.registry.trimmed import store_trim

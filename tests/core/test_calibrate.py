@@ -250,7 +250,7 @@ def test_a_unit_that_follows_late_in_a_shared_opening_is_told(lag_s, count):
 
 def test_what_an_audit_takes_is_no_part_of_what_the_map_took(source_model, good, press, monkeypatch):
     import softcal.core.unit.audit as measuring
-    from softcal.app.batch import calibrating
+    from softcal.app.calibration import unit_calibration
 
     now_s, score = [0.0], measuring.score_map
 
@@ -259,7 +259,7 @@ def test_what_an_audit_takes_is_no_part_of_what_the_map_took(source_model, good,
         return score(*arguments)
 
     monkeypatch.setattr(measuring, "score_map", slow_score)
-    monkeypatch.setattr(calibrating.time, "perf_counter", lambda: now_s[0])
+    monkeypatch.setattr(unit_calibration.time, "perf_counter", lambda: now_s[0])
     audit = press(3, gain=1.3, offset_V=0.05, seconds=120.0)
-    made = calibrating.calibrated(UnitProblem(replace(source_model, method=AFFINE), good, audit=audit))
+    made = unit_calibration.calibrated(UnitProblem(replace(source_model, method=AFFINE), good, audit=audit))
     assert now_s[0] == 100.0 and made.state.fit.fit_s == 0.0

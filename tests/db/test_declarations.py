@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from sqlalchemy import inspect
 
-from softcal.app.batch.audit import audited_sample, confirmed_audits, draw_plan, lot_audit
-from softcal.app.batch.known import lot_method, state_line, stated_line, stated_sources
+from softcal.app.calibration.audit import audited_sample, confirmed_audits, draw_plan, lot_audit
+from softcal.app.calibration.lot_context import lot_method, state_line, stated_line, stated_sources
 from softcal.app.export.certificates.laboratory import registry_laboratory
 from softcal.app.registry.golden import golden_of
 from softcal.app.registry.known_loads import keep_loads, known_loads

@@ -9,8 +9,8 @@ import numpy as np
 from reportlab.lib.units import mm
 from reportlab.platypus import Flowable, Paragraph, Spacer
 
-from softcal.app.batch.audit import Sample, audited_sample
-from softcal.app.batch.release import statement_provenance
+from softcal.app.calibration.audit import Sample, audited_sample
+from softcal.app.calibration.release import statement_provenance
 from softcal.app.export.certificates import parts
 from softcal.app.paper.fonts import BOLD, marked_up, printable_serial
 from softcal.app.texts.catalogue import text

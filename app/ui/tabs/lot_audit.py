@@ -4,9 +4,9 @@ from datetime import UTC, date, datetime, time
 
 import streamlit as st
 
-from softcal.app.batch.audit import LotAudit, draw_plan, lot_audit
-from softcal.app.batch.audit_files import look_at_audits, store_audits, unused_of_audits
-from softcal.app.batch.judging import confirm
+from softcal.app.calibration.audit import LotAudit, draw_plan, lot_audit
+from softcal.app.calibration.audit_files import look_at_audits, store_audits, unused_of_audits
+from softcal.app.calibration.redecision import confirm
 from softcal.app.charts.audited import error_over_load, estimate_over_reference
 from softcal.app.files.measured_at import local_time_remarks
 from softcal.app.registry.lot_recordings import source_of_lot, target_serials

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import streamlit as st
 
-from softcal.app.batch.changes import VerdictChange, change_limit, reached_lots
+from softcal.app.calibration.changes import VerdictChange, change_limit, reached_lots
 from softcal.app.charts import lot as charts_lot
 from softcal.app.export.export import withdraw_given
 from softcal.app.line.load_readings import check_stated

@@ -5,8 +5,8 @@ from functools import partial
 
 import streamlit as st
 
-from softcal.app.batch.changes import Changes, VerdictChange, reached_lots
-from softcal.app.batch.release import decide_lot
+from softcal.app.calibration.changes import Changes, VerdictChange, reached_lots
+from softcal.app.calibration.release import decide_lot
 from softcal.app.export.certificates.lot_statement import build_lot_statement, lot_statement_pdf
 from softcal.app.export.export import withdraw_given
 from softcal.app.export.names import FORMATS

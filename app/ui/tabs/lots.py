@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 import streamlit as st
 
-from softcal.app.batch.front_door import expect, store_lot
+from softcal.app.batch.lot_intake import expect, store_lot
 from softcal.app.charts import station as charts_station
 from softcal.app.charts import unit as charts_unit
 from softcal.app.charts.new_lot import columns_over_time, reference_over_output

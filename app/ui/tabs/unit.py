@@ -2,8 +2,8 @@
 
 import streamlit as st
 
-from softcal.app.batch.changes import reached_lots
-from softcal.app.batch.release import roll_back
+from softcal.app.calibration.changes import reached_lots
+from softcal.app.calibration.release import roll_back
 from softcal.app.charts import unit as charts_unit
 from softcal.app.charts.compare import maps_together, predicted_over_load
 from softcal.app.charts.long_term import course_figure

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from softcal.app.batch.calibrating import Calibrated, calibrate_unit
-from softcal.app.batch.known import KeptFacts, lot_facts
+from softcal.app.calibration.lot_context import KeptFacts, lot_facts
+from softcal.app.calibration.unit_calibration import Calibrated, calibrate_unit
 from softcal.app.registry.lot_recordings import source_model, unlabelled
 from softcal.core.unit.method import Method
 from softcal.db.registry import Registry

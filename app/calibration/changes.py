@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from softcal.app.batch.judging import redecide
+from softcal.app.calibration.redecision import redecide
 from softcal.app.registry.given_files import Recall, list_recalls
 from softcal.core.unit.verdict import VERDICTS, Verdict
 from softcal.core.words.reason import Reason

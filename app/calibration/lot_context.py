@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
 from typing import Any
 
-from softcal.app.batch.calibrating import Known, LotFacts, Refusal, Result, UnitInputs
+from softcal.app.calibration.unit_calibration import Known, LotFacts, Refusal, Result, UnitInputs
 from softcal.app.registry.golden import bridge_over, golden_of
 from softcal.app.registry.known_loads import known_loads
 from softcal.app.registry.lot_recordings import audit_of, newest_audits

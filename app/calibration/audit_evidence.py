@@ -6,7 +6,7 @@ from datetime import date, datetime, timedelta
 
 import numpy as np
 
-from softcal.app.batch.audit import confirmed_audits, drawn_first
+from softcal.app.calibration.audit import confirmed_audits, drawn_first
 from softcal.app.registry.limit import lot_limit
 from softcal.app.registry.lot_recordings import newest_audits
 from softcal.core.lot import Lot

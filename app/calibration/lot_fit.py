@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 
 import msgspec
 
-from softcal.app.batch.known import KeptFacts, lot_facts, lot_method, stated_sources
-from softcal.app.batch.lot_decision import LotFitDecision, decision_in_force
-from softcal.app.batch.release import decide_lot
+from softcal.app.calibration.lot_context import KeptFacts, lot_facts, lot_method, stated_sources
+from softcal.app.calibration.lot_decision import LotFitDecision, decision_in_force
+from softcal.app.calibration.release import decide_lot
 from softcal.app.registry.lot_recordings import source_model, target_serials, unlabelled
 from softcal.app.registry.trimmed import trim_kept
 from softcal.core.errors import ChangedMeanwhile

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from softcal.app.batch.known import config_of, stated_sources
 from softcal.app.bootstrap import data_folder
+from softcal.app.calibration.lot_context import config_of, stated_sources
 from softcal.app.files.importing import ImportPlan, LookedAt, compare_audits, import_lot, look_through
 from softcal.app.files.lot_folder import FOLDER_OF, LotFolder, open_lot_folder
 from softcal.app.files.lot_toml import write_lot_toml

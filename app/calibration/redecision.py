@@ -5,9 +5,9 @@ Whoever sets a limit, confirms, brings audits or syncs calls `redecide` after it
 
 from collections.abc import Iterable
 
-from softcal.app.batch.audit import update_lot
-from softcal.app.batch.lot_decision import decision_in_force
-from softcal.app.batch.release import redecide_lot
+from softcal.app.calibration.audit import update_lot
+from softcal.app.calibration.lot_decision import decision_in_force
+from softcal.app.calibration.release import redecide_lot
 from softcal.core.errors import InputError
 from softcal.core.quality.qualification import EARLIER_LOTS
 from softcal.db.registry import Registry

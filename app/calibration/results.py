@@ -7,7 +7,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from softcal.app.batch.report import UnitResult
+from softcal.app.calibration.unit_result import UnitResult
 from softcal.app.registry.lot_recordings import target_serials
 from softcal.db.registry import Registry
 

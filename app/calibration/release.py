@@ -11,9 +11,9 @@ from datetime import UTC, datetime
 import msgspec
 import numpy as np
 
-from softcal.app.batch.audit_evidence import AuditEvidence, AuditReader
-from softcal.app.batch.lot_decision import LotDecision, decision_in_force, next_number
 from softcal.app.bootstrap import current_user
+from softcal.app.calibration.audit_evidence import AuditEvidence, AuditReader
+from softcal.app.calibration.lot_decision import LotDecision, decision_in_force, next_number
 from softcal.app.registry.limit import limit_or_none, lot_limit
 from softcal.app.registry.lot_recordings import audit_of, measure_unit, newest_audits, source_recording, target_serials
 from softcal.core.quality.lot_release import LotRelease, release_lot
