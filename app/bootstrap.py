@@ -56,7 +56,7 @@ def current_user() -> str:
 def open_chosen_registry(option: str | None, *, create: bool = True) -> "Registry":
     """Open the registry of the option, environment or default, as the current user."""
     from softcal.db.connection import open_registry
-    from softcal.db.truth.registry_base import RegistrySettings
+    from softcal.db.repositories.registry_base import RegistrySettings
 
     return open_registry(registry_url(option), RegistrySettings(actor=current_user()), create=create)
 

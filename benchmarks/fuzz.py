@@ -37,8 +37,8 @@ from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.files.lot_toml import write_lot_toml
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.lot import Lot
-from softcal.db.care.backup import back_up, restore
 from softcal.db.connection import open_registry
+from softcal.db.maintenance.backup import back_up, restore
 
 TABLE_SHARES = {"csv": 0.6, "bytes": 0.3, "xlsx": 0.04, "parquet": 0.06}
 FILE_SHARES = {"csv": 0.35, "bytes": 0.25, "xlsx": 0.1, "sheet": 0.08, "parquet": 0.12, "toml": 0.09, "archive": 0.01}

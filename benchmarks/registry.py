@@ -45,9 +45,9 @@ from softcal.core.lot import Lot
 from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import Heartbeat, StationState
 from softcal.core.recording import OutputRecording
-from softcal.db.care.backup import back_up
-from softcal.db.care.sync import synchronise
 from softcal.db.connection import open_registry
+from softcal.db.maintenance.backup import back_up
+from softcal.db.maintenance.sync import synchronise
 from softcal.db.registry import Registry
 
 LIMIT_N = 1.0

@@ -31,15 +31,15 @@ from softcal.core.quality.line_rules import LineRules
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
 from softcal.core.words.reason import plain
-from softcal.db.care import checks
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate, GoldenRun
+from softcal.db.maintenance import checks
 from softcal.db.queues.work_queue import WorkSet
 from softcal.db.registry import Registry
+from softcal.db.repositories.registry_base import RegistryBase
 from softcal.db.schema.arrays import READ_BLOB
 from softcal.db.schema.database import Database
 from softcal.db.schema.tables import metadata
-from softcal.db.truth.registry_base import RegistryBase
 
 UNITS = 24
 KINDS = {2: "index, inner", 5: "table, inner", 10: "index, leaf", 13: "table, leaf"}
@@ -274,7 +274,7 @@ def blind() -> Iterator[None]:
         stack.enter_context(mock.patch.object(RegistryBase, "_check_row", lambda *_: None))
         stack.enter_context(mock.patch.object(RegistryBase, "_check_hidden", lambda *_: None))
         stack.enter_context(mock.patch("softcal.db.schema.arrays.get_bytes", _bytes_as_they_are))
-        stack.enter_context(mock.patch("softcal.db.truth.history.chain_faults", nothing))
+        stack.enter_context(mock.patch("softcal.db.repositories.history.chain_faults", nothing))
         for name in (
             "page_faults",
             "reference_faults",

@@ -41,7 +41,7 @@ from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import Limit
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
-from softcal.db.truth.lot_pages import UnitFilter
+from softcal.db.repositories.lot_pages import UnitFilter
 
 CHUNK = 200
 SETTLE_MS = 500

@@ -2,8 +2,8 @@
 
 from softcal.core.errors import NoRegistry
 from softcal.db.registry import Registry
+from softcal.db.repositories.registry_base import RegistrySettings
 from softcal.db.schema.database import check_schema, open_database, schema_of
-from softcal.db.truth.registry_base import RegistrySettings
 
 
 def open_registry(url: str, settings: RegistrySettings | None = None, *, create: bool = True) -> Registry:
@@ -18,7 +18,7 @@ def open_registry(url: str, settings: RegistrySettings | None = None, *, create:
             raise NoRegistry(f"registry {database.name}: there is no registry yet; `softcal batch` or `demo` makes one")
         if schema is None:
             # Whoever opens what is there needs no migrations.
-            from softcal.db.care.maintenance import migrate
+            from softcal.db.maintenance.maintenance import migrate
 
             schema = migrate(database)
         check_schema(database, schema)

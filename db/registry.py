@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy.exc import DataError, DBAPIError, StatementError
 
 from softcal.core.errors import InputError
-from softcal.db.truth.registry_base import RegistryBase
+from softcal.db.repositories.registry_base import RegistryBase
 
 if TYPE_CHECKING:
     from softcal.db.access.people import People
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     from softcal.db.queues.order_queue import LinePlaces, OrderQueue
     from softcal.db.queues.outbox import Outbox
     from softcal.db.queues.work_queue import WorkQueue
-    from softcal.db.truth.adaptations import AdaptationTables
-    from softcal.db.truth.calibrations import CalibrationTables
-    from softcal.db.truth.declarations import DeclarationTables
-    from softcal.db.truth.lot_decisions import LotDecisionTable
-    from softcal.db.truth.lot_pages import LotPages
-    from softcal.db.truth.lots import LotTables
-    from softcal.db.truth.networks import NetworkTables
-    from softcal.db.truth.recordings import RecordingTables
-    from softcal.db.truth.stations import StationTables
-    from softcal.db.truth.trail import AuditTrail
+    from softcal.db.repositories.adaptations import AdaptationTables
+    from softcal.db.repositories.calibrations import CalibrationTables
+    from softcal.db.repositories.declarations import DeclarationTables
+    from softcal.db.repositories.lot_decisions import LotDecisionTable
+    from softcal.db.repositories.lot_pages import LotPages
+    from softcal.db.repositories.lots import LotTables
+    from softcal.db.repositories.networks import NetworkTables
+    from softcal.db.repositories.recordings import RecordingTables
+    from softcal.db.repositories.stations import StationTables
+    from softcal.db.repositories.trail import AuditTrail
 
 
 def _part(module: str, kind: str) -> Any:
@@ -50,18 +50,18 @@ def _part(module: str, kind: str) -> Any:
 class Registry(RegistryBase):
     """An open registry, made by `open_registry`; its parts share transactions."""
 
-    lots: LotTables = _part("truth.lots", "LotTables")
-    pages: LotPages = _part("truth.lot_pages", "LotPages")
-    recordings: RecordingTables = _part("truth.recordings", "RecordingTables")
-    networks: NetworkTables = _part("truth.networks", "NetworkTables")
-    calibrations: CalibrationTables = _part("truth.calibrations", "CalibrationTables")
-    decisions: LotDecisionTable = _part("truth.lot_decisions", "LotDecisionTable")
-    declarations: DeclarationTables = _part("truth.declarations", "DeclarationTables")
-    adaptations: AdaptationTables = _part("truth.adaptations", "AdaptationTables")
-    stations: StationTables = _part("truth.stations", "StationTables")
+    lots: LotTables = _part("repositories.lots", "LotTables")
+    pages: LotPages = _part("repositories.lot_pages", "LotPages")
+    recordings: RecordingTables = _part("repositories.recordings", "RecordingTables")
+    networks: NetworkTables = _part("repositories.networks", "NetworkTables")
+    calibrations: CalibrationTables = _part("repositories.calibrations", "CalibrationTables")
+    decisions: LotDecisionTable = _part("repositories.lot_decisions", "LotDecisionTable")
+    declarations: DeclarationTables = _part("repositories.declarations", "DeclarationTables")
+    adaptations: AdaptationTables = _part("repositories.adaptations", "AdaptationTables")
+    stations: StationTables = _part("repositories.stations", "StationTables")
     people: People = _part("access.people", "People")
     tokens: TokenTable = _part("access.tokens", "TokenTable")
-    trail: AuditTrail = _part("truth.trail", "AuditTrail")
+    trail: AuditTrail = _part("repositories.trail", "AuditTrail")
     work_queue: WorkQueue = _part("queues.work_queue", "WorkQueue")
     order_queue: OrderQueue = _part("queues.order_queue", "OrderQueue")
     line_places: LinePlaces = _part("queues.order_queue", "LinePlaces")
@@ -101,9 +101,9 @@ class Registry(RegistryBase):
     def verify(
         self, *, is_quick: bool = False, anchors: Sequence[Anchor] = (), on_step: Callable[[str], None] = lambda _: None
     ) -> list[str]:
-        """Check database, blobs, rows and audit chain as `db.care.checks.faults`; return one line per fault."""
+        """Check database, blobs, rows and audit chain as `db.maintenance.checks.faults`; return one line per fault."""
         # Only the check pays for what it needs.
-        from softcal.db.care.checks import faults
+        from softcal.db.maintenance.checks import faults
 
         with self.database.reading():
             return list(faults(self.database, is_quick=is_quick, anchors=anchors, on_step=on_step))

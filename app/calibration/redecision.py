@@ -11,7 +11,7 @@ from softcal.app.calibration.release import redecide_lot
 from softcal.core.errors import InputError
 from softcal.core.quality.qualification import EARLIER_LOTS
 from softcal.db.registry import Registry
-from softcal.db.truth.lot_pages import is_stale
+from softcal.db.repositories.lot_pages import is_stale
 
 
 def confirm(registry: Registry, lot_id: str, serial: str, *, reason: str, actor: str | None = None) -> None:

@@ -143,7 +143,7 @@ def _backup(options: argparse.Namespace) -> None:
 
 
 def _restore(options: argparse.Namespace) -> None:
-    from softcal.db.care.backup import restore
+    from softcal.db.maintenance.backup import restore
 
     restore(options.file, registry_url(options.registry))
     say_written(registry_url(options.registry))

@@ -17,8 +17,8 @@ from softcal.core.unit.verdict import Verdict
 from softcal.db.entries import RunEntry, UnitStanding
 from softcal.db.queues.order_queue import STATION_SILENT_AFTER, LinePlaces
 from softcal.db.registry import Registry
+from softcal.db.repositories.networks import NetworkState
 from softcal.db.schema.deadline import is_silent
-from softcal.db.truth.networks import NetworkState
 
 NEWEST_RUNS = 40
 HUNG_AFTER = timedelta(seconds=15)

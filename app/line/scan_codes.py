@@ -12,7 +12,7 @@ from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.quality.line_rules import LineRules
 from softcal.db.registry import Registry
-from softcal.db.truth.lot_pages import UnitFilter
+from softcal.db.repositories.lot_pages import UnitFilter
 
 SEPARATOR = "\x1d"
 AIM_PREFIX = re.compile(r"^\][A-Za-z][0-9A-Za-z]")

@@ -56,7 +56,7 @@ def read_anchor(path: Path) -> Anchor:
     """
     try:
         if path.read_bytes()[:16] == b"SQLite format 3\0":
-            from softcal.db.truth import history
+            from softcal.db.repositories import history
 
             with closing(open_database(f"sqlite:///{path}", create=False)) as database, database.reading():
                 return Anchor(history.heads(database), f"in the backup {path}")

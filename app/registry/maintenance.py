@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from softcal.app.registry.anchors import read_anchor, remember, remembered
-from softcal.db.care.backup import back_up
-from softcal.db.care.maintenance import migrate
-from softcal.db.care.sync import SyncReport, synchronise
 from softcal.db.connection import open_registry
 from softcal.db.entries import Heads
+from softcal.db.maintenance.backup import back_up
+from softcal.db.maintenance.maintenance import migrate
+from softcal.db.maintenance.sync import SyncReport, synchronise
 from softcal.db.registry import Registry
 from softcal.db.schema.database import check_schema, open_database, schema_of
 

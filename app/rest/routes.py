@@ -37,7 +37,7 @@ from softcal.db.entries import User
 from softcal.db.queues.job_board import Job
 from softcal.db.queues.outbox import cursor_of, cursor_text
 from softcal.db.registry import Registry
-from softcal.db.truth.lot_pages import UnitFilter
+from softcal.db.repositories.lot_pages import UnitFilter
 
 MOST = 500
 """Rows of one answer at most."""

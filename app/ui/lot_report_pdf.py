@@ -16,7 +16,7 @@ from softcal.app.texts.catalogue import text
 from softcal.app.views.lot import NEEDS_A_LOOK, LotView
 from softcal.app.views.lot_report import MOST_ROWS, report_facts, report_parts
 from softcal.db.registry import Registry
-from softcal.db.truth.lot_pages import UnitFilter
+from softcal.db.repositories.lot_pages import UnitFilter
 
 
 def lot_report_pdf(registry: Registry, view: LotView, language: str, made: datetime) -> bytes:

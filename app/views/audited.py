@@ -11,7 +11,7 @@ from softcal.core.recording import Array
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.state import UnitState
 from softcal.db.registry import Registry
-from softcal.db.truth.lot_pages import UnitErrors
+from softcal.db.repositories.lot_pages import UnitErrors
 
 MOST_UNITS = 12
 """So many audited units are drawn, the largest errors first; each is read and estimated anew."""

@@ -8,7 +8,7 @@ from softcal.core.lot import UnitKey
 from softcal.core.recording import Array
 from softcal.core.unit.estimate import Estimate
 from softcal.db.registry import Registry
-from softcal.db.truth.adaptations import AdaptedUnit
+from softcal.db.repositories.adaptations import AdaptedUnit
 
 MAX_ROWS = 6000
 """Of a stream that is drawn."""

@@ -19,7 +19,7 @@ from softcal.core.unit.verdict import VERDICTS, Limit
 from softcal.core.words.reason import Reason
 from softcal.db.entries import RunEntry
 from softcal.db.registry import Registry
-from softcal.db.truth.lot_pages import UnitErrors
+from softcal.db.repositories.lot_pages import UnitErrors
 
 NEWEST_OF_YIELD = 20
 """So many of the newest units are compared with all before them; set, not fitted."""

@@ -12,7 +12,7 @@ from softcal.core.quality.lot_standing import LotStanding, UnitInLot, Way
 from softcal.core.words.reason import Reason
 from softcal.db.provenance import Provenance
 from softcal.db.registry import Registry
-from softcal.db.truth.in_use import STALE
+from softcal.db.repositories.in_use import STALE
 
 SHOWN_SERIALS = 8
 """So many serials are named in a sentence; the tab it leads to has all."""

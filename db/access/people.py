@@ -15,10 +15,10 @@ from softcal.core.errors import ChangedMeanwhile, InputError, SignInRefused
 from softcal.core.words.reason import Reason
 from softcal.db.access.tries import MAX_PAUSE, Tries, minutes_until, pause_after
 from softcal.db.entries import ROLES, User
+from softcal.db.repositories.registry_base import RegistryBase
 from softcal.db.schema.database import Database
 from softcal.db.schema.deadline import has_passed
 from softcal.db.schema.tables import users
-from softcal.db.truth.registry_base import RegistryBase
 
 if TYPE_CHECKING:
     from argon2 import PasswordHasher

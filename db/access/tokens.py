@@ -14,9 +14,9 @@ from sqlalchemy import RowMapping, insert, select, update
 from softcal.core.errors import InputError
 from softcal.db.access.people import user_of
 from softcal.db.entries import Token, User
+from softcal.db.repositories import history
+from softcal.db.repositories.registry_base import RegistryBase, damaged, of_row
 from softcal.db.schema.tables import audit, canonical_json, tokens, users
-from softcal.db.truth import history
-from softcal.db.truth.registry_base import RegistryBase, damaged, of_row
 
 PREFIX = "softcal_"
 """How a token begins, so that one that was published by mistake is found."""

@@ -15,11 +15,11 @@ from sqlalchemy import RowMapping, Select, func, insert, select, update
 
 from softcal.core.errors import InputError, NoSuchJob
 from softcal.core.orders import ACTIVE, RunState
+from softcal.db.repositories.registry_base import RegistryBase
 from softcal.db.schema.arrays import get_arrays, put_arrays
 from softcal.db.schema.database import given
 from softcal.db.schema.deadline import MAX_CLOCK_ERROR, is_silent
 from softcal.db.schema.tables import jobs
-from softcal.db.truth.registry_base import RegistryBase
 
 if TYPE_CHECKING:
     from softcal.db.schema.arrays import Arrays

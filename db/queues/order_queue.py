@@ -15,10 +15,10 @@ from sqlalchemy import RowMapping, Select, delete, insert, select, update
 from softcal.core.errors import InputError, NoSuchOrder, StationBusy
 from softcal.core.orders import ACTIVE, Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.words.reason import Reason, packed, reason, to_kept
+from softcal.db.repositories.registry_base import RegistryBase
 from softcal.db.schema.database import given
 from softcal.db.schema.deadline import is_silent
 from softcal.db.schema.tables import heartbeats, line_places, orders, run_signals
-from softcal.db.truth.registry_base import RegistryBase
 
 STATION_SILENT_AFTER = timedelta(seconds=3)
 """A station whose last heartbeat is older is not there, as far as a screen can see."""

@@ -13,10 +13,10 @@ from sqlalchemy import insert, or_, select, update
 
 from softcal.core.errors import InputError
 from softcal.db.entries import AuditRow
+from softcal.db.repositories import history
+from softcal.db.repositories.registry_base import RegistryBase
 from softcal.db.schema.deadline import passed
 from softcal.db.schema.tables import deliveries
-from softcal.db.truth import history
-from softcal.db.truth.registry_base import RegistryBase
 
 Cursor = Mapping[str, int]
 """Number of the last row taken of each chain of the audit trail, by the registry that wrote it."""

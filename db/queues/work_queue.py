@@ -14,10 +14,10 @@ from typing import Any
 
 from sqlalchemy import Select, and_, delete, func, select, text, update
 
+from softcal.db.repositories.registry_base import RegistryBase
 from softcal.db.schema.database import given, parts
 from softcal.db.schema.deadline import passed
 from softcal.db.schema.tables import work_items
-from softcal.db.truth.registry_base import RegistryBase
 
 MOST_ATTEMPTS = 3
 """An item whose workers died this often is failed: it would take down the next worker, too."""

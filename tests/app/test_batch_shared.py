@@ -28,7 +28,7 @@ from softcal.core.network.config import NetworkConfig
 from softcal.db.connection import open_registry
 from softcal.db.queues.work_queue import WorkSet
 from softcal.db.registry import Registry
-from softcal.db.truth.calibrations import CalibrationTables
+from softcal.db.repositories.calibrations import CalibrationTables
 from tests.wait import wait_until
 
 UNITS = 16

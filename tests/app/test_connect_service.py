@@ -31,9 +31,9 @@ from softcal.core.lot import Lot
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.interface import map_sha256
 from softcal.core.words.reason import plain
-from softcal.db.care.sync import synchronise
 from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
+from softcal.db.maintenance.sync import synchronise
 from tests.wait import wait_until
 
 pytestmark = pytest.mark.usefixtures("own_data")

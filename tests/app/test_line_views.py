@@ -24,7 +24,7 @@ from softcal.core.quality.line_rules import LineRules
 from softcal.core.unit.verdict import Verdict
 from softcal.core.words.reason import Reason, plain, reason
 from softcal.db.entries import NetworkEntry, RunEntry, UnitStanding
-from softcal.db.truth.networks import NetworkState
+from softcal.db.repositories.networks import NetworkState
 from softcal.station.tasks.service import CODES
 
 NOW = datetime(2026, 5, 4, 8, 0, tzinfo=UTC)

@@ -38,7 +38,7 @@ from softcal.core.words.reason import Reason, reason
 from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
 from softcal.db.registry import Registry
-from softcal.db.truth.registry_base import RegistrySettings
+from softcal.db.repositories.registry_base import RegistrySettings
 from tests.layers import layered
 
 SMALL = ("--hidden", "16,8", "--no-own")

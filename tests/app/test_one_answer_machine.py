@@ -32,11 +32,11 @@ from softcal.core.unit.method import Method
 from softcal.core.unit.state import UnitState
 from softcal.core.unit.verdict import Verdict
 from softcal.core.words.reason import plain
-from softcal.db.care.backup import back_up, restore
-from softcal.db.care.sync import synchronise
 from softcal.db.connection import open_registry
-from softcal.db.truth.calibrations import CalibrationTables
-from softcal.db.truth.registry_base import RegistrySettings
+from softcal.db.maintenance.backup import back_up, restore
+from softcal.db.maintenance.sync import synchronise
+from softcal.db.repositories.calibrations import CalibrationTables
+from softcal.db.repositories.registry_base import RegistrySettings
 from tests.unit_states import state_of
 
 pytestmark = pytest.mark.long

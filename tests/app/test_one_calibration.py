@@ -33,8 +33,8 @@ from softcal.core.quality.line_rules import LineRules
 from softcal.core.unit.method import Method
 from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import stated_limit
-from softcal.db.care.sync import synchronise
 from softcal.db.connection import open_registry
+from softcal.db.maintenance.sync import synchronise
 from softcal.db.registry import Registry
 from softcal.station.record.method import METHOD
 from softcal.station.record.recording import Alignment, StationRecording

@@ -30,7 +30,7 @@ from softcal.core.quality.lot_standing import Way
 from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
 from softcal.db.registry import Registry
-from softcal.db.truth.lot_pages import UnitFilter
+from softcal.db.repositories.lot_pages import UnitFilter
 
 LOT, UNITS = "large", 14
 SMALL = ("--hidden", "16,8", "--no-own")

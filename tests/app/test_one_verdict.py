@@ -47,7 +47,7 @@ from softcal.core.unit.verdict import (
 from softcal.core.words.reason import reason
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
-from softcal.db.truth.lot_pages import UnitFilter
+from softcal.db.repositories.lot_pages import UnitFilter
 from tests.app.pdf_text import read_text
 from tests.unit_states import audit_of
 

@@ -7,8 +7,8 @@ import pytest
 
 from softcal.app.cli.main import main
 from softcal.core.errors import RegistryError
-from softcal.db.care.backup import back_up, restore
 from softcal.db.connection import open_registry
+from softcal.db.maintenance.backup import back_up, restore
 
 
 @pytest.mark.parametrize("name", ["lot.toml", "source/A0.csv"])

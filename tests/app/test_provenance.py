@@ -148,7 +148,7 @@ def test_a_rollback_says_which_program_made_it_and_not_which_made_the_map(
         main(["trim", "--serial", "A1", "--loads", str(tmp_path / "loads.csv"), "--registry", calibrated, "--yes"]) == 0
     )
     later = {"version": "9.9", "build": "f" * 40}
-    monkeypatch.setattr("softcal.db.truth.calibrations.software_now", lambda: later)
+    monkeypatch.setattr("softcal.db.repositories.calibrations.software_now", lambda: later)
     words = ["--serial", "A1", "--to", "1", "--reason", "back", "--registry", calibrated, "--yes"]
     assert main(["registry", "rollback", *words]) == 0
     made = revision(calibrated, tmp_path)["provenance"]

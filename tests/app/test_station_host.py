@@ -19,7 +19,7 @@ from softcal.core.profiles import ramps
 from softcal.core.quality.gate import Gate
 from softcal.db.connection import open_registry
 from softcal.db.queues.order_queue import OrderQueue
-from softcal.db.truth.recordings import RecordingTables
+from softcal.db.repositories.recordings import RecordingTables
 from softcal.station.devices.bench import Bench, open_simulated_bench
 from softcal.station.tasks.service import Hooks, StationService
 from tests.wait import wait_until

@@ -39,10 +39,10 @@ from softcal.core.unit.health import OutputLimits
 from softcal.core.unit.state import FittedMap, UnitState
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Limit
-from softcal.db.care.sync import synchronise
 from softcal.db.connection import open_registry
+from softcal.db.maintenance.sync import synchronise
 from softcal.db.registry import Registry
-from softcal.db.truth.registry_base import RegistrySettings
+from softcal.db.repositories.registry_base import RegistrySettings
 from tests.unit_states import fit_of, interval
 
 LOT = Lot("L1", "S0", 50.0, limit_rmse=0.5)

@@ -13,8 +13,8 @@ from softcal.core.errors import RegistryError
 from softcal.core.lot import UnitKey
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.words.reason import plain
-from softcal.db.care.sync import synchronise
 from softcal.db.entries import CellCertificate, GoldenRun
+from softcal.db.maintenance.sync import synchronise
 from softcal.db.schema.arrays import get_arrays, parts_of, put_arrays
 from softcal.db.schema.tables import APPEND_ONLY, audit, blobs, calibrations, fits, metadata, units
 from tests.declarations import declare_all

@@ -5,8 +5,8 @@ import threading
 import pytest
 
 from softcal.core.errors import RegistryError
-from softcal.db.care.backup import back_up, restore
 from softcal.db.connection import open_registry
+from softcal.db.maintenance.backup import back_up, restore
 from softcal.db.queues.work_queue import WorkSet
 
 

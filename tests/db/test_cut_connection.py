@@ -7,10 +7,10 @@ from softcal.app.cli.main import main
 from softcal.core.errors import RegistryError
 from softcal.db.connection import open_registry
 from softcal.db.queues.work_queue import WorkQueue, WorkSet
+from softcal.db.repositories import history
+from softcal.db.repositories.calibrations import CalibrationTables
 from softcal.db.schema import database as database_module
 from softcal.db.schema.database import ConnectionCut
-from softcal.db.truth import history
-from softcal.db.truth.calibrations import CalibrationTables
 
 pytestmark = pytest.mark.parametrize("registry_url", ["postgresql"], indirect=True)
 

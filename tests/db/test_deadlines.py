@@ -8,7 +8,7 @@ from softcal.core.errors import InputError
 from softcal.core.orders import Heartbeat, RunState, StationState
 from softcal.db.connection import open_registry
 from softcal.db.queues.work_queue import WorkSet
-from softcal.db.truth.registry_base import RegistrySettings
+from softcal.db.repositories.registry_base import RegistrySettings
 
 DAY = timedelta(days=1)
 

@@ -17,10 +17,10 @@ from softcal.app.registry.reference import lot_reference, reference_expanded, st
 from softcal.core.maps.interface import Anchors
 from softcal.core.quality.audit_plan import AuditConfig
 from softcal.core.unit.line_spread import LineSpread
-from softcal.db.care.backup import back_up, restore
-from softcal.db.care.sync import synchronise
 from softcal.db.connection import open_registry
-from softcal.db.truth.registry_base import RegistrySettings
+from softcal.db.maintenance.backup import back_up, restore
+from softcal.db.maintenance.sync import synchronise
+from softcal.db.repositories.registry_base import RegistrySettings
 from tests.declarations import CELL, LOADS, declare_all
 
 TABLES = {

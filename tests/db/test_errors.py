@@ -10,9 +10,9 @@ from softcal.core import errors
 from softcal.core.lot import UnitKey
 from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
+from softcal.db.repositories.in_use import InUseTable
 from softcal.db.schema import engines
 from softcal.db.schema.database import open_database
-from softcal.db.truth.in_use import InUseTable
 
 MISSING = [
     (errors.NoSuchLot, lambda registry: registry.lots.get("nowhere")),
@@ -92,7 +92,7 @@ def test_a_registry_that_another_holds_is_busy_and_nothing_changes(registry_url,
 
 def test_two_registries_that_name_different_maps_are_a_conflict(factory, monkeypatch):
     factory.calibrate("A1")
-    monkeypatch.setattr("softcal.db.truth.in_use.names_several", lambda *_: True)
+    monkeypatch.setattr("softcal.db.repositories.in_use.names_several", lambda *_: True)
     with pytest.raises(errors.MapsConflict):
         InUseTable._in_use(factory.registry.calibrations, "L1", "A1")
 

@@ -17,7 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from softcal.core.errors import RegistryError
 from softcal.core.identity import content_sha256
-from softcal.db.care.backup import back_up
+from softcal.db.maintenance.backup import back_up
 from softcal.db.connection import open_registry
 with open_registry(sys.argv[1], create=False) as registry:
     state = registry.calibrations.get("A0").state

@@ -8,7 +8,7 @@ import pytest
 from softcal.core.errors import InputError
 from softcal.core.orders import RunState
 from softcal.db.queues.job_board import JOB_SILENT_AFTER, START_WITHIN, JobBoard
-from softcal.db.truth.registry_base import RegistrySettings
+from softcal.db.repositories.registry_base import RegistrySettings
 
 NOW = datetime(2026, 5, 4, tzinfo=UTC)
 

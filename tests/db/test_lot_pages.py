@@ -10,7 +10,7 @@ from softcal.core.quality.line_rules import LineRules
 from softcal.core.unit.measured_error import MeasuredError, OwnScores, Scores
 from softcal.core.words.reason import plain
 from softcal.db.entries import GoldenRun
-from softcal.db.truth.lot_pages import UnitFilter
+from softcal.db.repositories.lot_pages import UnitFilter
 from tests.unit_states import ROWS
 
 

@@ -12,9 +12,9 @@ from sqlalchemy.exc import DBAPIError
 from softcal.app.cli.main import main
 from softcal.app.registry.maintenance import upgrade
 from softcal.core.errors import RegistryError
-from softcal.db.care.backup import back_up, restore
-from softcal.db.care.maintenance import MIGRATIONS
 from softcal.db.connection import open_registry
+from softcal.db.maintenance.backup import back_up, restore
+from softcal.db.maintenance.maintenance import MIGRATIONS
 from softcal.db.schema.database import open_database, schema_of
 from softcal.db.schema.tables import APPEND_ONLY, SCHEMA, metadata
 

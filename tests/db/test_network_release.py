@@ -4,7 +4,7 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.network.network import Network
-from softcal.db.truth.networks import DRAFT, RELEASED, WITHDRAWN
+from softcal.db.repositories.networks import DRAFT, RELEASED, WITHDRAWN
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 from softcal.core.errors import InputError
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.db.queues.order_queue import STATION_SILENT_AFTER, TAKEN_OVER_AFTER, OrderQueue
-from softcal.db.truth.registry_base import RegistrySettings
+from softcal.db.repositories.registry_base import RegistrySettings
 
 NOW = datetime(2026, 5, 4, tzinfo=UTC)
 

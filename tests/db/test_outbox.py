@@ -5,8 +5,8 @@ from datetime import UTC, datetime
 import pytest
 
 from softcal.core.errors import InputError
-from softcal.db.care.sync import synchronise
 from softcal.db.connection import open_registry
+from softcal.db.maintenance.sync import synchronise
 from softcal.db.queues.outbox import cursor_of, cursor_text
 
 

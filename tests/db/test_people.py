@@ -14,8 +14,8 @@ from softcal.db.access import people
 from softcal.db.access.people import PERMISSIONS, may
 from softcal.db.access.tries import LOCKED_FOR, MOST_FAILURES
 from softcal.db.connection import open_registry
+from softcal.db.repositories.registry_base import RegistrySettings
 from softcal.db.schema.tables import users
-from softcal.db.truth.registry_base import RegistrySettings
 
 
 def test_the_right_pin_gives_the_person_and_the_role(registry):

@@ -11,7 +11,7 @@ from softcal.core.recording import OutputRecording
 from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
 from softcal.core.words.reason import plain, reason
 from softcal.db.connection import open_registry
-from softcal.db.truth.registry_base import RegistrySettings
+from softcal.db.repositories.registry_base import RegistrySettings
 
 A1 = UnitKey("L1", "A1")
 

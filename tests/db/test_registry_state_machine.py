@@ -29,10 +29,10 @@ from softcal.core.network.network import Network
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.state import UnitState
 from softcal.core.words.reason import plain
-from softcal.db.care.backup import back_up, restore
 from softcal.db.connection import open_registry
-from softcal.db.truth import in_use
-from softcal.db.truth.calibrations import CalibrationTables
+from softcal.db.maintenance.backup import back_up, restore
+from softcal.db.repositories import in_use
+from softcal.db.repositories.calibrations import CalibrationTables
 from tests.unit_states import state_of
 
 pytestmark = pytest.mark.long

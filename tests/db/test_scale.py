@@ -12,8 +12,8 @@ from softcal.core.lot import Lot
 from softcal.core.words.reason import plain
 from softcal.db.queues.work_queue import WorkSet
 from softcal.db.registry import Registry
+from softcal.db.repositories.lot_pages import UnitFilter
 from softcal.db.schema.tables import calibrations, in_use
-from softcal.db.truth.lot_pages import UnitFilter
 
 UNITS, LOTS = 50_000, 50
 OF_A_LOT = UNITS // LOTS

@@ -8,12 +8,12 @@ from sqlalchemy import text
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.lot import Lot
 from softcal.core.words.reason import plain
-from softcal.db.care import sync
-from softcal.db.care.backup import back_up, restore
-from softcal.db.care.sync import synchronise
 from softcal.db.connection import open_registry
-from softcal.db.truth.lot_pages import UnitFilter
-from softcal.db.truth.registry_base import RegistrySettings
+from softcal.db.maintenance import sync
+from softcal.db.maintenance.backup import back_up, restore
+from softcal.db.maintenance.sync import synchronise
+from softcal.db.repositories.lot_pages import UnitFilter
+from softcal.db.repositories.registry_base import RegistrySettings
 
 
 @pytest.fixture

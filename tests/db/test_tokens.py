@@ -7,8 +7,8 @@ import pytest
 from sqlalchemy import select, update
 
 from softcal.core.errors import InputError, RegistryError
-from softcal.db.care.backup import back_up, restore
 from softcal.db.connection import open_registry
+from softcal.db.maintenance.backup import back_up, restore
 from softcal.db.schema.tables import tokens
 
 

@@ -15,12 +15,12 @@ from softcal.core.errors import RegistryError, SoftcalError
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
 from softcal.core.words.reason import plain
-from softcal.db.care import checks
-from softcal.db.care.backup import back_up, restore
 from softcal.db.connection import open_registry
 from softcal.db.entries import Anchor, GoldenRun
+from softcal.db.maintenance import checks
+from softcal.db.maintenance.backup import back_up, restore
+from softcal.db.repositories.lot_pages import UnitFilter
 from softcal.db.schema.tables import AUDITED, metadata
-from softcal.db.truth.lot_pages import UnitFilter
 
 
 @pytest.fixture
@@ -211,7 +211,7 @@ PASSING = ("failures", "locked_until", "changed_at")
 @pytest.mark.long
 def test_an_edit_of_any_column_of_any_row_is_found(file_registry, make_factory, recording_of, tmp_path, monkeypatch):
     # The tables stay as they are, and comparing them takes longer than all the rest.
-    monkeypatch.setattr("softcal.db.care.checks.schema_faults", lambda _: iter(()))
+    monkeypatch.setattr("softcal.db.maintenance.checks.schema_faults", lambda _: iter(()))
     factory = make_factory(file_registry)
     factory.registry.recordings.add("L1", recording_of("A1"), "unit")
     factory.calibrate("A1", 1)

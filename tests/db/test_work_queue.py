@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from softcal.db.queues.work_queue import MOST_ATTEMPTS, WorkQueue, WorkSet
-from softcal.db.truth.registry_base import RegistrySettings
+from softcal.db.repositories.registry_base import RegistrySettings
 
 WORK = WorkSet("L1", "a" * 64)
 

@@ -44,16 +44,16 @@ AT_A_TERMINAL = {
     "core/unit/knowledge.py": "where a number of the method comes from",
     "core/operation/method.py": "where a number of the method comes from",
     "core/twin/simulate.py": "twins a command keeps as files",
-    "db/care/sync.py": "registries that a command exchanges",
+    "db/maintenance/sync.py": "registries that a command exchanges",
     "db/access/tokens.py": "tokens, which a command makes and withdraws",
     "db/provenance.py": "options of git, which no person reads",
     "db/connection.py": "to whoever keeps the registry: it cannot be opened",
     "db/schema/database.py": "to whoever keeps the registry: it cannot be opened",
     "db/schema/engines.py": "to whoever keeps the registry: it cannot be opened",
     "db/schema/tables.py": "to whoever keeps the registry: it is damaged",
-    "db/truth/calibrations.py": "to whoever names a serial in a command; pages name lot and serial",
-    "db/truth/lot_decisions.py": "registries that a command exchanges",
-    "db/truth/registry_base.py": "to whoever keeps the registry: it is damaged",
+    "db/repositories/calibrations.py": "to whoever names a serial in a command; pages name lot and serial",
+    "db/repositories/lot_decisions.py": "registries that a command exchanges",
+    "db/repositories/registry_base.py": "to whoever keeps the registry: it is damaged",
 }
 """File or folder → why no person at a page is told so."""
 

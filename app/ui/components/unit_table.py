@@ -14,7 +14,7 @@ from softcal.app.views.common import decimals
 from softcal.core.lot import Lot
 from softcal.core.unit.verdict import VERDICTS
 from softcal.db.entries import UnitEntry
-from softcal.db.truth.lot_pages import UnitFilter
+from softcal.db.repositories.lot_pages import UnitFilter
 
 SIZE = 50
 WORDS = (*reversed(VERDICTS), "none")

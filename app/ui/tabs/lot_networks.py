@@ -17,7 +17,7 @@ from softcal.core.maps.catalogue import FAMILIES
 from softcal.core.maps.config import DEFAULT
 from softcal.core.network.config import NetworkConfig
 from softcal.db.queues.job_board import Job
-from softcal.db.truth.networks import RELEASED
+from softcal.db.repositories.networks import RELEASED
 
 
 def draw_networks(lot_id: str) -> None:

@@ -7,10 +7,10 @@ from sqlalchemy import RowMapping, Table, select
 
 from softcal.core.quality.audit_plan import AuditConfig, AuditPlan
 from softcal.db.entries import Draw
+from softcal.db.repositories.history import plain
+from softcal.db.repositories.registry_base import RegistryBase
 from softcal.db.schema.database import given, parts
 from softcal.db.schema.tables import canonical_json, drawn_units, draws, metadata
-from softcal.db.truth.history import plain
-from softcal.db.truth.registry_base import RegistryBase
 
 MADE = {"made_at", "origin", "actor", "reason"}
 

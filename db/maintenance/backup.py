@@ -10,12 +10,12 @@ from pathlib import Path
 from sqlalchemy import ColumnElement, Select, delete, insert, select, true
 
 from softcal.core.errors import RegistryError
-from softcal.db.care.checks import faults
-from softcal.db.care.maintenance import Adoption, migrate
+from softcal.db.maintenance.checks import faults
+from softcal.db.maintenance.maintenance import Adoption, migrate
+from softcal.db.repositories import history
+from softcal.db.repositories.registry_base import RegistrySettings
 from softcal.db.schema.database import Database, check_schema, open_database, schema_of
 from softcal.db.schema.tables import heartbeats, metadata, registry_info, tokens, work_items
-from softcal.db.truth import history
-from softcal.db.truth.registry_base import RegistrySettings
 
 ROWS_AT_ONCE = 200
 PASSING = (work_items, heartbeats, tokens)

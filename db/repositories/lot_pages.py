@@ -17,10 +17,8 @@ from softcal.core.errors import InputError
 from softcal.core.lot import UnitKey
 from softcal.core.words.reason import Reason, plain
 from softcal.db.entries import UNDECIDED, UNIT_ERRORS, CalibrationSummary, UnitEntry, UnitStanding
-from softcal.db.schema.database import Database, given, parts
-from softcal.db.schema.tables import calibrations, in_use, refusals, units
-from softcal.db.truth import history
-from softcal.db.truth.in_use import (
+from softcal.db.repositories import history
+from softcal.db.repositories.in_use import (
     OF_STATEMENT,
     STALE,
     conflict_line,
@@ -28,8 +26,10 @@ from softcal.db.truth.in_use import (
     limit_in_force,
     of_this_method,
 )
-from softcal.db.truth.registry_base import RegistryBase, damaged, of_row
-from softcal.db.truth.unit_states import fits_of, state_of
+from softcal.db.repositories.registry_base import RegistryBase, damaged, of_row
+from softcal.db.repositories.unit_states import fits_of, state_of
+from softcal.db.schema.database import Database, given, parts
+from softcal.db.schema.tables import calibrations, in_use, refusals, units
 
 SORTABLE = ("serial", "verdict", "made_at", "family", *UNIT_ERRORS)
 MADE_FIELDS = ("revision", "family", "map_sha256", "state_sha256", *UNIT_ERRORS)

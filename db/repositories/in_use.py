@@ -15,10 +15,10 @@ from sqlalchemy import RowMapping, and_, bindparam, func, select
 from softcal.core.errors import MapsConflict
 from softcal.core.words.reason import Reason, reason
 from softcal.db.entries import LimitEntry
+from softcal.db.repositories import history
+from softcal.db.repositories.registry_base import RegistryBase, damaged, of_row
 from softcal.db.schema.database import Database, given, parts
 from softcal.db.schema.tables import calibrations, canonical_json, in_use, limits, lots, methods, refusals
-from softcal.db.truth import history
-from softcal.db.truth.registry_base import RegistryBase, damaged, of_row
 
 NEWEST_STATEMENT = (in_use.c.made_at.desc(), in_use.c.number.desc(), in_use.c.origin.desc())
 OF_STATEMENT = and_(

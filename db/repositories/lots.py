@@ -10,11 +10,11 @@ from softcal.core.lot import Lot
 from softcal.core.quality.line_rules import LineRules, rules_for
 from softcal.core.words.reason import Reason
 from softcal.db.entries import LimitEntry, LineRulesEntry, RunEntry, UnitEntry
+from softcal.db.repositories.in_use import newest_limit
+from softcal.db.repositories.lot_pages import standing_units
+from softcal.db.repositories.registry_base import RegistryBase, of_row
 from softcal.db.schema.database import given
 from softcal.db.schema.tables import calibrations, limits, line_rules, lots, refusals
-from softcal.db.truth.in_use import newest_limit
-from softcal.db.truth.lot_pages import standing_units
-from softcal.db.truth.registry_base import RegistryBase, of_row
 
 STATED_WITH_LOT = "stated with the lot"
 """The reason of a version of the limit that came with `lot.toml`."""

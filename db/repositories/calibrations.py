@@ -13,14 +13,14 @@ from softcal.core.lot import UnitKey
 from softcal.core.words.reason import Reason, to_kept
 from softcal.db.entries import StoredCalibration
 from softcal.db.provenance import software_now
+from softcal.db.repositories import history
+from softcal.db.repositories.in_use import NEWEST_FIRST, InUseTable, heads_of, names_several, newest_of_unit, rows_of
+from softcal.db.repositories.lot_pages import standing_units
+from softcal.db.repositories.registry_base import damaged, of_row
+from softcal.db.repositories.unit_states import FIT_SHA256, fits_of, state_of
 from softcal.db.schema.arrays import put_arrays
 from softcal.db.schema.database import given
 from softcal.db.schema.tables import calibrations, canonical_json, fits, methods, networks, refusals
-from softcal.db.truth import history
-from softcal.db.truth.in_use import NEWEST_FIRST, InUseTable, heads_of, names_several, newest_of_unit, rows_of
-from softcal.db.truth.lot_pages import standing_units
-from softcal.db.truth.registry_base import damaged, of_row
-from softcal.db.truth.unit_states import FIT_SHA256, fits_of, state_of
 
 if TYPE_CHECKING:
     from softcal.core.unit.state import Fit, UnitState

@@ -12,6 +12,7 @@ from sqlalchemy import RowMapping, Table, bindparam, insert, select
 from softcal.core.errors import NoSuchLot, NoSuchUnit, RegistryDamaged, RegistryError
 from softcal.core.words.reason import reason
 from softcal.db.entries import AuditRow
+from softcal.db.repositories import history
 from softcal.db.schema.database import Database
 from softcal.db.schema.tables import (
     AUDITED,
@@ -26,7 +27,6 @@ from softcal.db.schema.tables import (
     units,
 )
 from softcal.db.schema.transaction_cache import HAS_TOLD
-from softcal.db.truth import history
 
 Entry = TypeVar("Entry")
 TICK = timedelta(microseconds=1)

@@ -9,9 +9,9 @@ from sqlalchemy import ColumnElement, Select, Text, func, select, type_coerce
 
 from softcal.core.errors import NoSuchRevision
 from softcal.core.lot import UnitKey
+from softcal.db.repositories.registry_base import RegistryBase, of_row
 from softcal.db.schema.database import given
 from softcal.db.schema.tables import adaptations, calibrations
-from softcal.db.truth.registry_base import RegistryBase, of_row
 
 Entry = Mapping[str, Any]
 

@@ -11,11 +11,11 @@ from softcal.core.errors import RegistryError
 from softcal.db.access.people import people_as_told
 from softcal.db.access.tokens import token_as_told
 from softcal.db.entries import Anchor, Heads
+from softcal.db.repositories import history
 from softcal.db.schema import append_only, tables
 from softcal.db.schema.arrays import ARRAY, ARRAYS, parts_of
 from softcal.db.schema.database import Database, first_line, is_denied
 from softcal.db.schema.tables import AUDITED, audit, blobs, canonical_json, metadata, registry_info, tokens, users
-from softcal.db.truth import history
 
 ROWS_OF_QUICK = 200
 IN_WORDS = (tables.UtcTime, tables.CanonicalJson, Boolean, Date)

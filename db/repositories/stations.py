@@ -8,11 +8,11 @@ from sqlalchemy import RowMapping, select
 from softcal.core.errors import InputError
 from softcal.core.words.reason import to_kept
 from softcal.db.entries import CellCertificate, GoldenRun
+from softcal.db.repositories.history import row_key
+from softcal.db.repositories.registry_base import RegistryBase, of_row
 from softcal.db.schema.arrays import get_bytes, put_bytes
 from softcal.db.schema.database import Database, given, parts
 from softcal.db.schema.tables import audit, canonical_json, certificates, golden_runs
-from softcal.db.truth.history import row_key
-from softcal.db.truth.registry_base import RegistryBase, of_row
 
 
 class StationTables(RegistryBase):

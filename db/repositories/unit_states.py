@@ -12,10 +12,10 @@ import sqlalchemy as sa
 from sqlalchemy import select
 
 from softcal.core.identity import content_sha256
+from softcal.db.repositories.registry_base import damaged
 from softcal.db.schema.arrays import get_arrays
 from softcal.db.schema.database import Database, parts
 from softcal.db.schema.tables import canonical_json, fits, methods
-from softcal.db.truth.registry_base import damaged
 
 if TYPE_CHECKING:
     from softcal.core.unit.method import Method

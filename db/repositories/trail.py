@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from sqlalchemy import ColumnElement, RowMapping, select
 
 from softcal.db.entries import AuditRow, Heads
+from softcal.db.repositories import history
+from softcal.db.repositories.registry_base import RegistryBase
 from softcal.db.schema.tables import audit, canonical_json
-from softcal.db.truth import history
-from softcal.db.truth.registry_base import RegistryBase
 
 
 class AuditTrail(RegistryBase):

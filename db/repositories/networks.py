@@ -11,9 +11,9 @@ from sqlalchemy import RowMapping, select
 
 from softcal.core.errors import InputError, NoSuchNetwork
 from softcal.db.entries import NetworkEntry
+from softcal.db.repositories.registry_base import RegistryBase, of_row
 from softcal.db.schema.arrays import get_arrays, put_arrays
 from softcal.db.schema.tables import network_releases, networks
-from softcal.db.truth.registry_base import RegistryBase, of_row
 
 if TYPE_CHECKING:
     from softcal.core.identity import Settings

@@ -6,11 +6,11 @@ from pathlib import Path
 from sqlalchemy import insert, select
 
 from softcal.db.access.people import people_as_told
-from softcal.db.care import checks
 from softcal.db.entries import Heads
+from softcal.db.maintenance import checks
+from softcal.db.repositories.registry_base import RegistryBase
 from softcal.db.schema.database import Database, schema_of
 from softcal.db.schema.tables import registry_info, users
-from softcal.db.truth.registry_base import RegistryBase
 
 MIGRATIONS = Path(__file__).parents[1] / "schema" / "migrations"
 

@@ -10,10 +10,10 @@ from sqlalchemy import RowMapping, and_, bindparam, or_, select
 
 from softcal.core.errors import InputError, NoSuchRecording
 from softcal.db.entries import INSTANTS_AGREE, RecordingEntry
+from softcal.db.repositories.registry_base import RegistryBase, of_row
 from softcal.db.schema.arrays import get_arrays, put_arrays
 from softcal.db.schema.database import given, parts
 from softcal.db.schema.tables import recordings
-from softcal.db.truth.registry_base import RegistryBase, of_row
 
 if TYPE_CHECKING:
     from softcal.core.recording import Array, LabelledRecording, OutputRecording

@@ -14,14 +14,14 @@ from sqlalchemy import Date, Table, and_, func, insert, select
 
 from softcal.core.errors import InputError, RegistryError
 from softcal.db.entries import AuditRow
+from softcal.db.repositories import history
+from softcal.db.repositories.in_use import conflict_line, conflicts_of
+from softcal.db.repositories.lot_decisions import decision_conflicts
+from softcal.db.repositories.registry_base import RegistryBase
 from softcal.db.schema.arrays import copy_blob
 from softcal.db.schema.database import Database
 from softcal.db.schema.tables import AUDITED, UtcTime, audit, blobs, limits, metadata
 from softcal.db.schema.transaction_cache import HAS_TOLD, forget
-from softcal.db.truth import history
-from softcal.db.truth.in_use import conflict_line, conflicts_of
-from softcal.db.truth.lot_decisions import decision_conflicts
-from softcal.db.truth.registry_base import RegistryBase
 
 ROWS_AT_ONCE = 200
 CLOCKS_AGREE = timedelta(minutes=2)

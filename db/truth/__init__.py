@@ -1,1 +1,0 @@
-"""What is known and stays known: lots, recordings, networks, calibrations, and their trail."""
