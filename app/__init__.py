@@ -2,7 +2,7 @@
 
 from contextlib import suppress
 
-from softcal.core.words.reason import load_messages_by
+from softcal.core.messages.reason import load_messages_by
 
 
 def _load_driver_messages() -> None:

@@ -26,11 +26,11 @@ from common.tables import print_table
 
 from softcal.core.errors import InputError, SoftcalError
 from softcal.core.lot import UnitKey
+from softcal.core.messages.reason import plain
 from softcal.core.orders import Order, OrderKind
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
-from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.db.maintenance import checks

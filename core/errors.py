@@ -20,7 +20,7 @@ arguments inside the program stay ValueError. One class for each thing a caller 
 import errno
 from typing import ClassVar
 
-from softcal.core.words.reason import Reason, plain
+from softcal.core.messages.reason import Reason, plain
 
 
 def printable(text: str) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from softcal.core.errors import InputError
-from softcal.core.words.reason import reason
+from softcal.core.messages.reason import reason
 
 MAX_CHARACTERS, MAX_ESCAPED = 64, 215
 """Of a serial, and of its escaped form: the name of any file with it stays below the 255 bytes of file systems."""

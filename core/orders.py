@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 
-from softcal.core.words.reason import Reason, joined, unpacked
+from softcal.core.messages.reason import Reason, joined, unpacked
 
 
 class OrderKind(StrEnum):

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import InputError
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import Array, Rng
-from softcal.core.words.reason import Reason, reason
 
 NAME_AND_SIZE = re.compile(r"(\D+?) (\d.*)", re.DOTALL)
 """A name that says what the profile was made with: `ramps 0.6 mm/s`."""

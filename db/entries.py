@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from softcal.core.errors import InputError
 from softcal.core.lot import UnitKey
+from softcal.core.messages.reason import Reason
 from softcal.core.quality.line_rules import LineRules
-from softcal.core.words.reason import Reason
 from softcal.db.provenance import Provenance
 
 if TYPE_CHECKING:

@@ -1,6 +1,6 @@
 """How messages call a device, in the language of whoever reads them."""
 
-from softcal.core.words.reason import Reason, plain, reason
+from softcal.core.messages.reason import Reason, plain, reason
 
 CELL, READOUT = "load cell", "sensor readout"
 """What shipped drivers call themselves."""

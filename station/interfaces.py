@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol, TypeAlias, runtime_checkable
 
 from softcal.core.errors import DeviceError
-from softcal.core.words.reason import Reason
+from softcal.core.messages.reason import Reason
 
 
 class Held(DeviceError):

@@ -4,7 +4,7 @@ import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 
-from softcal.core.words.reason import add_messages
+from softcal.core.messages.reason import add_messages
 
 PAGES: Mapping[str, Mapping[str, str]] = {
     path.stem: tomllib.loads(path.read_text(encoding="utf-8"))

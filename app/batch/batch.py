@@ -28,10 +28,10 @@ from softcal.app.registry.golden import keep_golden_of
 from softcal.app.registry.known_loads import keep_loads
 from softcal.app.registry.reference import state_reference
 from softcal.app.registry.same_recordings import same_recordings_of
+from softcal.core.messages.reason import Reason
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.bridge import make_bridge
 from softcal.core.unit.source_model import make_source_model
-from softcal.core.words.reason import Reason
 from softcal.db.registry import Registry
 
 

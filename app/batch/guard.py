@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 from softcal.app.batch.unit_work import Chunk, ChunkOutcome, SharedWork, UnitOutcome
 from softcal.app.calibration.unit_calibration import Refusal
+from softcal.core.messages.reason import plain, reason
 from softcal.core.unit.verdict import Verdict
-from softcal.core.words.reason import plain, reason
 
 Work = Callable[[SharedWork, Chunk], ChunkOutcome]
 

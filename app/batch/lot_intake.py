@@ -19,12 +19,12 @@ from softcal.app.files.unused_parts import unused_of_import
 from softcal.app.registry.lot_recordings import newest_audits, source_recording
 from softcal.app.registry.same_recordings import same_recordings_with
 from softcal.core.errors import InputError, UnitRefused
+from softcal.core.messages.reason import Reason
 from softcal.core.network.config import NetworkConfig
 from softcal.core.quality.same_recording import Pressed
 from softcal.core.unit.findings import contradictions
 from softcal.core.unit.health import check_alive, health_findings, output_limits
 from softcal.core.unit.method import Method
-from softcal.core.words.reason import Reason
 from softcal.db.registry import Registry
 
 

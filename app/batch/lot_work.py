@@ -42,9 +42,9 @@ from softcal.core.errors import InputError, RegistryError
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.maps.interface import Anchors
+from softcal.core.messages.reason import Reason, plain
 from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.unit.verdict import Release, Verdict
-from softcal.core.words.reason import Reason, plain
 from softcal.db.queues.work_queue import WorkItem, WorkSet
 from softcal.db.registry import Registry
 

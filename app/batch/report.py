@@ -10,9 +10,9 @@ from softcal.app.calibration.changes import Changes
 from softcal.app.calibration.lot_fit import LotFitPlan
 from softcal.app.calibration.unit_result import UnitResult
 from softcal.app.files.not_used import NotUsed
+from softcal.core.messages.reason import DOUBT, ENGLISH, PLAIN, Reason, Value, filled
 from softcal.core.quality.lot_release import LotRelease
 from softcal.core.unit.verdict import VERDICTS, Release, Verdict, worst_of
-from softcal.core.words.reason import DOUBT, ENGLISH, PLAIN, Reason, Value, filled
 
 OWN_RATIO = "after/own, test rows"
 """Heading of the one ratio whose errors are of other rows than `after`: those the own calibration was tested on."""

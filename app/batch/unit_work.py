@@ -12,9 +12,9 @@ from softcal.app.tables.timestamps import Start
 from softcal.core.errors import InputError
 from softcal.core.inspection.comparison import compare_recordings
 from softcal.core.lot import Lot
+from softcal.core.messages.reason import reason
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.verdict import Verdict
-from softcal.core.words.reason import reason
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,9 @@ from softcal.app.registry.limit import lot_limit
 from softcal.app.registry.lot_recordings import newest_audits
 from softcal.app.texts.reasons import Words
 from softcal.core.errors import InputError
+from softcal.core.messages.reason import DOUBT
 from softcal.core.quality.audit_plan import AuditConfig, AuditPlan, LotStatement, judge_lot, plan_audit
 from softcal.core.unit.verdict import Limit, Verdict
-from softcal.core.words.reason import DOUBT
 from softcal.db.entries import Draw, UnitEntry
 from softcal.db.registry import Registry
 

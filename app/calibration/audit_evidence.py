@@ -10,6 +10,7 @@ from softcal.app.calibration.audit import confirmed_audits, drawn_first
 from softcal.app.registry.limit import lot_limit
 from softcal.app.registry.lot_recordings import newest_audits
 from softcal.core.lot import Lot
+from softcal.core.messages.reason import Reason
 from softcal.core.quality.acceptance import min_units, tolerance_factor
 from softcal.core.quality.audit_check import doubtful_audits
 from softcal.core.quality.qualification import PastAudit, Qualification, qualify
@@ -25,7 +26,6 @@ from softcal.core.unit.output_level import load_line
 from softcal.core.unit.state import UnitState
 from softcal.core.unit.uncertainty import Widening
 from softcal.core.unit.verdict import Limit, Verdict
-from softcal.core.words.reason import Reason
 from softcal.db.registry import Registry
 
 

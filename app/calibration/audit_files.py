@@ -17,9 +17,9 @@ from softcal.app.tables.options import DETECT, TableOptions
 from softcal.core.errors import InputError
 from softcal.core.inspection.comparison import compare_with_source
 from softcal.core.lot import Lot
+from softcal.core.messages.reason import Reason, plain, reason
 from softcal.core.quality.same_recording import Pressed, same_recordings
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.words.reason import Reason, plain, reason
 from softcal.db.registry import Registry
 
 

@@ -6,8 +6,8 @@ from functools import partial
 
 from softcal.app.calibration.redecision import redecide
 from softcal.app.registry.given_files import Recall, list_recalls
+from softcal.core.messages.reason import Reason
 from softcal.core.unit.verdict import VERDICTS, Verdict
-from softcal.core.words.reason import Reason
 from softcal.db.registry import Registry
 
 

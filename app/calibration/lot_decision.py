@@ -5,9 +5,9 @@ from dataclasses import dataclass, field, replace
 
 import msgspec
 
+from softcal.core.messages.reason import Reason
 from softcal.core.unit.lot_correction import LotCorrection
 from softcal.core.unit.state import SampleRelease
-from softcal.core.words.reason import Reason
 from softcal.db.provenance import Provenance
 from softcal.db.registry import Registry
 

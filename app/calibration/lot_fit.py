@@ -21,13 +21,13 @@ from softcal.core.maps.config import DEFAULT
 from softcal.core.maps.shared_load import LotFit, fit_lot
 from softcal.core.maps.source_bias import SourceBias, compare_sources
 from softcal.core.maps.synchrony import find_synchrony
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.knowledge import BLIND, SHARED
 from softcal.core.unit.lot_fit import LotMap
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.state import UnitState
-from softcal.core.words.reason import Reason, reason
 from softcal.db.registry import Registry
 
 DECIDED_BY = "lot fit"

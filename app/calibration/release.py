@@ -16,13 +16,13 @@ from softcal.app.calibration.audit_evidence import AuditEvidence, AuditReader
 from softcal.app.calibration.lot_decision import LotDecision, decision_in_force, next_number
 from softcal.app.registry.limit import limit_or_none, lot_limit
 from softcal.app.registry.lot_recordings import audit_of, measure_unit, newest_audits, source_recording, target_serials
+from softcal.core.messages.reason import reason
 from softcal.core.quality.lot_release import LotRelease, release_lot
 from softcal.core.quality.lot_standing import LotStanding, UnitInLot
 from softcal.core.quality.qualification import NONE
 from softcal.core.quality.release import min_passing
 from softcal.core.unit.lot_correction import LotCorrection
 from softcal.core.unit.state import SampleRelease, UnitState
-from softcal.core.words.reason import reason
 from softcal.db.entries import CalibrationSummary, UnitStanding
 from softcal.db.provenance import Provenance, record_provenance
 from softcal.db.registry import Registry

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps.anchors import check_loads
 from softcal.core.maps.interface import Anchors
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.bridge import Bridge
@@ -22,7 +23,6 @@ from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.state import UnitState
 from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import Limit, Verdict
-from softcal.core.words.reason import Reason, reason
 
 
 @dataclass(frozen=True, eq=False)

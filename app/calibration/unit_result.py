@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Any
 
+from softcal.core.messages.reason import Reason
 from softcal.core.unit.state import UnitState
 from softcal.core.unit.verdict import Verdict
-from softcal.core.words.reason import Reason
 from softcal.db.entries import UNIT_ERRORS, CalibrationSummary
 
 

@@ -13,8 +13,8 @@ from softcal.app.charts.style import LEVEL_BARS
 from softcal.app.texts.reasons import Words, said
 from softcal.app.views.common import percent
 from softcal.app.views.gap import channel_name, effect_name, pressed_name, ranked, stage_name
+from softcal.core.messages.reason import Reason
 from softcal.core.recording import Array, Indices
-from softcal.core.words.reason import Reason
 
 CHANNELS = {"output_V": "output", "force_N": "force"}
 """Columns that are drawn, with the name a report has for them."""

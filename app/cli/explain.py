@@ -27,9 +27,9 @@ def run(options: argparse.Namespace) -> None:
     from softcal.app.charts.why import explain_unit, why_json
     from softcal.app.registry.standing import standing_of
     from softcal.app.views.unit import unit_view
+    from softcal.core.messages.reason import joined
     from softcal.core.unit.explanation import contributions
     from softcal.core.unit.method import Method
-    from softcal.core.words.reason import joined
 
     if options.method:
         with registry_of(options) as registry:

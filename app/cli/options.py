@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from softcal.app.files.not_used import NotUsed
     from softcal.app.files.recording_file import ColumnNames
     from softcal.app.tables.options import TableOptions
+    from softcal.core.messages.reason import Reason
     from softcal.core.network.config import EpochReport, NetworkConfig
-    from softcal.core.words.reason import Reason
     from softcal.db.registry import Registry
 
 T = TypeVar("T")

@@ -23,7 +23,7 @@ from softcal.app.cli.options import (
 from softcal.app.cli.station_service import add_service_actions
 from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
-from softcal.core.words.reason import Reason
+from softcal.core.messages.reason import Reason
 
 if TYPE_CHECKING:
     from softcal.station.tasks.acquisition import RunProgress

@@ -12,7 +12,7 @@ from typing import Any
 from urllib.parse import quote
 
 from softcal.core.lot import UnitKey
-from softcal.core.words.reason import Reason
+from softcal.core.messages.reason import Reason
 from softcal.db.entries import UNIT_ERRORS, AuditRow
 from softcal.db.queues.outbox import Cursor
 from softcal.db.registry import Registry

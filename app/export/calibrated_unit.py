@@ -15,6 +15,7 @@ from softcal.core.export.compile_map import InputScale
 from softcal.core.export.device import DeviceOptions, DeviceRecord, DeviceUnit, build_network_file, build_unit_file
 from softcal.core.lot import Lot, escape_serial
 from softcal.core.maps.config import AnchorConfig
+from softcal.core.messages.reason import Reason, joined
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
@@ -22,7 +23,6 @@ from softcal.core.unit.estimate import estimate
 from softcal.core.unit.state import UnitState
 from softcal.core.unit.trim import as_given_now
 from softcal.core.unit.verdict import Release, Verdict
-from softcal.core.words.reason import Reason, joined
 from softcal.db.entries import RecordingEntry, StoredCalibration, UnitStanding
 from softcal.db.provenance import Provenance
 from softcal.db.registry import Registry

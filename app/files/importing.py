@@ -30,9 +30,9 @@ from softcal.app.tables.timestamps import Start, median_rate_Hz
 from softcal.core.errors import InputError
 from softcal.core.inspection.comparison import compare_with_source
 from softcal.core.lot import Lot, check_serial, file_stem, serial_key
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.quality.same_recording import Pressed, same_recordings
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.words.reason import Reason, reason
 
 
 @dataclass(frozen=True)

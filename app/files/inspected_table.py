@@ -11,10 +11,10 @@ from softcal.app.tables.read import read_table
 from softcal.core.inspection.comparison import compare_recordings
 from softcal.core.inspection.inspection import InspectionFinding
 from softcal.core.inspection.words import finding_reason
+from softcal.core.messages.reason import Reason
 from softcal.core.unit.findings import contradictions
 from softcal.core.unit.health import output_limits
 from softcal.core.unit.method import Method
-from softcal.core.words.reason import Reason
 
 FINDINGS_HEADER = ("line", "t_s", "column", "finding", "value", "times or share", "rows", "what it shows")
 

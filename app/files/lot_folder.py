@@ -15,8 +15,8 @@ from softcal.app.tables.read import READERS
 from softcal.core.errors import InputError
 from softcal.core.lot import check_serial, row_name, serial_key
 from softcal.core.maps.interface import Anchors
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.words.reason import Reason, reason
 
 ANCHOR_FILES = ("anchors.csv", "anchors.parquet")
 """Where a lot folder holds known loads of its units."""

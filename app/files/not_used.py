@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from softcal.core.words.reason import Reason
+from softcal.core.messages.reason import Reason
 
 Kind = Literal["file", "rows", "column", "audit"]
 

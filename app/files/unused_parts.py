@@ -10,7 +10,7 @@ from unicodedata import normalize
 from softcal.app.files.not_used import MAX_NAMES, NotUsed
 from softcal.app.files.recording_file import ColumnNames
 from softcal.app.tables.read import PARQUET, READERS
-from softcal.core.words.reason import Reason, reason
+from softcal.core.messages.reason import Reason, reason
 
 if TYPE_CHECKING:
     from softcal.app.files.importing import Columns, ImportedUnit, ImportPlan

@@ -20,10 +20,10 @@ from softcal.app.jobs.process import DEMO
 from softcal.app.logs import log_crash
 from softcal.core.errors import InputError, SoftcalError
 from softcal.core.identity import content_sha256
+from softcal.core.messages.reason import packed, to_kept
 from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.orders import RunState
 from softcal.core.recording import LabelledRecording
-from softcal.core.words.reason import packed, to_kept
 from softcal.db.queues.job_board import Job, JobBoard
 from softcal.db.registry import Registry
 

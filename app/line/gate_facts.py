@@ -9,6 +9,7 @@ from softcal.app.line.qualification import newest_qualification
 from softcal.app.registry.unit import calibrated_unit
 from softcal.core.errors import InputError
 from softcal.core.lot import UnitKey
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.metrics import rmse
 from softcal.core.orders import OrderKind
 from softcal.core.quality.control_chart import control_chart
@@ -27,7 +28,6 @@ from softcal.core.unit.bridge import make_bridge
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.verdict import default_limit
-from softcal.core.words.reason import Reason, reason
 from softcal.db.entries import GoldenRun
 from softcal.db.registry import Registry
 from softcal.db.schema.deadline import MAX_CLOCK_ERROR, has_passed

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Protocol
 
 from softcal.app.bootstrap import is_alive
 from softcal.core.errors import InputError, RegistryError, SoftcalError
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
 from softcal.core.quality.known_loads import ordered_load
-from softcal.core.words.reason import Reason, reason
 from softcal.db.queues.order_queue import TAKEN_OVER_AFTER, OrderQueue
 from softcal.db.schema.deadline import is_silent
 from softcal.station.record.recording import StationRecording

@@ -14,9 +14,9 @@ from softcal.app.line.facts import LineFacts, Note, Place, Screen, read_line, re
 from softcal.app.line.scan_codes import Scan, is_unheard_of, lots_of, read_scan
 from softcal.core.errors import InputError, StationBusy
 from softcal.core.lot import check_serial
+from softcal.core.messages.reason import Reason
 from softcal.core.orders import Order, OrderKind, RunState
 from softcal.core.quality.known_loads import load_order
-from softcal.core.words.reason import Reason
 from softcal.db.registry import Registry
 
 NEWEST_LOTS = 8

@@ -8,13 +8,13 @@ from softcal.core.errors import InputError
 from softcal.core.maps.anchors import check_loads, check_values
 from softcal.core.maps.config import AnchorConfig
 from softcal.core.maps.interface import Anchors
+from softcal.core.messages.reason import Reason, Value, reason
 from softcal.core.orders import Order
 from softcal.core.quality.known_loads import FROM_START, READ, WANTED, KnownLoad, loads_text, ordered_load
 from softcal.core.quality.reading_at_rest import ReadingConfig, level_at_rest
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.budget import COVERAGE
 from softcal.core.unit.source_model import SourceModel
-from softcal.core.words.reason import Reason, Value, reason
 
 NOTHING = "nothing was pressed"
 DIGITS = 7

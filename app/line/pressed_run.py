@@ -24,13 +24,13 @@ from softcal.app.registry.lot_recordings import source_model
 from softcal.app.registry.reference import state_reference
 from softcal.core.errors import BadReply, InputError
 from softcal.core.lot import Lot, check_serial
+from softcal.core.messages.reason import Reason, joined, reason
 from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.orders import Order, OrderKind, Progress, RunState
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.verdict import Verdict
-from softcal.core.words.reason import Reason, joined, reason
 from softcal.db.entries import NetworkEntry
 from softcal.db.registry import Registry
 from softcal.station.record.recording import StationRecording

@@ -16,10 +16,10 @@ from softcal.app.files.profile_file import read_profile
 from softcal.app.files.recording_file import write_columns
 from softcal.core.errors import InputError, NoReply
 from softcal.core.lot import Lot, check_serial
+from softcal.core.messages.reason import Reason, reason, several
 from softcal.core.profiles import Profile, source_profile, unit_profile
 from softcal.core.recording import Array
 from softcal.core.unit.budget import SIMULATED, Reference
-from softcal.core.words.reason import Reason, reason, several
 from softcal.station.clock import HostClock
 from softcal.station.devices.bench import SIMULATED_NAME, Bench, open_bench, open_simulated_bench
 from softcal.station.devices.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig, read_station_file

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from softcal.core.errors import RegistryReadOnly
 from softcal.core.lot import UnitKey
+from softcal.core.messages.reason import Reason, plain
 from softcal.core.unit.verdict import VERDICTS
-from softcal.core.words.reason import Reason, plain
 from softcal.db.entries import UNDECIDED, UnitStanding
 from softcal.db.registry import Registry
 

@@ -3,12 +3,12 @@
 from softcal.app.registry.golden import golden_of
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
+from softcal.core.messages.reason import reason
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.audit import measure
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.unit.state import UnitState
-from softcal.core.words.reason import reason
 from softcal.db.entries import RecordingEntry
 from softcal.db.registry import Registry
 

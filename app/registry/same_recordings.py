@@ -2,8 +2,8 @@
 
 from collections.abc import Collection, Iterable
 
+from softcal.core.messages.reason import Reason
 from softcal.core.quality.same_recording import Pressed, same_recordings
-from softcal.core.words.reason import Reason
 from softcal.db.registry import Registry
 
 

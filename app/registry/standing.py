@@ -4,8 +4,8 @@ Whoever gives out files, warns at use or shows a verdict asks here: all say the 
 """
 
 from softcal.core.errors import RegistryError
+from softcal.core.messages.reason import plain
 from softcal.core.unit.verdict import Verdict
-from softcal.core.words.reason import plain
 from softcal.db.entries import UNDECIDED, StoredCalibration, UnitStanding
 from softcal.db.registry import Registry
 

@@ -11,9 +11,9 @@ from dataclasses import replace
 from softcal.app.registry.lot_recordings import audit_of, measure_unit, newest_audits, source_recording, unlabelled
 from softcal.core.errors import InputError, MapsConflict
 from softcal.core.maps.interface import Anchors, FitProblem
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.unit.state import Trim, UnitState
 from softcal.core.unit.trim import NeedlessTrim, trim
-from softcal.core.words.reason import Reason, reason
 from softcal.db.entries import StoredCalibration
 from softcal.db.registry import Registry
 

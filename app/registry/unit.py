@@ -7,6 +7,7 @@ from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.interface import map_sha256
+from softcal.core.messages.reason import plain
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
@@ -17,7 +18,6 @@ from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.state import Fit, FittedMap, UnitState
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import default_limit
-from softcal.core.words.reason import plain
 from softcal.db.registry import Registry
 
 

@@ -6,7 +6,7 @@ from datetime import datetime, timedelta, timezone, tzinfo
 from functools import cache
 from pathlib import Path
 
-from softcal.core.words.reason import ENGLISH, filled, is_known
+from softcal.core.messages.reason import ENGLISH, filled, is_known
 from softcal.station.messages import PAGES
 
 LANGUAGES = {"en": "English", "ko": "한국어"}

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from datetime import datetime
 
-from softcal.core.words.reason import PLAIN, Reason, unpacked
+from softcal.core.messages.reason import PLAIN, Reason, unpacked
 
 Words = Callable[..., str]
 

@@ -18,7 +18,7 @@ from softcal.app.ui.browser_memory import recall, remember_secret
 from softcal.app.ui.pins import is_code, new_code
 from softcal.app.ui.server_memory import registry
 from softcal.core.errors import InputError
-from softcal.core.words.reason import Reason, reason
+from softcal.core.messages.reason import Reason, reason
 from softcal.db.access.people import PERMISSIONS, may
 from softcal.db.access.tries import MAX_PAUSE, Tries, minutes_until
 from softcal.db.entries import ROLES, User

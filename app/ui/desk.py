@@ -17,7 +17,7 @@ from softcal.app.texts.catalogue import LANGUAGES, words_in
 from softcal.app.texts.reasons import Words, all_said, said, told
 from softcal.app.ui.browser_memory import recall, remember
 from softcal.core.errors import SoftcalError, printable
-from softcal.core.words.reason import Reason
+from softcal.core.messages.reason import Reason
 
 LONGEST_IN_FIELD = 24
 LANGUAGE = "lang"

@@ -3,7 +3,7 @@
 import secrets
 
 from softcal.core.errors import InputError
-from softcal.core.words.reason import Reason
+from softcal.core.messages.reason import Reason
 
 CODE_DIGITS = 8
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from softcal.app.texts.reasons import Words, phrase, said
 from softcal.app.views.common import percent
+from softcal.core.messages.reason import Reason
 from softcal.core.profiles import pressed
-from softcal.core.words.reason import Reason
 
 LIKELY = 0.05
 """Effects below this probability are not listed as causes."""

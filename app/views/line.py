@@ -6,8 +6,8 @@ from softcal.app.line.facts import SHOWN_RUNS, LineFacts, LineRun
 from softcal.app.texts.reasons import Words, said
 from softcal.app.views.common import phase_said
 from softcal.app.views.line_states import STATES, Card, verdict_of
+from softcal.core.messages.reason import plain
 from softcal.core.orders import Condition, OrderKind, RunState, Signal
-from softcal.core.words.reason import plain
 
 KEYS = {"START": "F2", "OK": "F4", "CANCEL": "F6", "STOP": "F8"}
 """Command → function key, also a bar code, `CMD:START`. START alone moves anything."""

@@ -9,9 +9,9 @@ from typing import Any
 from softcal.app.line.facts import LineFacts, LineRun, standing_of
 from softcal.app.texts.reasons import Words, plainly, said
 from softcal.app.views.common import number
+from softcal.core.messages.reason import Reason, root_of
 from softcal.core.orders import OrderKind, RunState
 from softcal.core.quality.known_loads import KnownLoad, asked_loads
-from softcal.core.words.reason import Reason, root_of
 from softcal.db.entries import RunEntry, UnitStanding
 
 MOST_SENTENCES = 3

@@ -12,11 +12,11 @@ from softcal.app.registry.limit import limit_or_none
 from softcal.app.views.lot_runs import LotFilter, YieldAt, lot_runs, yield_over
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
+from softcal.core.messages.reason import Reason
 from softcal.core.quality.control_chart import FORBIDDING, Capability, ControlChart, capability, control_chart
 from softcal.core.quality.yields import UnitRun, Yields, yields
 from softcal.core.recording import Array
 from softcal.core.unit.verdict import VERDICTS, Limit
-from softcal.core.words.reason import Reason
 from softcal.db.entries import RunEntry
 from softcal.db.registry import Registry
 from softcal.db.repositories.lot_pages import UnitErrors

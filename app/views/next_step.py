@@ -8,8 +8,8 @@ from datetime import datetime
 import msgspec
 
 from softcal.app.texts.reasons import Words, said
+from softcal.core.messages.reason import Reason
 from softcal.core.quality.lot_standing import LotStanding, UnitInLot, Way
-from softcal.core.words.reason import Reason
 from softcal.db.provenance import Provenance
 from softcal.db.registry import Registry
 from softcal.db.repositories.in_use import STALE

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import InputError
+from softcal.core.messages.reason import Reason
 from softcal.core.profiles import Profile
 from softcal.core.quality.control_chart import ControlChart, control_chart
 from softcal.core.recording import LabelledRecording
-from softcal.core.words.reason import Reason
 from softcal.db.entries import GoldenRun
 from softcal.db.registry import Registry
 

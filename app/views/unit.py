@@ -10,12 +10,12 @@ from softcal.app.registry.limit import limit_or_none
 from softcal.app.registry.lot_recordings import source_recording, unlabelled
 from softcal.app.views.audited import AuditTrace, audit_trace
 from softcal.core.lot import Lot, UnitKey
+from softcal.core.messages.reason import Reason
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import Estimate, estimate
 from softcal.core.unit.verdict import Limit, Verdict
 from softcal.core.windows import resting
-from softcal.core.words.reason import Reason
 from softcal.db.entries import StoredCalibration
 from softcal.db.registry import Registry
 

@@ -23,9 +23,9 @@ from softcal.app.files.recording_file import write_columns
 from softcal.app.gap.desk import practise
 from softcal.app.jobs.jobs import run_job
 from softcal.core.lot import UnitKey
+from softcal.core.messages.reason import reason
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.simulated_lot import LotDesign, simulate_lot
-from softcal.core.words.reason import reason
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.db.registry import Registry

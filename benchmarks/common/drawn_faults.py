@@ -9,7 +9,7 @@ from common.fault_trial import without_cell
 from common.proof_trial import GoodRig, draw_good_rig, open_good_rig
 
 from softcal.core.errors import DeviceError
-from softcal.core.words.reason import root_of
+from softcal.core.messages.reason import root_of
 from softcal.station.devices.simulated_station import SimulatedStation
 from softcal.station.simulated.answering import FarEnd
 from softcal.station.tasks.acquisition import RunProgress, record

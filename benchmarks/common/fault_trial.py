@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from softcal.core.errors import DeviceError
+from softcal.core.messages.reason import Reason
 from softcal.core.profiles import Profile, moves
-from softcal.core.words.reason import Reason
 from softcal.station.devices.bench import Bench, open_simulated_bench
 from softcal.station.devices.simulated_station import SimulatedStation
 from softcal.station.motion.motion import TICK_S

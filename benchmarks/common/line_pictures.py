@@ -22,8 +22,8 @@ from common.screens import (
 )
 from playwright.sync_api import Browser, Page, ViewportSize
 
+from softcal.core.messages.reason import reason
 from softcal.core.orders import Progress, RunState, StationState
-from softcal.core.words.reason import reason
 from softcal.db.connection import open_registry
 
 SIZE = ViewportSize(width=1280, height=800)

@@ -23,6 +23,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from plotly.graph_objects import Figure
 
 from softcal.core.lot import Lot
+from softcal.core.messages.reason import Reason, Value, reason
 from softcal.core.network.network import Network
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.quality.line_rules import LineRules
@@ -30,7 +31,6 @@ from softcal.core.simulated_lot import LotDesign, simulate_lot
 from softcal.core.unit.state import SampleRelease, UnitState
 from softcal.core.unit.uncertainty import ErrorForecast, Widening
 from softcal.core.unit.verdict import Finding, Limit, Verdict
-from softcal.core.words.reason import Reason, Value, reason
 from softcal.db.registry import Registry
 
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-background-networking"]

@@ -13,7 +13,7 @@ from typing import Any
 from common.fault_trial import is_true
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply, SafetyStop
-from softcal.core.words.reason import Reason, plain
+from softcal.core.messages.reason import Reason, plain
 from softcal.station.devices.config import FixtureConfig, ForceConfig, SafetyConfig
 from softcal.station.interfaces import Held, Move, OnWait, Sample, StagePosition
 from softcal.station.motion.interlock import TABLE, Moves, StageWatch, State

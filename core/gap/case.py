@@ -10,10 +10,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
+from softcal.core.messages.reason import Reason, in_words, reason
 from softcal.core.recording import Array
 from softcal.core.twin.effects import ChainStage
 from softcal.core.twin.parameters import ReadoutMetadata
-from softcal.core.words.reason import Reason, in_words, reason
 
 Mask: TypeAlias = NDArray[np.bool_]
 """Which samples are meant."""

@@ -41,7 +41,7 @@ from softcal.core.gap.search import Progress, Search, under_its_floor
 from softcal.core.gap.simulator import Simulator, SimulatorRun, check_calls
 from softcal.core.gap.simulator_model import SimulatorModel
 from softcal.core.gap.twin import TWIN, TwinModel
-from softcal.core.words.reason import several
+from softcal.core.messages.reason import several
 
 M = TypeVar("M", bound=Model)
 

@@ -17,10 +17,10 @@ from softcal.core.gap.fit import Fit, Regime, Tangent, form_of, structure
 from softcal.core.gap.linear import energy, fit_scale, from_fit, orthonormal
 from softcal.core.gap.method import PresenceConfig
 from softcal.core.gap.model import GapPlace, ParameterEstimate, Partial, RankedCause
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
 from softcal.core.unit.uncertainty import NORMAL_90
-from softcal.core.words.reason import Reason, reason
 
 if TYPE_CHECKING:
     from softcal.core.gap.diagnosis import Judgement

@@ -15,9 +15,9 @@ from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import energy, fit_scale, gram, start_coordinates
 from softcal.core.gap.method import TellingConfig
 from softcal.core.gap.problem import Problem, own_rows
+from softcal.core.messages.reason import Reason, in_words, reason, several
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
-from softcal.core.words.reason import Reason, in_words, reason, several
 
 
 @dataclass(frozen=True)

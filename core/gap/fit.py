@@ -8,10 +8,10 @@ import numpy as np
 
 from softcal.core.gap.linear import DIFFERENCE, energy, fit_scale, gram, start_coordinates, to_fit
 from softcal.core.gap.problem import Around, Block, Hypothesis, Problem
+from softcal.core.messages.reason import Reason
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
 from softcal.core.twin.parameters import BaseParameters
-from softcal.core.words.reason import Reason
 
 TOLERANCE = 0.02
 """A step that gains less than this in χ² is the last."""

@@ -33,9 +33,9 @@ from softcal.core.gap.fit import Fit, Tangent, fit
 from softcal.core.gap.linear import energy, gram
 from softcal.core.gap.method import MistakeConfig
 from softcal.core.gap.twin_reach import changing
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import RATE_TOLERANCE, Array
 from softcal.core.twin.effects import Effect, Hook, Parameter
-from softcal.core.words.reason import Reason, reason
 
 if TYPE_CHECKING:
     from softcal.core.gap.search import Search

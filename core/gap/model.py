@@ -7,9 +7,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
+from softcal.core.messages.reason import Reason, in_words
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Form, Parameter
-from softcal.core.words.reason import Reason, in_words
 
 if TYPE_CHECKING:
     from softcal.core.gap.case import Case, DataMistake, Mask, MenuEntry, Run

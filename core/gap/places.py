@@ -19,6 +19,7 @@ from softcal.core.gap.fit import Fit, Map, Regime, fit, form_of, shares_of_gap
 from softcal.core.gap.linear import start_coordinates
 from softcal.core.gap.problem import Block
 from softcal.core.gap.twin_reach import dither_of
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.profiles import pressed
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
@@ -26,7 +27,6 @@ from softcal.core.twin.effects import ChainStage, Effect, Flow, Memory, Placing
 from softcal.core.twin.empirical_terms import EmpiricalTerm
 from softcal.core.twin.parameters import SensorType
 from softcal.core.twin.simulate import EffectSetting, Twin
-from softcal.core.words.reason import Reason, reason
 
 if TYPE_CHECKING:
     pass

@@ -33,11 +33,11 @@ from softcal.core.gap.simulator_reach import (
     shown,
     terms_of,
 )
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.metrics import finite_or_none
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Form, Parameter
 from softcal.core.twin.probes import ExcitationRange
-from softcal.core.words.reason import Reason, reason
 
 if TYPE_CHECKING:
     from softcal.core.gap.diagnosis import Diagnosis, Judgement

@@ -32,10 +32,10 @@ from softcal.core.gap.linear import start_coordinates
 from softcal.core.gap.method import FloorConfig, MistakeConfig
 from softcal.core.gap.problem import Block
 from softcal.core.gap.simulator import Columns, Simulator, SimulatorFailed, SimulatorRun, runs_of
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter
 from softcal.core.twin.signals import low_pass
-from softcal.core.words.reason import Reason, reason
 
 if TYPE_CHECKING:
     from softcal.core.gap.simulator_model import SimulatorModel

@@ -34,6 +34,7 @@ from softcal.core.gap.twin_reach import (
     terms_of_twin,
     visible_effects,
 )
+from softcal.core.messages.reason import Reason, reason, several
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import BUILTIN_EFFECTS, EFFECTS, FORMS
 from softcal.core.twin.effects import Alias, Effect, Form
@@ -41,7 +42,6 @@ from softcal.core.twin.empirical_terms import EmpiricalTerm
 from softcal.core.twin.mechanics import elastic_force_at
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import twin_record
-from softcal.core.words.reason import Reason, reason, several
 
 if TYPE_CHECKING:
     from softcal.core.gap.diagnosis import Diagnosis, Judgement

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import Array, LabelledRecording
-from softcal.core.words.reason import Reason, reason
 
 FACTORS: dict[str, dict[str, float]] = {
     "N": {"kgf": 9.80665, "lbf": 4.44822, "gf": 1e3 / 9.80665},

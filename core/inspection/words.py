@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from softcal.core.errors import InputError
 from softcal.core.inspection.inspection import Inspection, InspectionFinding
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import Indices
-from softcal.core.words.reason import Reason, reason
 
 OF_COLUMN = {
     "missing": "inspect.missing",

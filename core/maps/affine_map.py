@@ -7,9 +7,9 @@ import numpy as np
 from softcal.core.errors import UnitRefused
 from softcal.core.identity import Settings
 from softcal.core.maps.interface import FitProblem
+from softcal.core.messages.reason import reason
 from softcal.core.recording import Array, Arrays
 from softcal.core.windows import windows
-from softcal.core.words.reason import reason
 
 IDENTITY, AFFINE, TWO_POINT = "identity", "affine", "two_point"
 

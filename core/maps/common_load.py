@@ -15,10 +15,10 @@ from softcal.core.maps.interface import FitProblem, UnitMap
 from softcal.core.maps.monotone import AVERAGED, MONOTONE
 from softcal.core.maps.paired import SHARED_LOAD, STAGE_MATCHED, SYNCHRONOUS, fit_pairs
 from softcal.core.maps.synchrony import NONE, Synchrony, find_synchrony, paired_rows
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.metrics import rms
 from softcal.core.recording import Array, Indices, LabelledRecording, OutputRecording
 from softcal.core.windows import TAPS, evenly
-from softcal.core.words.reason import Reason, reason
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,9 @@ import numpy as np
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.config import MapConfig
 from softcal.core.maps.crossing import CACHED, LevelPath, averaging_length, level_path, moving_mean
+from softcal.core.messages.reason import reason
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.windows import TAPS
-from softcal.core.words.reason import reason
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,8 @@ from softcal.core.maps.crossing import CACHED, robust_range
 from softcal.core.maps.curve import CurveMap, continued
 from softcal.core.maps.ends import match_ends
 from softcal.core.maps.interface import FitProblem
+from softcal.core.messages.reason import reason
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.words.reason import reason
 
 MONOTONE, AVERAGED = "monotone", "averaged"
 

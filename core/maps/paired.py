@@ -20,10 +20,10 @@ from softcal.core.maps.crossing import robust_range
 from softcal.core.maps.curve import CurveMap, continued
 from softcal.core.maps.interface import FitProblem
 from softcal.core.maps.synchrony import paired_rows
+from softcal.core.messages.reason import reason
 from softcal.core.metrics import rms
 from softcal.core.recording import Array, Arrays, Indices, OutputRecording
 from softcal.core.windows import TAPS, evenly, resting, windows
-from softcal.core.words.reason import reason
 
 SYNCHRONOUS, STAGE_MATCHED, SHARED_LOAD = "synchronous", "stage_matched", "shared_load"
 

@@ -19,9 +19,9 @@ from softcal.core.errors import UnitRefused
 from softcal.core.maps.common_load import LoadGroup, LotMember, LotUnit, SharedLoad, find_groups
 from softcal.core.maps.config import MapConfig
 from softcal.core.maps.interface import Anchors, FitProblem
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.words.reason import Reason, reason
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,8 @@ import numpy as np
 
 from softcal.core.maps.common_load import LoadGroup
 from softcal.core.maps.config import SharedLoadConfig
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.metrics import rms
-from softcal.core.words.reason import Reason, reason
 
 
 @dataclass(frozen=True)

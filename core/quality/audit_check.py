@@ -8,9 +8,9 @@ from itertools import combinations
 
 import numpy as np
 
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.unit.method import Method, ReleaseConfig
 from softcal.core.unit.state import AuditResult
-from softcal.core.words.reason import Reason, reason
 
 Readings = Mapping[str, AuditResult]
 Doubts = dict[str, Reason]

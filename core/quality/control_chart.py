@@ -8,8 +8,8 @@ import numpy as np
 from scipy.special import ndtri
 
 from softcal.core.errors import InputError
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import Array, Mask
-from softcal.core.words.reason import Reason, reason
 
 D2 = 1.128
 """Mean range of two normal values in standard deviations."""

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.orders import Condition, OrderKind
-from softcal.core.words.reason import Reason, reason
 
 
 @dataclass(frozen=True)

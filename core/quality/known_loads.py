@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from softcal.core.errors import InputError
-from softcal.core.words.reason import Reason, reason
+from softcal.core.messages.reason import Reason, reason
 
 MOST_LOADS = 2
 """Gain and level are two numbers; a third load would fix nothing more."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
+from softcal.core.messages.reason import reason
 from softcal.core.quality.known_loads import MOST_LOADS, KnownLoad
-from softcal.core.words.reason import reason
 
 LETTERS = ("as scanned", "upper", "lower")
 RETESTS: Mapping[str, int] = {"pass": 1, "conditional": 1, "fail": 1, "retest": 3}

@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from softcal.core.messages.reason import Reason, Value, reason, several
 from softcal.core.quality.qualification import Qualification
 from softcal.core.quality.release import AuditedUnit, PromisedRelease, release
 from softcal.core.quality.sittings import SampledUnits, sampled_units
@@ -14,7 +15,6 @@ from softcal.core.unit.method import ReleaseConfig
 from softcal.core.unit.state import SampleRelease
 from softcal.core.unit.uncertainty import Widening
 from softcal.core.unit.verdict import Limit
-from softcal.core.words.reason import Reason, Value, reason, several
 
 
 @dataclass(frozen=True)

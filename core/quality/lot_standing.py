@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 
+from softcal.core.messages.reason import DOUBT, Reason
 from softcal.core.quality.lot_release import LotRelease
 from softcal.core.unit.verdict import VERDICTS, Limit
-from softcal.core.words.reason import DOUBT, Reason
 
 
 class Way(StrEnum):

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.quality.acceptance import min_units
 from softcal.core.quality.release import AuditedUnit
 from softcal.core.unit.method import Method, ReleaseConfig
-from softcal.core.words.reason import Reason, reason
 
 THIS_LOT, EARLIER_LOTS, NONE = "this lot", "earlier lots", "none"
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import InputError
+from softcal.core.messages.reason import reason
 from softcal.core.quality.known_loads import KnownLoad
 from softcal.core.recording import Array
 from softcal.core.settings import setting
-from softcal.core.words.reason import reason
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from softcal.core.words.reason import Reason, reason
+from softcal.core.messages.reason import Reason, reason
 
 
 @dataclass(frozen=True)

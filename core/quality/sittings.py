@@ -4,10 +4,10 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.quality.acceptance import min_units
 from softcal.core.quality.release import AuditedUnit
 from softcal.core.unit.method import ReleaseConfig
-from softcal.core.words.reason import Reason, reason
 
 
 @dataclass(frozen=True)

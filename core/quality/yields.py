@@ -4,9 +4,9 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
+from softcal.core.messages.reason import PLAIN, Reason, plain
 from softcal.core.metrics import wilson
 from softcal.core.unit.verdict import Verdict
-from softcal.core.words.reason import PLAIN, Reason, plain
 
 GOOD = frozenset({Verdict.PASS})
 

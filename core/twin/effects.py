@@ -8,9 +8,9 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from softcal.core.messages.reason import Reason
 from softcal.core.recording import Array
 from softcal.core.twin.probes import ExcitationRange, Probes
-from softcal.core.words.reason import Reason
 
 ChainStage = Literal["motion", "mechanics", "transduction", "electronics", "load_cell", "acquisition"]
 Scale = Literal["linear", "log", "inverse_square"]

@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from softcal.core.messages.reason import Reason
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs, grows, hands_on, memory, sets
 from softcal.core.twin.forms import (
@@ -26,7 +27,6 @@ from softcal.core.twin.forms import (
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.probes import Shapes, Sizes, Times
 from softcal.core.twin.signals import compiled, completed_presses, largest_so_far, play
-from softcal.core.words.reason import Reason
 
 PLATEN = Reason("gap.remedy.platen")
 """What tells effects of motion and mechanics apart where no run does."""

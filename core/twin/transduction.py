@@ -5,12 +5,12 @@ from functools import partial
 
 import numpy as np
 
+from softcal.core.messages.reason import Reason
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Alias, Effect, Flow, Hook, Memory, Parameter, Placing, Signs, grows, memory, sets
 from softcal.core.twin.forms import loops, low_passes, plus, stop_form, stops, two
 from softcal.core.twin.probes import Shapes, Sizes, Times
 from softcal.core.twin.signals import compiled, low_pass
-from softcal.core.words.reason import Reason
 
 COLLAPSED = 0.02
 """Smallest 1 − κ·F that is computed: below, the channel is shut and the form has no meaning."""

@@ -8,9 +8,9 @@ from enum import StrEnum
 import numpy as np
 
 from softcal.core.errors import InputError
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import Array
 from softcal.core.unit.knowledge import LoadKnowledge
-from softcal.core.words.reason import Reason, reason
 
 COVERAGE = 2.0
 """k of every expanded uncertainty that is stated: 95 % of a normal distribution."""

@@ -9,6 +9,7 @@ import numpy as np
 from softcal.core.maps.crossing import CACHED, swings
 from softcal.core.maps.readout_lag import ReadoutLag
 from softcal.core.maps.synchrony import Synchrony, find_synchrony
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import RATE_TOLERANCE, Array, OutputRecording
 from softcal.core.unit.evidence import MapEvidence, rest_rows
 from softcal.core.unit.forecast import map_variance
@@ -17,7 +18,6 @@ from softcal.core.unit.knowledge import BLIND
 from softcal.core.unit.method import FindingConfig, Method
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.verdict import Finding, Verdict
-from softcal.core.words.reason import Reason, reason
 
 
 def map_findings(

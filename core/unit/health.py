@@ -7,11 +7,11 @@ import numpy as np
 
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps.crossing import CACHED
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import RATE_TOLERANCE, Array, Indices, OutputRecording
 from softcal.core.unit.method import HealthConfig, Method
 from softcal.core.unit.missing import lost_windows
 from softcal.core.unit.verdict import Finding, Verdict
-from softcal.core.words.reason import Reason, reason
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ from softcal.core.inspection.inspection import InspectionFinding
 from softcal.core.inspection.levels import level_findings
 from softcal.core.inspection.timing import timing_findings, window_share
 from softcal.core.maps.crossing import CACHED
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import MaskedSamples, OutputRecording
 from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import Finding, Verdict
-from softcal.core.words.reason import Reason, reason
 
 MASKED = {
     "missing": "masked.missing",

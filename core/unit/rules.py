@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from softcal.core.errors import InputError
+from softcal.core.messages.reason import reason
 from softcal.core.plugins import PluginKind
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Finding, Limit, Verdict
-from softcal.core.words.reason import reason
 
 
 @dataclass(frozen=True, eq=False)

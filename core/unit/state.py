@@ -14,6 +14,7 @@ import numpy as np
 from softcal.core.identity import content_sha256
 from softcal.core.maps.anchors import AnchoredMap
 from softcal.core.maps.interface import Anchors, UnitMap, map_sha256
+from softcal.core.messages.reason import Reason, Value, reason
 from softcal.core.recording import Array
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibration import Calibration
@@ -35,7 +36,6 @@ from softcal.core.unit.verdict import (
     compare_with_limit,
     worst_of,
 )
-from softcal.core.words.reason import Reason, Value, reason
 
 
 @dataclass(frozen=True, eq=False)

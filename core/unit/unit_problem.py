@@ -8,6 +8,7 @@ import numpy as np
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.maps.interface import Anchors, FitProblem
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.metrics import rms
 from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
@@ -19,7 +20,6 @@ from softcal.core.unit.measured_error import MeasuredError
 from softcal.core.unit.rules import rules_in_force
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.verdict import Limit, default_limit
-from softcal.core.words.reason import Reason, reason
 
 LOT_FIT_NUMBERS = ("number", "units", "common_rmse", "unit_rmse")
 

@@ -10,10 +10,10 @@ from enum import StrEnum
 import numpy as np
 
 from softcal.core.errors import InputError
+from softcal.core.messages.reason import Reason, Value, reason
 from softcal.core.unit.measured_error import Scores
 from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.uncertainty import ErrorForecast
-from softcal.core.words.reason import Reason, Value, reason
 
 
 class Verdict(StrEnum):

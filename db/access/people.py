@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from sqlalchemy import RowMapping, func, insert, select, update
 
 from softcal.core.errors import ChangedMeanwhile, InputError, SignInRefused
-from softcal.core.words.reason import Reason
+from softcal.core.messages.reason import Reason
 from softcal.db.access.tries import MAX_PAUSE, Tries, minutes_until, pause_after
 from softcal.db.entries import ROLES, User
 from softcal.db.repositories.registry_base import RegistryBase

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 from sqlalchemy import RowMapping, Select, delete, insert, select, update
 
 from softcal.core.errors import InputError, NoSuchOrder, StationBusy
+from softcal.core.messages.reason import Reason, packed, reason, to_kept
 from softcal.core.orders import ACTIVE, Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
-from softcal.core.words.reason import Reason, packed, reason, to_kept
 from softcal.db.repositories.registry_base import RegistryBase
 from softcal.db.schema.database import given
 from softcal.db.schema.deadline import is_silent

@@ -10,7 +10,7 @@ from sqlalchemy import RowMapping, bindparam, select
 from softcal.core.errors import AmbiguousUnit, InputError, NoSuchNetwork, NoSuchRevision, NoSuchUnit
 from softcal.core.identity import content_sha256
 from softcal.core.lot import UnitKey
-from softcal.core.words.reason import Reason, to_kept
+from softcal.core.messages.reason import Reason, to_kept
 from softcal.db.entries import StoredCalibration
 from softcal.db.provenance import software_now
 from softcal.db.repositories import history

@@ -13,7 +13,7 @@ import sqlalchemy as sa
 from sqlalchemy import RowMapping, and_, bindparam, func, select
 
 from softcal.core.errors import MapsConflict
-from softcal.core.words.reason import Reason, reason
+from softcal.core.messages.reason import Reason, reason
 from softcal.db.entries import LimitEntry
 from softcal.db.repositories import history
 from softcal.db.repositories.registry_base import RegistryBase, damaged, of_row

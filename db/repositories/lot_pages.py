@@ -15,7 +15,7 @@ from sqlalchemy import ColumnElement, and_, case, func, select
 
 from softcal.core.errors import InputError
 from softcal.core.lot import UnitKey
-from softcal.core.words.reason import Reason, plain
+from softcal.core.messages.reason import Reason, plain
 from softcal.db.entries import UNDECIDED, UNIT_ERRORS, CalibrationSummary, UnitEntry, UnitStanding
 from softcal.db.repositories import history
 from softcal.db.repositories.in_use import (

@@ -7,8 +7,8 @@ from sqlalchemy import RowMapping, Table, select
 
 from softcal.core.errors import ChangedMeanwhile, InputError
 from softcal.core.lot import Lot
+from softcal.core.messages.reason import Reason
 from softcal.core.quality.line_rules import LineRules, rules_for
-from softcal.core.words.reason import Reason
 from softcal.db.entries import LimitEntry, LineRulesEntry, RunEntry, UnitEntry
 from softcal.db.repositories.in_use import newest_limit
 from softcal.db.repositories.lot_pages import standing_units

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from sqlalchemy import RowMapping, Table, bindparam, insert, select
 
 from softcal.core.errors import NoSuchLot, NoSuchUnit, RegistryDamaged, RegistryError
-from softcal.core.words.reason import reason
+from softcal.core.messages.reason import reason
 from softcal.db.entries import AuditRow
 from softcal.db.repositories import history
 from softcal.db.schema.database import Database

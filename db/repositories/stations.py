@@ -6,7 +6,7 @@ from datetime import date, datetime
 from sqlalchemy import RowMapping, select
 
 from softcal.core.errors import InputError
-from softcal.core.words.reason import to_kept
+from softcal.core.messages.reason import to_kept
 from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.db.repositories.history import row_key
 from softcal.db.repositories.registry_base import RegistryBase, of_row

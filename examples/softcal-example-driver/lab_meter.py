@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, InputError
-from softcal.core.words.reason import reason
+from softcal.core.messages.reason import reason
 from softcal.station.devices.config import ReadoutConfig
 from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.simulated.answering import SimulatedAnswers

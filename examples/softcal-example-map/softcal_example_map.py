@@ -11,7 +11,7 @@ from softcal.core.errors import UnitRefused
 from softcal.core.identity import Settings
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.interface import FitProblem
-from softcal.core.words.reason import reason
+from softcal.core.messages.reason import reason
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from softcal.core.errors import DeviceError, NoReply
-from softcal.core.words.reason import Reason, several
+from softcal.core.messages.reason import Reason, several
 from softcal.station.clock import HostClock
 from softcal.station.devices.catalogue import driver_of
 from softcal.station.devices.config import (

@@ -12,8 +12,8 @@ from importlib.metadata import EntryPoint, PackageNotFoundError, version
 
 import softcal.station.drivers
 from softcal.core.errors import InputError
+from softcal.core.messages.reason import reason
 from softcal.core.plugins import installed
-from softcal.core.words.reason import reason
 from softcal.station.devices.config import DEVICES, Role
 from softcal.station.devices.driver import AnyDriver, Driver
 

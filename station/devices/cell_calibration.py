@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import BadReply, InputError
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import Array
-from softcal.core.words.reason import Reason, reason
 from softcal.station.device_names import named
 from softcal.station.interfaces import Clock, ForceReader
 from softcal.station.wire.frames.force_unit import STANDARD_GRAVITY

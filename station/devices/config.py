@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, get_type_hints
 import tomlkit
 
 from softcal.core.errors import InputError, reason_of
-from softcal.core.words.reason import Reason, reason
+from softcal.core.messages.reason import Reason, reason
 from softcal.station.wire.transport import wire_of
 
 Role: TypeAlias = Literal["stage", "cell", "readout"]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, get_type_hin
 
 import numpy as np
 
-from softcal.core.words.reason import add_messages
+from softcal.core.messages.reason import add_messages
 from softcal.station.devices.config import DEVICES, DeviceConfig, Role
 from softcal.station.interfaces import Clock, ForceReader, Readout, Stage
 from softcal.station.simulated.answering import FarEnd

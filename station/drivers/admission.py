@@ -1,7 +1,7 @@
 """Which moves a stage may be given: one rule for all controllers, before a byte is written."""
 
 from softcal.core.errors import CommandRefused
-from softcal.core.words.reason import Reason, reason
+from softcal.core.messages.reason import Reason, reason
 from softcal.station.interfaces import Move, Stage
 
 SPEED_ROUNDING = 1e-6

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, DeviceError, NoReply
-from softcal.core.words.reason import Reason, reason
+from softcal.core.messages.reason import Reason, reason
 from softcal.station.device_names import CELL
 from softcal.station.devices.config import ForceConfig, StageConfig
 from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings, opens

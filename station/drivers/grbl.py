@@ -5,7 +5,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
-from softcal.core.words.reason import Reason, reason
+from softcal.core.messages.reason import Reason, reason
 from softcal.station.devices.config import StageConfig, check_known
 from softcal.station.devices.driver import Driver, Simulated, opens
 from softcal.station.drivers.admission import admit

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from softcal.core.errors import BadReply, CommandRefused
-from softcal.core.words.reason import Reason, reason, several
+from softcal.core.messages.reason import Reason, reason, several
 from softcal.station.wire.frames import grbl
 from softcal.station.wire.link import Link
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, InputError
-from softcal.core.words.reason import Reason, reason
+from softcal.core.messages.reason import Reason, reason
 from softcal.station.device_names import CELL, named
 from softcal.station.devices.config import ForceConfig
 from softcal.station.devices.driver import Driver, Simulated, Surroundings, opens

@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply
-from softcal.core.words.reason import Reason, reason
+from softcal.core.messages.reason import Reason, reason
 from softcal.station.drivers.serial_cell import LineCell, SerialCellConfig, cell_driver
 from softcal.station.simulated.force_gauge import SimulatedIndicator
 from softcal.station.wire.frames.force_unit import in_newtons

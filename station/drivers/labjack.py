@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any
 
 from softcal.core.errors import BadReply, CommandRefused, NoReply
-from softcal.core.words.reason import reason
+from softcal.core.messages.reason import reason
 from softcal.station.device_names import READOUT, named
 from softcal.station.devices.config import ReadoutConfig, check_known, check_within
 from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings

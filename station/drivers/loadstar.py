@@ -4,7 +4,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, NoReply
-from softcal.core.words.reason import reason
+from softcal.core.messages.reason import reason
 from softcal.station.drivers.serial_cell import LineCell, SerialCellConfig, cell_driver
 from softcal.station.simulated.force_gauge import SimulatedLoadstar
 from softcal.station.wire.frames.force_unit import in_newtons

@@ -7,7 +7,7 @@ remote control. Both measure on demand, so that every answer is a fresh reading.
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, InputError, NoReply
-from softcal.core.words.reason import Reason, reason
+from softcal.core.messages.reason import Reason, reason
 from softcal.station.device_names import READOUT, named
 from softcal.station.devices.config import ReadoutConfig, check_known, check_positive, check_within
 from softcal.station.devices.driver import Driver, Simulated, Surroundings, opens

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply
-from softcal.core.words.reason import Reason
+from softcal.core.messages.reason import Reason
 from softcal.station.device_names import CELL
 from softcal.station.devices.config import ForceConfig
 from softcal.station.devices.driver import AnyDriver, Driver, Simulated, opens

@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 
 from softcal.core.errors import BadReply, reason_of
-from softcal.core.words.reason import reason
+from softcal.core.messages.reason import reason
 from softcal.station.clock import unwrap_ms
 from softcal.station.device_names import named
 from softcal.station.interfaces import Sample

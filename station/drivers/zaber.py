@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
-from softcal.core.words.reason import reason
+from softcal.core.messages.reason import reason
 from softcal.station.device_names import named
 from softcal.station.devices.config import StageConfig, check_positive
 from softcal.station.devices.driver import Driver, Simulated, opens

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from softcal.core.errors import BadReply
+from softcal.core.messages.reason import reason
 from softcal.core.recording import Array
-from softcal.core.words.reason import reason
 from softcal.station.devices.config import FixtureConfig
 from softcal.station.interfaces import Sample
 from softcal.station.record.recording import device_times_s

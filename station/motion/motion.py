@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from softcal.core.errors import BadReply, DeviceError, NoReply, SafetyStop
-from softcal.core.words.reason import Reason, reason
+from softcal.core.messages.reason import Reason, reason
 from softcal.station.devices.bench import Bench
 from softcal.station.interfaces import Held, Move, RoughLift, RunsOn
 from softcal.station.motion.interlock import Interlock, State

@@ -10,7 +10,7 @@ from collections import deque
 import numpy as np
 
 from softcal.core.errors import BadReply, NoReply, SafetyStop
-from softcal.core.words.reason import reason
+from softcal.core.messages.reason import reason
 from softcal.station.clock import CLOCK_SHARE
 from softcal.station.device_names import named
 from softcal.station.devices.config import SafetyConfig

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from softcal.core.errors import BadReply, DeviceError, NoReply, SafetyStop
-from softcal.core.words.reason import reason
+from softcal.core.messages.reason import reason
 from softcal.station.devices.bench import Bench
 from softcal.station.devices.config import LATEST_S
 from softcal.station.interfaces import Sample, StagePosition

@@ -12,8 +12,8 @@ from scipy.signal import lfilter
 
 from softcal.core.errors import BadReply
 from softcal.core.inspection.dropouts import find_dropouts
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import Array
-from softcal.core.words.reason import Reason, reason
 from softcal.station.record.method import OutputConfig, PressConfig, ProofMethod
 
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import BadReply, InputError
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import Array, Indices, LabelledRecording, OutputRecording
-from softcal.core.words.reason import Reason, reason
 from softcal.station.clock import CLOCK_SHARE, ClockFit, fit_clock, residual_offset_s
 from softcal.station.device_names import CELL, named
 from softcal.station.interfaces import Sample, StagePosition

@@ -12,8 +12,8 @@ from scipy.optimize import nnls
 from scipy.signal import lfilter
 
 from softcal.core.errors import BadReply
+from softcal.core.messages.reason import reason
 from softcal.core.recording import Array
-from softcal.core.words.reason import reason
 from softcal.station.record.method import CellLagConfig, ProofMethod, ResponseConfig
 
 

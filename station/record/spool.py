@@ -16,7 +16,7 @@ from types import TracebackType
 from typing import Any
 
 from softcal.core.errors import DeviceError, InputError, reason_of
-from softcal.core.words.reason import Reason, plain, reason
+from softcal.core.messages.reason import Reason, plain, reason
 from softcal.station.interfaces import Sample, StagePosition
 
 SCHEMA = "softcal.spool/1"

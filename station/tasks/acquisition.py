@@ -7,9 +7,9 @@ from dataclasses import asdict, astuple, dataclass
 import numpy as np
 
 from softcal.core.errors import BadReply, CommandRefused, SafetyStop
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.profiles import Profile
 from softcal.core.recording import Array
-from softcal.core.words.reason import Reason, reason
 from softcal.station.devices.bench import Bench
 from softcal.station.devices.config import LATEST_S
 from softcal.station.interfaces import Move, OnWait, ignore_wait

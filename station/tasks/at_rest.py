@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from softcal.core.errors import BadReply, CommandRefused
+from softcal.core.messages.reason import Reason
 from softcal.core.recording import Array
-from softcal.core.words.reason import Reason
 from softcal.station.devices.bench import Bench
 from softcal.station.motion.motion import TICK_S
 from softcal.station.motion.safety import StreamWatch

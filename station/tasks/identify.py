@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from softcal.core.errors import BadReply, NoReply
-from softcal.core.words.reason import Reason, reason
+from softcal.core.messages.reason import Reason, reason
 from softcal.station.clock import seen_rate_Hz
 from softcal.station.drivers import loadstar
 from softcal.station.drivers.indicator import OVERLOADED, parse_N

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from softcal.core.errors import BadReply, CommandRefused
+from softcal.core.messages.reason import Reason, root_of
 from softcal.core.profiles import Profile, moves
 from softcal.core.recording import Array
-from softcal.core.words.reason import Reason, root_of
 from softcal.station.devices.bench import Bench
 from softcal.station.devices.config import UNKNOWN_S
 from softcal.station.record.method import METHOD, ProofMethod

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import DeviceError
+from softcal.core.messages.reason import Reason, Value, plain, reason
 from softcal.core.profiles import Profile
-from softcal.core.words.reason import Reason, Value, plain, reason
 from softcal.station.clock import CLOCK_SHARE, seen_rate_Hz
 from softcal.station.device_names import named
 from softcal.station.devices.bench import Bench

@@ -12,11 +12,11 @@ from pathlib import Path
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply, SafetyStop, SoftcalError
 from softcal.core.lot import check_serial
+from softcal.core.messages.reason import Reason, reason, root_of, several
 from softcal.core.orders import Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.profiles import Profile
 from softcal.core.quality.gate import Gate, RigFacts
 from softcal.core.quality.reading_at_rest import ReadingConfig
-from softcal.core.words.reason import Reason, reason, root_of, several
 from softcal.station.device_names import named
 from softcal.station.devices.bench import Bench
 from softcal.station.devices.config import LATEST_S

@@ -5,8 +5,8 @@ from contextlib import contextmanager
 from functools import partial
 
 from softcal.core.errors import InputError
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.twin.simulate import Twin
-from softcal.core.words.reason import Reason, reason
 from softcal.station.devices.bench import Bench, open_simulated_bench
 from softcal.station.devices.simulated_station import SimulatedStation
 from softcal.station.testing.faults import FAULTS, Fault

@@ -10,7 +10,7 @@ from pathlib import Path
 from serial.tools import list_ports
 
 from softcal.core.errors import NoReply, reason_of
-from softcal.core.words.reason import Reason, reason
+from softcal.core.messages.reason import Reason, reason
 from softcal.station.device_names import named
 from softcal.station.interfaces import Clock
 from softcal.station.wire.transport import open_transport, wire_of

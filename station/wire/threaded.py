@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from softcal.core.errors import DeviceError, NoReply
-from softcal.core.words.reason import reason
+from softcal.core.messages.reason import reason
 from softcal.station.device_names import named
 from softcal.station.interfaces import Clock, Sample
 from softcal.station.wire.asked import next_turn_s

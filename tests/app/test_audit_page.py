@@ -12,8 +12,8 @@ from softcal.app.texts.catalogue import text
 from softcal.app.views.alerts import Alert
 from softcal.app.views.lot import lot_view
 from softcal.app.views.wall import MOST_ALERTS, wall_view
+from softcal.core.messages.reason import Reason
 from softcal.core.orders import Heartbeat, StationState
-from softcal.core.words.reason import Reason
 from softcal.db.connection import open_registry
 
 pytestmark = pytest.mark.usefixtures("own_data")

@@ -21,8 +21,8 @@ from softcal.app.connect.mqtt import estimate_json, list_current_messages, open_
 from softcal.app.connect.settings import MqttSettings
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, UnitKey
+from softcal.core.messages.reason import plain
 from softcal.core.orders import Heartbeat, StationState
-from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
 from tests.wait import wait_until

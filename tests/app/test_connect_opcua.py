@@ -17,8 +17,8 @@ from softcal.app.connect.opcua import NAMESPACE, opcua_server
 from softcal.app.connect.settings import OpcUaSettings
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
+from softcal.core.messages.reason import plain
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
-from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
 

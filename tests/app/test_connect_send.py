@@ -24,7 +24,7 @@ from softcal.app.connect.settings import MailSettings, WebhookSettings
 from softcal.app.connect.webhook import new_secret, open_webhook
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
-from softcal.core.words.reason import plain
+from softcal.core.messages.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
 

@@ -30,7 +30,7 @@ from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.interface import map_sha256
-from softcal.core.words.reason import plain
+from softcal.core.messages.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
 from softcal.db.maintenance.sync import synchronise

@@ -28,10 +28,10 @@ from softcal.app.export.signature import open_signing_key, trusted_keys
 from softcal.core.errors import InputError
 from softcal.core.export.json_text import network_from_values, unit_from_values
 from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE
+from softcal.core.messages.reason import plain
 from softcal.core.unit.state import FittedMap
 from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
 from softcal.core.unit.verdict import Finding, Verdict
-from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 from tests.device_sensor import open_sensor
 

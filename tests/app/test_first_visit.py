@@ -8,8 +8,8 @@ import streamlit as st
 
 from softcal.app.texts.catalogue import LANGUAGES, instant, text, words_in
 from softcal.app.texts.reasons import said
+from softcal.core.messages.reason import reason
 from softcal.core.orders import Heartbeat, StationState
-from softcal.core.words.reason import reason
 from softcal.db.connection import open_registry
 
 SEOUL = "Asia/Seoul"

@@ -17,9 +17,9 @@ from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.jobs.jobs import archive_path, run_job
 from softcal.app.texts.catalogue import text
 from softcal.app.ui.tabs import lot_release
+from softcal.core.messages.reason import Reason
 from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import RunState
-from softcal.core.words.reason import Reason
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate
 from tests.app.pdf_text import read_text

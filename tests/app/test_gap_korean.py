@@ -37,14 +37,14 @@ from softcal.core.gap import case as recordings
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
 from softcal.core.gap.twin_reach import UNMODELLED_EFFECTS, WARM_DIVIDER, SET_UP_min
+from softcal.core.messages.gap_sentences import GAP_SENTENCES
+from softcal.core.messages.reason import Reason
 from softcal.core.orders import RunState
 from softcal.core.twin.catalogue import BUILTIN_EFFECTS, FORMS
 from softcal.core.twin.effects import Alias
 from softcal.core.twin.empirical_terms import VARIABLES
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
-from softcal.core.words.gap_sentences import GAP_SENTENCES
-from softcal.core.words.reason import Reason
 from softcal.db.connection import open_registry
 from tests.layers import layered
 

@@ -13,8 +13,8 @@ from softcal.app.texts.catalogue import text
 from softcal.app.views.gap import cause_rows, hidden_effects, named_causes, next_experiment, place_rows
 from softcal.app.views.network import hidden_widths, loss_spec
 from softcal.core.errors import InputError
+from softcal.core.messages.reason import joined, unpacked
 from softcal.core.orders import RunState
-from softcal.core.words.reason import joined, unpacked
 from softcal.db.connection import open_registry
 from tests.wait import wait_until
 

@@ -25,11 +25,11 @@ from softcal.app.views.line import LineView, line_view
 from softcal.app.views.line_states import STATES
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
+from softcal.core.messages.reason import plain as sentence
+from softcal.core.messages.reason import reason
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
 from softcal.core.quality.known_loads import KnownLoad, loads_text, ordered_load
 from softcal.core.quality.line_rules import LineRules
-from softcal.core.words.reason import plain as sentence
-from softcal.core.words.reason import reason
 from softcal.db.entries import RunEntry, UnitStanding
 
 NOW = datetime(2026, 5, 4, 8, 0, tzinfo=UTC)

@@ -18,11 +18,11 @@ from softcal.app.views import line as views_line
 from softcal.app.views.line import KEYS, away_view, line_view
 from softcal.app.views.line_states import STATES
 from softcal.core.lot import Lot
+from softcal.core.messages.reason import Reason, plain, reason
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.quality.known_loads import KnownLoad, loads_text
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.unit.verdict import Verdict
-from softcal.core.words.reason import Reason, plain, reason
 from softcal.db.entries import NetworkEntry, RunEntry, UnitStanding
 from softcal.db.repositories.networks import NetworkState
 from softcal.station.tasks.service import CODES

@@ -16,9 +16,9 @@ from softcal.app.line.facts import Screen, read_line
 from softcal.app.line.line import order_stop, take_scan
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
+from softcal.core.messages.reason import plain
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
 from softcal.core.quality.line_rules import LineRules
-from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
 

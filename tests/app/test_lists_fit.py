@@ -13,7 +13,7 @@ from softcal.app.calibration.unit_result import UnitResult
 from softcal.app.cli.main import main
 from softcal.app.output import ProgressLine, print_reasons, print_table
 from softcal.app.registry.listing import HISTORY_HEADER, UNIT_HEADER
-from softcal.core.words.reason import Reason, plain, reason
+from softcal.core.messages.reason import Reason, plain, reason
 
 LONG = (
     "its predicted error is within the limit (RMSE 0.0322 N, 95 %: 0.0227 to 0.0457, limit 0.0772 N, 3 x the source's "

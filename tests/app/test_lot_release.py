@@ -29,12 +29,12 @@ from softcal.app.export.certificates.lot_statement import build_lot_statement
 from softcal.app.registry.lot_recordings import newest_audits
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import said
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.quality.widening import AuditedSamples, fit_widening
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.line_spread import LineSpread
 from softcal.core.unit.method import Method
 from softcal.core.unit.uncertainty import Widening
-from softcal.core.words.reason import Reason, reason
 from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
 from softcal.db.registry import Registry

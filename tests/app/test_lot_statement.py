@@ -11,13 +11,13 @@ from softcal.app.export.certificates.lot_statement import LotStatement, lot_stat
 from softcal.app.texts.catalogue import text as text_of
 from softcal.app.texts.reasons import said
 from softcal.core.lot import Lot
+from softcal.core.messages.reason import plain, reason
 from softcal.core.quality.lot_release import release_lot
 from softcal.core.quality.lot_standing import LotStanding, UnitInLot
 from softcal.core.quality.qualification import Qualification
 from softcal.core.quality.release import AuditedUnit
 from softcal.core.unit.method import ReleaseConfig
 from softcal.core.unit.verdict import Limit
-from softcal.core.words.reason import plain, reason
 from softcal.db.provenance import Provenance
 from tests.app.pdf_text import read_pages
 

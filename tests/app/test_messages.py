@@ -16,6 +16,8 @@ import softcal.core.errors
 from softcal.app.texts.catalogue import LANGUAGES, catalogue, text
 from softcal.app.texts.reasons import PREFIX, said
 from softcal.core.errors import NoReply, SoftcalError
+from softcal.core.messages import rig_sentences
+from softcal.core.messages.reason import ENGLISH, PLAIN, Reason, packed, plain, reason, root_of
 from softcal.core.operation.observation import FOLLOWED, HELD, JUMPED, TRIED, UNWATCHED
 from softcal.core.operation.uncertainty import (
     JUMP,
@@ -28,8 +30,6 @@ from softcal.core.operation.uncertainty import (
 )
 from softcal.core.orders import Condition, Heartbeat, OrderKind, Progress, RunState, StationState
 from softcal.core.quality.gate import CellAtGate, GoldenCheck, RigFacts, StationFacts, may_run
-from softcal.core.words import rig_sentences
-from softcal.core.words.reason import ENGLISH, PLAIN, Reason, packed, plain, reason, root_of
 from softcal.db.connection import open_registry
 from softcal.station.device_names import named
 from softcal.station.messages import PAGES as DRIVER_PAGES

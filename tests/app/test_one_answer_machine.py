@@ -27,11 +27,11 @@ from softcal.app.files.lot_folder import LotFolder
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
+from softcal.core.messages.reason import plain
 from softcal.core.network.network import Network
 from softcal.core.unit.method import Method
 from softcal.core.unit.state import UnitState
 from softcal.core.unit.verdict import Verdict
-from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.maintenance.backup import back_up, restore
 from softcal.db.maintenance.sync import synchronise

@@ -32,6 +32,7 @@ from softcal.app.views.unit import unit_view
 from softcal.core.errors import InputError
 from softcal.core.export.blob import CONDITIONAL, FAILED
 from softcal.core.lot import UnitKey
+from softcal.core.messages.reason import reason
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.measured_error import MeasuredError, Scores
@@ -44,7 +45,6 @@ from softcal.core.unit.verdict import (
     Verdict,
     worst_of,
 )
-from softcal.core.words.reason import reason
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
 from softcal.db.repositories.lot_pages import UnitFilter

@@ -13,6 +13,9 @@ import pytest
 from softcal.app.texts.catalogue import LANGUAGES, catalogue, text
 from softcal.app.texts.reasons import PLAINLY, PREFIX, plainly, said
 from softcal.core.maps import affine_map, ends, monotone, paired
+from softcal.core.messages import reason as reasons
+from softcal.core.messages import rig_sentences
+from softcal.core.messages.reason import ENGLISH, PLAIN, Reason, packed, plain, reason, to_kept, unpacked
 from softcal.core.unit import findings, health, verdict
 from softcal.core.unit.evidence import DAY, LINE
 from softcal.core.unit.knowledge import KnowledgeConfig
@@ -20,9 +23,6 @@ from softcal.core.unit.measured_error import MeasuredError, Scores
 from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Limit, compare_with_audit, compare_with_limit, default_limit
-from softcal.core.words import reason as reasons
-from softcal.core.words import rig_sentences
-from softcal.core.words.reason import ENGLISH, PLAIN, Reason, packed, plain, reason, to_kept, unpacked
 from softcal.station.messages import PAGES as DRIVER_PAGES
 
 KOREAN, ENGLISH_WORDS = partial(text, "ko"), partial(text, "en")

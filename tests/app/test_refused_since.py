@@ -11,8 +11,8 @@ from softcal.app.cli.main import main
 from softcal.app.jobs import jobs
 from softcal.app.jobs.jobs import Teller
 from softcal.app.texts.catalogue import text
+from softcal.core.messages.reason import plain
 from softcal.core.unit.verdict import Finding, Verdict
-from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 
 pytestmark = pytest.mark.usefixtures("own_data")

@@ -14,9 +14,9 @@ from softcal.app.cli.main import main
 from softcal.app.files.spreadsheet import write_table
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
+from softcal.core.messages.reason import plain
 from softcal.core.network.network import Network
 from softcal.core.unit.uncertainty import ErrorForecast
-from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 from tests.unit_states import state_of
 

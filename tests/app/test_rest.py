@@ -23,8 +23,8 @@ from softcal.app.rest.routes import MOST
 from softcal.app.rest.server import openapi_document, rest_app
 from softcal.app.rest.v1 import UnitAnswer
 from softcal.core.lot import Lot
+from softcal.core.messages.reason import plain
 from softcal.core.orders import Heartbeat, Order, OrderKind, StationState
-from softcal.core.words.reason import plain
 from softcal.db.entries import UnitEntry
 from softcal.db.registry import Registry
 

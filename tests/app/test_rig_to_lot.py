@@ -14,9 +14,9 @@ from softcal.app.cli.main import main
 from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.line.gate_facts import RIG_ONLY
 from softcal.app.line.serve import Serving, serve
+from softcal.core.messages.reason import Reason
 from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import Order, OrderKind, RunState, StationState
-from softcal.core.words.reason import Reason
 from softcal.db.connection import open_registry
 from tests.wait import wait_until
 

@@ -11,7 +11,7 @@ from softcal.app.cli.main import main
 from softcal.app.texts import catalogue as texts
 from softcal.app.texts.reasons import said
 from softcal.app.views.lot import lot_view
-from softcal.core.words.reason import plain
+from softcal.core.messages.reason import plain
 from softcal.db.connection import open_registry
 
 UI = Path(__file__).parents[2] / "app" / "ui"

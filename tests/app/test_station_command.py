@@ -16,8 +16,8 @@ from softcal.app.cli.main import command_parser
 from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.files.recording_file import inspect_recording
 from softcal.core.errors import InputError, NoReply
+from softcal.core.messages.reason import Reason
 from softcal.core.twin.simulate import Twin
-from softcal.core.words.reason import Reason
 from softcal.station.devices.bench import simulated_config
 from softcal.station.devices.config import read_station_file, station_toml
 from softcal.station.devices.simulated_station import SimulatedStation

@@ -11,9 +11,9 @@ from sqlalchemy import update
 from softcal.app.line.gate_facts import RIG_ONLY, GateRules
 from softcal.app.line.serve import Serving, serve
 from softcal.core.errors import InputError
+from softcal.core.messages.reason import reason
 from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import Order, OrderKind, RunState, StationState
-from softcal.core.words.reason import reason
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate
 from softcal.db.schema.tables import heartbeats

@@ -16,8 +16,8 @@ from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import plainly
 from softcal.app.views.common import percent
 from softcal.app.views.lot import process_view
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.quality.yields import UnitRun, yields
-from softcal.core.words.reason import Reason, reason
 from softcal.db.entries import RunEntry
 
 START = datetime(2026, 5, 4, tzinfo=UTC)

@@ -10,6 +10,7 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.maps.config import MapConfig
+from softcal.core.messages.reason import plain
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.budget import (
     SIMULATED,
@@ -28,7 +29,6 @@ from softcal.core.unit.state_json import fit_from_json, fit_to_json
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import Decision, Judgement, Limit, Verdict, compare_with_audit, compare_with_limit
-from softcal.core.words.reason import plain
 
 DRAWS = 400_000
 CELL = Reference(

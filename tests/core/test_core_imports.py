@@ -6,11 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-from softcal.core.words import reason
-from softcal.core.words.gap_sentences import GAP_SENTENCES
-from softcal.core.words.reason import PLAIN
-from softcal.core.words.rig_sentences import SENTENCES
-from softcal.core.words.sentences import UNIT_SENTENCES
+from softcal.core.messages import reason
+from softcal.core.messages.gap_sentences import GAP_SENTENCES
+from softcal.core.messages.reason import PLAIN
+from softcal.core.messages.rig_sentences import SENTENCES
+from softcal.core.messages.sentences import UNIT_SENTENCES
 
 CORE = Path(reason.__file__).parents[1]
 IMPORT_ALL = """
@@ -30,7 +30,7 @@ sys.path = [FOLDER, *(folder for folder in sys.path if "__editable__" not in fol
 import softcal.core
 for module in pkgutil.walk_packages(softcal.core.__path__, "softcal.core."):
     importlib.import_module(module.name)
-from softcal.core.words.reason import ENGLISH
+from softcal.core.messages.reason import ENGLISH
 files = [module.__file__ for name, module in sys.modules.items() if name.startswith("softcal.") and module.__file__]
 print(json.dumps({"codes": sorted(ENGLISH), "files": files, "read": read}))
 """

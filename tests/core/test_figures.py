@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softcal.core.words.figures import telling_decimals, with_decimals, written_uncertainty, written_value
+from softcal.core.messages.figures import telling_decimals, with_decimals, written_uncertainty, written_value
 
 
 @given(st.floats(1e-6, 1e6))

@@ -19,7 +19,7 @@ from softcal.core.gap.search import Search
 from softcal.core.gap.simulator import Experiment, planned
 from softcal.core.gap.simulator_model import SimulatorModel
 from softcal.core.gap.simulator_reach import terms_of
-from softcal.core.words.reason import Reason, reason
+from softcal.core.messages.reason import Reason, reason
 from tests.core import linear_mechanism as lm
 
 COUNTS = (60, 71, 48)

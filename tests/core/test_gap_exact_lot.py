@@ -18,8 +18,8 @@ from softcal.core.gap.residual import Quantified, Shrink
 from softcal.core.gap.search import under_its_floor
 from softcal.core.gap.simulator import Experiment
 from softcal.core.lot_diagnosis import Searched, diagnose_lot, joint_logs, lot_logs
+from softcal.core.messages.reason import Reason
 from softcal.core.twin.catalogue import EFFECTS
-from softcal.core.words.reason import Reason
 from tests.core import linear_mechanism as lm
 
 EVIDENCE, RIVAL, VERDICT = METHOD.evidence, METHOD.rival, METHOD.verdict

@@ -36,8 +36,8 @@ from softcal.core.gap.simulator_reach import (
     terms_of,
     with_terms,
 )
+from softcal.core.messages.reason import Reason
 from softcal.core.twin.effects import Parameter
-from softcal.core.words.reason import Reason
 from tests.core.linear_mechanism import (
     BEND,
     LINE,

@@ -20,9 +20,9 @@ from softcal.core.gap.simulator import candidate
 from softcal.core.gap.simulator_model import SimulatorModel
 from softcal.core.gap.simulator_reach import against_others
 from softcal.core.gap.twin import TWIN, TwinModel
+from softcal.core.messages.reason import Reason
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Parameter
-from softcal.core.words.reason import Reason
 from tests.core.linear_mechanism import (
     BEND,
     CAUSES,

@@ -42,13 +42,13 @@ from softcal.core.gap.twin_reach import (
     terms_of_twin,
     visible_effects,
 )
+from softcal.core.messages.reason import Reason
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Flow
 from softcal.core.twin.empirical_terms import VARIABLES, EmpiricalTerm
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.probes import ExcitationRange
 from softcal.core.twin.signals import low_pass
-from softcal.core.words.reason import Reason
 
 READOUT = ReadoutMetadata(vref_V=3.3, adc_bits=20, r_series_ohm=10.0, sample_rate_Hz=50.0)
 PAD = BaseParameters(u0_mm=0.35, k1_N_mm=1.1, k3_N_mm3=0.1, r0_ohm=4.0, kappa_per_N=0.06)

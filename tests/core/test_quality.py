@@ -5,10 +5,10 @@ import pytest
 from scipy import stats
 
 from softcal.core.errors import InputError
+from softcal.core.messages.reason import Reason, reason
 from softcal.core.quality.control_chart import RULES, capability, control_chart
 from softcal.core.quality.gauge_study import study_by_anova, study_by_ranges
 from softcal.core.quality.yields import Share, UnitRun, yields
-from softcal.core.words.reason import Reason, reason
 
 # AIAG, Measurement Systems Analysis, 4th edition, chapter III section B: 3 appraisers, 3 trials, 10 parts.
 AIAG = """

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.anchors import AnchoredMap
 from softcal.core.maps.interface import map_sha256
+from softcal.core.messages.reason import Reason, plain, reason
 from softcal.core.unit.measured_error import MeasuredError, Scores
 from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.output_level import LoadLine
@@ -19,7 +20,6 @@ from softcal.core.unit.state_json import adjustments_to_json, fit_from_json, fit
 from softcal.core.unit.uncertainty import Widening
 from softcal.core.unit.verdict import Finding, Limit, Verdict, default_limit, worst_of
 from softcal.core.windows import resting
-from softcal.core.words.reason import Reason, plain, reason
 from tests.unit_states import audit_of, fit_of
 
 LIMIT = Limit("N", 0.4)

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 
 from softcal.core.errors import InputError
+from softcal.core.messages.reason import plain
 from softcal.core.unit.measured_error import MeasuredError, Scores
 from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.uncertainty import ErrorForecast
@@ -23,7 +24,6 @@ from softcal.core.unit.verdict import (
     statement,
     worst_of,
 )
-from softcal.core.words.reason import plain
 
 LIMIT = Limit("N", 0.30)
 

@@ -11,8 +11,8 @@ from sqlalchemy.pool import NullPool
 
 from softcal.core.errors import RegistryError
 from softcal.core.lot import UnitKey
+from softcal.core.messages.reason import plain
 from softcal.core.quality.line_rules import LineRules
-from softcal.core.words.reason import plain
 from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.db.maintenance.sync import synchronise
 from softcal.db.schema.arrays import get_arrays, parts_of, put_arrays

@@ -8,7 +8,7 @@ from sqlalchemy import text
 
 from softcal.core import errors
 from softcal.core.lot import UnitKey
-from softcal.core.words.reason import plain
+from softcal.core.messages.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.repositories.in_use import InUseTable
 from softcal.db.schema import engines

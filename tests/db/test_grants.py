@@ -10,8 +10,8 @@ from sqlalchemy import text
 
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.lot import Lot
+from softcal.core.messages.reason import plain
 from softcal.core.quality.line_rules import LineRules
-from softcal.core.words.reason import plain
 from softcal.db.access.grants import grant_statements
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate

@@ -4,8 +4,8 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
+from softcal.core.messages.reason import plain
 from softcal.core.quality.line_rules import LineRules
-from softcal.core.words.reason import plain
 
 LOT = Lot("L1", "A0", 50.0)
 

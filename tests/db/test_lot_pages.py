@@ -6,9 +6,9 @@ from datetime import UTC, datetime
 import pytest
 
 from softcal.core.errors import InputError
+from softcal.core.messages.reason import plain
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.unit.measured_error import MeasuredError, OwnScores, Scores
-from softcal.core.words.reason import plain
 from softcal.db.entries import GoldenRun
 from softcal.db.repositories.lot_pages import UnitFilter
 from tests.unit_states import ROWS

@@ -7,9 +7,9 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, UnitKey, row_name
+from softcal.core.messages.reason import plain, reason
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
-from softcal.core.words.reason import plain, reason
 from softcal.db.connection import open_registry
 from softcal.db.repositories.registry_base import RegistrySettings
 

@@ -25,10 +25,10 @@ from sqlalchemy.exc import OperationalError
 
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
+from softcal.core.messages.reason import plain
 from softcal.core.network.network import Network
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.state import UnitState
-from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.maintenance.backup import back_up, restore
 from softcal.db.repositories import in_use

@@ -9,7 +9,7 @@ import pytest
 from sqlalchemy import event, text
 
 from softcal.core.lot import Lot
-from softcal.core.words.reason import plain
+from softcal.core.messages.reason import plain
 from softcal.db.queues.work_queue import WorkSet
 from softcal.db.registry import Registry
 from softcal.db.repositories.lot_pages import UnitFilter

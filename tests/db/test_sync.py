@@ -7,7 +7,7 @@ from sqlalchemy import text
 
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.lot import Lot
-from softcal.core.words.reason import plain
+from softcal.core.messages.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.maintenance import sync
 from softcal.db.maintenance.backup import back_up, restore

@@ -12,9 +12,9 @@ from sqlalchemy.pool import NullPool
 
 from softcal.app.cli.main import main
 from softcal.core.errors import RegistryError, SoftcalError
+from softcal.core.messages.reason import plain
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
-from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.entries import Anchor, GoldenRun
 from softcal.db.maintenance import checks

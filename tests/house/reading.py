@@ -14,7 +14,7 @@ from itertools import product
 from pathlib import Path
 
 from softcal.app.cli.main import command_parser
-from softcal.core.words.reason import ENGLISH, PLAIN
+from softcal.core.messages.reason import ENGLISH, PLAIN
 
 LONG = 30
 """Words of a sentence above which it counts as long."""

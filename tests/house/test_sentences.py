@@ -6,9 +6,9 @@ import pytest
 
 from softcal.app.texts.catalogue import LANGUAGES, catalogue
 from softcal.app.texts.reasons import PREFIX
+from softcal.core.messages.reason import ENGLISH
 from softcal.core.quality.audit_plan import AuditConfig, judge_lot, plan_audit
 from softcal.core.unit.verdict import Limit
-from softcal.core.words.reason import ENGLISH
 from tests.house.reading import (
     BROKEN,
     MOST_WORDS,

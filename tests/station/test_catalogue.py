@@ -123,7 +123,7 @@ import sys
 sys.path.insert(0, sys.argv[1])
 import softcal.app
 from softcal.app.texts.catalogue import text
-from softcal.core.words.reason import Reason
+from softcal.core.messages.reason import Reason
 kept = Reason.of({"code": "ours.line", "values": {"line": "'x'"}})
 assert "softcal.station.drivers.grbl" in sys.modules
 print(kept)

@@ -11,8 +11,8 @@ from common.rig_trial import ForceLaw, LawUnit, RigCase, open_rig, press, press_
 
 from softcal.app.line.rig import station_of
 from softcal.core.errors import DeviceError, InputError, NoReply
+from softcal.core.messages.reason import plain
 from softcal.core.profiles import ramps
-from softcal.core.words.reason import plain
 from softcal.station.devices.config import station_from_table
 from softcal.station.drivers.grbl import GrblStage
 from softcal.station.interfaces import Held, Move

@@ -4,7 +4,7 @@ import pytest
 from common.station_runs import KNOWN, broken_property, explore, run_once
 
 from softcal.core.errors import DeviceError
-from softcal.core.words.reason import Reason, plain
+from softcal.core.messages.reason import Reason, plain
 from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.interfaces import Move
 from softcal.station.motion import interlock, motion

@@ -4,10 +4,10 @@ import pytest
 from common.fault_trial import without_cell
 
 from softcal.core.errors import DeviceError
+from softcal.core.messages.reason import Reason
 from softcal.core.profiles import moves
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import EffectSetting, Twin
-from softcal.core.words.reason import Reason
 from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.simulated.answering import FarEnd
 from softcal.station.tasks.acquisition import record

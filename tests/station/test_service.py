@@ -6,10 +6,10 @@ import pytest
 from common.rig_trial import RigCase, open_rig
 
 from softcal.core.errors import NoReply, RegistryError
+from softcal.core.messages.reason import root_of
 from softcal.core.orders import Condition, Order, OrderKind, RunState, StationState
 from softcal.core.profiles import ramps
 from softcal.core.quality.gate import Gate
-from softcal.core.words.reason import root_of
 from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.devices.config import UNKNOWN_S
 from softcal.station.tasks.service import Hooks, StationService

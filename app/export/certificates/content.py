@@ -12,6 +12,7 @@ from softcal.app.export.certificates.laboratory import NOT_STATED, Laboratory
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, escape_serial
 from softcal.core.maps.anchors import AnchoredMap
+from softcal.core.messages.figures import decimals_of, telling_decimals, written_value
 from softcal.core.recording import Array
 from softcal.core.unit.budget import COVERAGE, Budget, Reference, Standing, forecast_budget, measured_budget
 from softcal.core.unit.estimate import Estimate, estimate
@@ -19,7 +20,6 @@ from softcal.core.unit.state import Correction, UnitState
 from softcal.core.unit.uncertainty import NORMAL_90, ErrorForecast
 from softcal.core.unit.verdict import Limit, Verdict
 from softcal.core.windows import resting
-from softcal.core.words.figures import decimals_of, telling_decimals, written_value
 from softcal.db.provenance import Provenance
 
 BANDS = 4

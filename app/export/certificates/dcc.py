@@ -7,7 +7,7 @@ from softcal.app.export.certificates.content import Certificate, band_range
 from softcal.app.export.certificates.laboratory import NOT_STATED, Party
 from softcal.app.export.certificates.statements import DECISION_RULE, ONLY_THIS, SIMULATED
 from softcal.core.errors import printable
-from softcal.core.words.figures import written_uncertainty
+from softcal.core.messages.figures import written_uncertainty
 
 SCHEMA_VERSION = "3.1.2"
 """Each schema accepts its own version alone: another one is another writer."""

@@ -18,8 +18,8 @@ from softcal.app.export.certificates.statements import DECISION_RULE, ONLY_THIS
 from softcal.app.paper.drawing import fitted
 from softcal.app.paper.fonts import BOLD, printable_serial, writable
 from softcal.core.lot import escape_serial
+from softcal.core.messages.figures import with_decimals, written_uncertainty, written_value
 from softcal.core.unit.uncertainty import ErrorForecast
-from softcal.core.words.figures import with_decimals, written_uncertainty, written_value
 
 CURVE, BAND = "#0b5cad", "#bcd6f2"
 SHOWN_S = 20.0

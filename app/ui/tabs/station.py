@@ -23,9 +23,9 @@ from softcal.app.ui.server_memory import registry
 from softcal.app.views.common import number
 from softcal.app.views.station import bounds, golden_units
 from softcal.core.errors import InputError
+from softcal.core.messages.reason import Reason
 from softcal.core.orders import OrderKind
 from softcal.core.profiles import BUILT_IN
-from softcal.core.words.reason import Reason
 from softcal.station.devices.config import FixtureConfig, SafetyConfig
 from softcal.station.wire.link import available_ports
 

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply
-from softcal.core.words.reason import reason
+from softcal.core.messages.reason import reason
 
 UP, DOWN, STOP = b"u", b"d", b"s"
 TRAVEL, STATUS, GAUGE_READING = b"x", b"p", b"?"

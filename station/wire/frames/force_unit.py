@@ -1,7 +1,7 @@
 """Units of force as gauges and indicators print them, in newtons."""
 
 from softcal.core.errors import BadReply
-from softcal.core.words.reason import reason
+from softcal.core.messages.reason import reason
 
 STANDARD_GRAVITY = 9.80665
 """m/s², exact by definition: what turns a weight indicator's kilograms into newtons."""

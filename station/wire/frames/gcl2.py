@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, NoReply
-from softcal.core.words.reason import Reason, reason
+from softcal.core.messages.reason import Reason, reason
 from softcal.station.wire.frames.force_unit import in_newtons
 
 CURRENT, LIST = b"?C\r", b"LIST\r"

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from softcal.core.errors import BadReply
-from softcal.core.words.reason import Reason, reason
+from softcal.core.messages.reason import Reason, reason
 
 STATUS, HOLD, RESUME, RESET, DOOR = b"?", b"!", b"~", b"\x18", b"\x84"
 """Real-time bytes: picked out of the stream at once, never queued, no line end."""

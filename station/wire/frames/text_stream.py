@@ -10,7 +10,7 @@ from functools import reduce
 from operator import xor
 
 from softcal.core.errors import BadReply
-from softcal.core.words.reason import reason
+from softcal.core.messages.reason import reason
 
 _NUMBERS = re.compile(rb"\d+(,-?\d+)+")
 """int() alone would take "1_0", " 7" and "+7"."""

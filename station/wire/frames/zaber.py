@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply
-from softcal.core.words.reason import Reason, reason
+from softcal.core.messages.reason import Reason, reason
 
 _FLAGS = "FF FN FZ FH FV FO FC FM FD FQ FI FA FR FS FB FP FE FT WS WR WH NC NI"
 WARNINGS = {flag: Reason(f"zaber.flag.{flag}") for flag in _FLAGS.split()}

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from string import Formatter
 from typing import Any, Union
 
-from softcal.core.words.gap_sentences import GAP_SENTENCES
-from softcal.core.words.rig_sentences import SENTENCES
-from softcal.core.words.sentences import UNIT_SENTENCES
+from softcal.core.messages.gap_sentences import GAP_SENTENCES
+from softcal.core.messages.rig_sentences import SENTENCES
+from softcal.core.messages.sentences import UNIT_SENTENCES
 
 Value = Union[str, float, int, "Reason"]
 

@@ -3,7 +3,7 @@
 Names of effects, channels, maps and profiles are values: `app/texts` has them.
 """
 
-from softcal.core.words.sentences import sentences
+from softcal.core.messages.sentences import sentences
 
 GAP_SENTENCES = sentences("""
 # In which samples a gap stands out.

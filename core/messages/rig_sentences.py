@@ -1,6 +1,6 @@
 """What stations, their gates and the registry say, in English: one sentence a code. Drivers bring their own."""
 
-from softcal.core.words.sentences import sentences
+from softcal.core.messages.sentences import sentences
 
 SENTENCES = sentences("""
 # How a device is called.
