@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).parents[1]
-FACE = ROOT / "app/face"
+PUBLIC = ROOT / "app/public"
 ROOMS = {
     "core/unit": "core/unit/*.py",
     "core/maps": "core/maps/*.py",
@@ -292,7 +292,7 @@ class Tree:
         # Found before the installed package, in every process that a test starts.
         links = self.folder / "links/softcal"
         links.mkdir(parents=True)
-        for path in (self.root / "app/face").iterdir():
+        for path in (self.root / "app/public").iterdir():
             (links / path.name).symlink_to(path)
         for name in ("app", "core", "db", "station"):
             (links / name).symlink_to(self.root / name)

@@ -1,4 +1,4 @@
-"""How objects of the Python face show themselves in a notebook, and what is missing where they cannot be drawn."""
+"""How objects of the Python API show themselves in a notebook, and what is missing where they cannot be drawn."""
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager

@@ -1,4 +1,4 @@
-"""Figures of the Python face: a recording over time; a unit's map, its loop and its estimate. Needs plotly."""
+"""Figures of the Python API: a recording over time; a unit's map, its loop and its estimate. Needs plotly."""
 
 from functools import partial
 

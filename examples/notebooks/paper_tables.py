@@ -18,7 +18,7 @@ lot = simulate_lot(seed=1, design=LotDesign(good=3, has_stage=True))
 
 
 def recording(run, serial, labelled=True):
-    """Turn a simulated run into a recording as the Python face takes it."""
+    """Turn a simulated run into a recording as the Python API takes it."""
     output = run.unlabelled if labelled else run
     reference = run.reference if labelled else None
     return softcal.Recording(output.output, reference, t_s=output.t_s, serial=serial, stage_mm=output.stage_mm)

@@ -206,7 +206,7 @@ def test_the_wheel_holds_every_file_of_the_packages_fonts_and_licences_too(wheel
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
     files = {name for name in _tracked() if name.startswith(("app/", "core/", "db/", "station/"))}
-    assert not {f"softcal/{name.replace('app/face/', '')}" for name in files} - names
+    assert not {f"softcal/{name.replace('app/public/', '')}" for name in files} - names
 
 
 def test_the_wheel_says_its_licence_and_the_pythons_it_runs_on(wheel: Path) -> None:

@@ -24,7 +24,7 @@ def test_every_folder_with_modules_is_packaged() -> None:
         for folder in [ROOT / top, *(ROOT / top).rglob("*")]
         if folder.is_dir() and any(folder.glob("*.py"))
     }
-    assert on_disk - {"softcal.app.face"} | {"softcal"} == set(_project()["tool"]["setuptools"]["packages"])
+    assert on_disk - {"softcal.app.public"} | {"softcal"} == set(_project()["tool"]["setuptools"]["packages"])
 
 
 def test_no_module_beside_the_page_script_has_the_name_of_a_library() -> None:

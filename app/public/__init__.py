@@ -6,7 +6,7 @@
     unit = softcal.fit_map(softcal.fit_network(source), target)
     print(unit.verdict, unit.predicted_rmse, unit.estimate(target))
 
-The names below are the public face; what lies in `softcal.app`, `.core`, `.db` and `.station` may change.
+The names below are public; what lies in `softcal.app`, `.core`, `.db` and `.station` may change.
 """
 
 from importlib import import_module
