@@ -36,7 +36,8 @@ from sqlalchemy import create_engine, make_url, select
 from softcal.app.cli.main import main as softcal
 from softcal.core.errors import NoRegistry
 from softcal.db.connection import open_registry
-from softcal.db.schema.tables import UtcTime, metadata
+from softcal.db.schema.column_types import UtcTime
+from softcal.db.schema.tables import metadata
 
 SMALL = ("--hidden", "16,8", "--seed", "1")
 UNITS = 4

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 
 import numpy as np
 from common.command import parser_of
+from common.own_forecast import COEFFICIENTS
 from common.planted import OPPOSITE_DIRECTION
 from common.simulated_cases import Case, cases, coverage, roc_auc
 from common.tables import print_table
@@ -118,9 +119,8 @@ def print_fit(units: list[Case]) -> None:
         low, high = np.quantile(residual[[c.kind == GOOD for c in group]], (0.025, 0.975))
         print(f"{name}.log_error = ({low:.2f}, {high:.2f})  # {len(group)} units, SD of all {np.std(residual):.2f}")
     paired = [c for c in mapped if is_paired(c)]
-    regimes = (("blind", kinds.blind, unplaced), ("stage", kinds.stage, on_stage), ("paired", kinds.paired, paired))
-    for name, config, group in regimes:
-        names = dict(config.own)
+    for name, group in (("blind", unplaced), ("stage", on_stage), ("paired", paired)):
+        names = COEFFICIENTS[name]
         terms, own = own_terms(group, *names), np.array([c.own for c in group])
         found, residual = fit(np.zeros((len(group), 1)), terms, own, np.ones(len(group)), LARGEST_OWN)
         print(f"{name}.own = {listed(names, found)}  # {len(group)} units, SD of all {np.std(residual):.2f}")
@@ -142,7 +142,7 @@ def budgets(units: list[Case], *names: str) -> np.ndarray:
 
 def own_terms(units: list[Case], *names: str) -> np.ndarray:
     """Return terms of the errors of calibrations of the units' own, (units, names)."""
-    return np.array([[c.calibration.fit.own_terms[n] for n in names] for c in units])  # type: ignore[union-attr]
+    return np.array([[c.own_terms[n] for n in names] for c in units])
 
 
 def fit(

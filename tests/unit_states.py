@@ -6,12 +6,13 @@ from softcal.core.identity import content_sha256
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.interface import map_sha256
 from softcal.core.messages.reason import plain
+from softcal.core.unit.fit import Fit, FittedMap
 from softcal.core.unit.health import OutputLimits
 from softcal.core.unit.knowledge import known_by
 from softcal.core.unit.measured_error import MeasuredError, Scores
 from softcal.core.unit.method import LEVELS, Method
 from softcal.core.unit.output_level import LoadLine
-from softcal.core.unit.state import AuditResult, Fit, FittedMap, UnitState
+from softcal.core.unit.state import AuditResult, UnitState
 from softcal.core.unit.uncertainty import ErrorForecast, Interval, Support
 from softcal.core.unit.verdict import Finding, Limit, Verdict
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 import msgspec
 
 from softcal.core.messages.reason import Reason
+from softcal.core.unit.adjustments import SampleRelease
 from softcal.core.unit.lot_correction import LotCorrection
-from softcal.core.unit.state import SampleRelease
 from softcal.db.provenance import Provenance
 from softcal.db.registry import Registry
 

@@ -21,8 +21,9 @@ from softcal.core.quality.lot_release import LotRelease, release_lot
 from softcal.core.quality.lot_standing import LotStanding, UnitInLot
 from softcal.core.quality.qualification import NONE
 from softcal.core.quality.release import min_passing
+from softcal.core.unit.adjustments import SampleRelease
 from softcal.core.unit.lot_correction import LotCorrection
-from softcal.core.unit.state import SampleRelease, UnitState
+from softcal.core.unit.state import UnitState
 from softcal.db.entries import CalibrationSummary, UnitStanding
 from softcal.db.provenance import Provenance, record_provenance
 from softcal.db.registry import Registry

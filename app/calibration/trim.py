@@ -5,7 +5,7 @@ from pathlib import Path
 from softcal.app.files.anchors import read_anchors
 from softcal.app.registry.trimmed import is_trimmed_by, store_trim
 from softcal.app.tables.options import DETECT, TableOptions
-from softcal.core.unit.state import Trim
+from softcal.core.unit.adjustments import Trim
 from softcal.db.registry import Registry
 
 

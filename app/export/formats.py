@@ -22,7 +22,7 @@ from softcal.core.export.json_text import add_sha256, json_text, network_values,
 from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE
 from softcal.core.lot import escape_serial
 from softcal.core.plugins import installed, loaded, who
-from softcal.core.unit.state import FittedMap
+from softcal.core.unit.fit import FittedMap
 from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
 from softcal.core.windows import TAPS
 

@@ -12,7 +12,8 @@ from softcal.app.registry.lot_recordings import audit_of, measure_unit, newest_a
 from softcal.core.errors import InputError, MapsConflict
 from softcal.core.maps.interface import Anchors, FitProblem
 from softcal.core.messages.reason import Reason, reason
-from softcal.core.unit.state import Trim, UnitState
+from softcal.core.unit.adjustments import Trim
+from softcal.core.unit.state import UnitState
 from softcal.core.unit.trim import NeedlessTrim, trim
 from softcal.db.entries import StoredCalibration
 from softcal.db.registry import Registry

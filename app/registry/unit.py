@@ -11,11 +11,12 @@ from softcal.core.messages.reason import plain
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.fit import Fit, FittedMap
 from softcal.core.unit.health import output_limits
 from softcal.core.unit.knowledge import known_by
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import make_source_model
-from softcal.core.unit.state import Fit, FittedMap, UnitState
+from softcal.core.unit.state import UnitState
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import default_limit
 from softcal.db.registry import Registry

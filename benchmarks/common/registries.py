@@ -20,10 +20,11 @@ from softcal.core.network.network import Network
 from softcal.core.profiles import source_profile, unit_profile
 from softcal.core.simulated_lot import DEPTH_MM, draw_twins
 from softcal.core.twin.simulate import simulate
+from softcal.core.unit.fit import Fit, FittedMap
 from softcal.core.unit.health import OutputLimits
 from softcal.core.unit.knowledge import known_by
 from softcal.core.unit.method import LEVELS, Method
-from softcal.core.unit.state import Fit, FittedMap, UnitState
+from softcal.core.unit.state import UnitState
 from softcal.core.unit.uncertainty import ErrorForecast, Interval, Support
 from softcal.core.unit.verdict import Limit
 from softcal.db.connection import open_registry

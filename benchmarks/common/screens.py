@@ -28,7 +28,8 @@ from softcal.core.network.network import Network
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.simulated_lot import LotDesign, simulate_lot
-from softcal.core.unit.state import SampleRelease, UnitState
+from softcal.core.unit.adjustments import SampleRelease
+from softcal.core.unit.state import UnitState
 from softcal.core.unit.uncertainty import ErrorForecast, Widening
 from softcal.core.unit.verdict import Finding, Limit, Verdict
 from softcal.db.registry import Registry

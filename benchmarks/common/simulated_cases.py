@@ -2,12 +2,13 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from common.own_forecast import forecast_own, own_terms
 from common.planted import FAULTS, planted
 
 from softcal.core.errors import InputError, UnitRefused
-from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
@@ -45,6 +46,7 @@ class Case:
         result, test: estimates over the test part, and its truth.
         network: the shared network of its lot.
         source_half_width: the interval's table for the source itself.
+        problem: what its map was fitted to.
     """
 
     seed: int
@@ -60,6 +62,11 @@ class Case:
     test: LabelledRecording
     network: Network
     source_half_width: Array
+    problem: UnitProblem
+
+    @cached_property
+    def own_terms(self) -> dict[str, float]:
+        return own_terms(self.problem)
 
     @property
     def is_bad(self) -> bool:
@@ -71,7 +78,7 @@ class Case:
         """Forecast error over that forecast for a calibration of its own: what ranks the units; infinite if refused."""
         if self.calibration is None:
             return float("inf")
-        return self.calibration.predicted_rmse / self.calibration.fit.own_rmse
+        return self.calibration.predicted_rmse / forecast_own(self.own_terms, self.calibration.fit.knowledge.kind)
 
 
 def lot_design(seed: int, faults: tuple[str, ...] = tuple(FAULTS)) -> LotDesign:
@@ -101,7 +108,8 @@ def cases(seeds: range, faults: tuple[str, ...] = tuple(FAULTS), has_own: bool =
 def judged(seed: int, design: LotDesign, unit: SimulatedUnit, own: float, network: Network, model: SourceModel) -> Case:
     """Calibrate one unit and set the truth beside it."""
     test = unit.audit.part(int(TRAIN_SHARE * len(unit.audit)), len(unit.audit))
-    calibration = _calibrate(FitProblem(model.source, network, unit.recording), model)
+    problem = UnitProblem(model, unit.recording)
+    calibration = _calibrate(problem)
     result = None if calibration is None else estimate(network, calibration.calibration, test.unlabelled)
     return Case(
         seed,
@@ -117,12 +125,13 @@ def judged(seed: int, design: LotDesign, unit: SimulatedUnit, own: float, networ
         test=test,
         network=network,
         source_half_width=model.interval.half_width,
+        problem=problem,
     )
 
 
-def _calibrate(problem: FitProblem, model: SourceModel) -> UnitState | None:
+def _calibrate(problem: UnitProblem) -> UnitState | None:
     try:
-        return calibrate(UnitProblem(model, problem.target, anchors=problem.anchors))
+        return calibrate(problem)
     except UnitRefused:
         return None
 

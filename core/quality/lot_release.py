@@ -10,9 +10,9 @@ from softcal.core.messages.reason import Reason, Value, reason, several
 from softcal.core.quality.qualification import Qualification
 from softcal.core.quality.release import AuditedUnit, PromisedRelease, release
 from softcal.core.quality.sittings import SampledUnits, sampled_units
+from softcal.core.unit.adjustments import SampleRelease
 from softcal.core.unit.line_spread import SeenGains
 from softcal.core.unit.method import ReleaseConfig
-from softcal.core.unit.state import SampleRelease
 from softcal.core.unit.uncertainty import Widening
 from softcal.core.unit.verdict import Limit
 

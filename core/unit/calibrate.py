@@ -16,12 +16,13 @@ from softcal.core.recording import Array
 from softcal.core.unit.audit import measure
 from softcal.core.unit.evidence import gather_evidence, other_maps
 from softcal.core.unit.findings import contradictions, map_findings, opening_findings
-from softcal.core.unit.forecast import forecast_error, forecast_own, own_terms, variance_table
+from softcal.core.unit.fit import Fit, FittedMap
+from softcal.core.unit.forecast import forecast_error, variance_table
 from softcal.core.unit.health import check_alive, health_findings, output_limits
 from softcal.core.unit.missing import check_windows, jump_findings, missing_findings, missing_samples
 from softcal.core.unit.output_level import output_level
 from softcal.core.unit.rules import RuleFacts, rule_findings
-from softcal.core.unit.state import Fit, FittedMap, UnitState
+from softcal.core.unit.state import UnitState
 from softcal.core.unit.unit_problem import UnitProblem
 
 
@@ -82,7 +83,6 @@ def fit_unit(problem: UnitProblem) -> tuple[Fit, Array]:
             *map_findings(model, pressed, evidence, lag),
             *(opening_findings(chosen.evidence, method.findings) if lag is None else ()),
         )
-    own = own_terms(model, pressed, chosen.unit_map, evidence)
     rest = method.map.crossing.robust_range[0]
     interval = model.interval.widened(variance_table(model, evidence) + problem.reference_variance())
     fitted = Fit(
@@ -96,8 +96,6 @@ def fit_unit(problem: UnitProblem) -> tuple[Fit, Array]:
         knowledge=evidence.knowledge,
         forecast=forecast_error(evidence.budget, evidence.knowledge),
         budget=evidence.budget,
-        own_terms=own,
-        own_rmse=forecast_own(own, evidence.knowledge),
         diagnostics=chosen.evidence,
         findings=findings,
         remarks=(*problem.lot_fit_reasons(), *problem.bridge_reasons(), *problem.line_reasons(evidence.load_rms)),

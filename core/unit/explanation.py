@@ -1,7 +1,7 @@
 """What the predicted error of a unit is made of. No drawing here."""
 
 from softcal.core.unit.evidence import DAY, LINE
-from softcal.core.unit.state import Fit
+from softcal.core.unit.fit import Fit
 
 
 def contributions(fit: Fit) -> dict[str, float]:

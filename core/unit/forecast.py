@@ -1,21 +1,14 @@
 """Forecast the error of one unit without a label, as a measurement uncertainty budget (GUM, JCGM 100:2008).
 
 Sensitivity coefficients, chosen on simulated lots for each kind of knowledge about the loads (`knowledge.py`), combine
-the terms of the budget (`evidence.py`). What noise, clipping and creep leave with any calibration, one trained on the
-unit's own labels too, is forecast beside it. Only the error beyond that is the map's.
+the terms of the budget (`evidence.py`).
 """
 
 from collections.abc import Mapping
-from functools import lru_cache
 
 import numpy as np
 
-from softcal.core.maps.crossing import CACHED
-from softcal.core.maps.ends import output_noise
-from softcal.core.maps.interface import UnitMap
-from softcal.core.metrics import rms
-from softcal.core.network.network import Network
-from softcal.core.recording import Array, OutputRecording
+from softcal.core.recording import Array
 from softcal.core.unit.evidence import DAY, LINE, MapEvidence, beyond
 from softcal.core.unit.knowledge import SHARED, LoadKnowledge
 from softcal.core.unit.method import LEVELS
@@ -87,69 +80,3 @@ def _load_pattern(model: SourceModel, evidence: MapEvidence) -> Array:
     """Return the squared load over its mean square in the unit's recording: (LEVELS,)."""
     load = np.maximum(model.interval.levels - evidence.rest, 0.0)
     return np.asarray((load / max(evidence.load_rms, 1e-12)) ** 2)
-
-
-def forecast_own(terms: Mapping[str, float], knowledge: LoadKnowledge) -> float:
-    """Return the RMSE, in the reference unit, of a network trained on the unit's own labels: u^2 = sum (c u)^2."""
-    return float(np.sqrt(sum((c * terms[name]) ** 2 for name, c in knowledge.own.items())))
-
-
-def own_terms(
-    model: SourceModel, target: OutputRecording, unit_map: UnitMap, evidence: MapEvidence
-) -> dict[str, float]:
-    """Return the standard uncertainties that a calibration of the unit's own would have too, in the reference unit.
-
-    - `floor`: the error of f on its own source.
-    - `noise`: the unit's output noise beyond the source's, carried through map and network.
-    - `clipping`, `rest`: as in the budget.
-    - `excess`: the forecast error beyond the network's. Part of it is creep, lag and hysteresis that a window does not
-      show; no network that reads windows could do better.
-    """
-    network, budget, rows = model.network, evidence.budget, model.method.map.pairs.pairs // 2
-    # Variances subtract: f was trained with the source's noise, so that much is in `floor` already.
-    of_source = _source_noise_error(network, model.source.unlabelled, rows)
-    estimate = evidence.estimate if len(evidence.rows) == len(target.windows) else None
-    noise = noise_error(network, target, rows, unit_map, estimate) ** 2 - of_source**2
-    # The line spreads loads, not outputs: an own calibration sees the loads.
-    forecast = forecast_error({name: u for name, u in budget.items() if name not in (DAY, LINE)}, evidence.knowledge)
-    return {
-        "floor": model.held_out_rmse,
-        "noise": float(np.sqrt(max(noise, 0.0))),
-        "clipping": budget["clipping"],
-        "rest": budget["rest"],
-        "excess": float(np.sqrt(max(forecast.rmse**2 - budget["model"] ** 2, 0.0))),
-    }
-
-
-def noise_error(
-    network: Network,
-    recording: OutputRecording,
-    windows: int,
-    unit_map: UnitMap | None = None,
-    estimate: Array | None = None,
-) -> float:
-    """Return the RMS change of so many estimates under one more draw of the recording's output noise.
-
-    `estimate` is f on all the recording's mapped windows, where it is known.
-    """
-    rows = np.linspace(0, len(recording.windows) - 1, windows).astype(np.int64)
-    clean = recording.windows[rows]
-    # One more draw of the noise on top of the recorded one: its effect is that of the noise itself.
-    noisy = clean + output_noise(recording) * _draw(clean.shape)
-    if unit_map is not None:
-        noisy = unit_map.apply(noisy)
-    if estimate is None:
-        without = network.evaluate(clean if unit_map is None else unit_map.apply(clean))
-    else:
-        without = estimate[rows]
-    return rms(network.evaluate(noisy) - without)
-
-
-@lru_cache(maxsize=1)
-def _draw(shape: tuple[int, int]) -> Array:
-    """Every unit's noise is drawn from the same seed: equal input, equal result."""
-    return np.random.default_rng(0).standard_normal(shape)
-
-
-_source_noise_error = lru_cache(maxsize=CACHED)(noise_error)
-"""Every unit of a lot is compared with one and the same source."""

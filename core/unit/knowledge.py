@@ -7,7 +7,6 @@ from typing import ClassVar
 from softcal.core.settings import SET, setting, table
 
 FITTED = "benchmarks/verdict.py --fit --seeds 1000 1040 (simulated lots; tested on seeds 0-24 and 36-48)"
-FITTED_OWN = "benchmarks/verdict.py --fit --seeds 1000 1040, ratio of own calibrations"
 GOOD_UNITS = "2.5 % and 97.5 % quantiles of log(true / forecast RMSE) over good units, "
 FITTED_COVERAGE = "benchmarks/interval_coverage.py --fit (simulated lots; tested on seeds 0-24)"
 
@@ -26,7 +25,6 @@ class KnowledgeConfig:
         sensitivity: coefficients c_i of the budget's other terms u_i (GUM, JCGM 100:2008, eq. 10).
         log_error: 2.5 % and 97.5 % quantiles of log(true / forecast RMSE): the forecast's own uncertainty.
         interval_share: share of the map's variance that widens the interval so that it covers 90 % of the samples.
-        own: coefficients of `own_terms`: the error of a calibration of the unit's own.
         base_term: term of the budget that the forecast starts from: `model`, the error of f on its source, or `paired`,
             the difference from the source's reference at the same instants, which holds the model's error already.
         other_use: best verdict of a unit whose loads and speeds are not the source's; empty where they need not be.
@@ -36,7 +34,6 @@ class KnowledgeConfig:
     sensitivity: tuple[tuple[str, float], ...]
     log_error: tuple[float, float]
     interval_share: float
-    own: tuple[tuple[str, float], ...]
     base_factor: float = setting(1.0)
     base_term: ClassVar[str] = "model"
     other_use: ClassVar[str] = ""
@@ -54,9 +51,6 @@ class PairedConfig(KnowledgeConfig):
         (-0.35, 0.35), f"{SET}: what errors of slow presses, alike for seconds, leave open on another stretch"
     )
     interval_share: float = setting(1.0)
-    own: tuple[tuple[str, float], ...] = table(
-        {"floor": 1.15, "clipping": 2.0, "rest": 0.48, "noise": 0.65, "excess": 0.51}, FITTED_OWN
-    )
 
 
 @dataclass(frozen=True)
@@ -78,17 +72,11 @@ class StageKnowledge(KnowledgeConfig):
     )
     log_error: tuple[float, float] = setting((-0.41, 0.23), f"{GOOD_UNITS}{FITTED}")
     interval_share: float = setting(0.1, FITTED_COVERAGE)
-    own: tuple[tuple[str, float], ...] = table(
-        {"floor": 1.17, "clipping": 1.6, "rest": 0.2, "noise": 2.0, "excess": 0.42}, FITTED_OWN
-    )
 
 
 @dataclass(frozen=True)
 class BlindConfig(KnowledgeConfig):
-    """Nothing speaks for the loads but how the output is distributed.
-
-    The gain is a guess there: noise and excess say more of the map than of the unit, so `own` leaves them out.
-    """
+    """Nothing speaks for the loads but how the output is distributed."""
 
     other_use: ClassVar[str] = "retest"
     is_placed: ClassVar[bool] = False
@@ -113,7 +101,6 @@ class BlindConfig(KnowledgeConfig):
         (-1.75, 0.78), f"{GOOD_UNITS}benchmarks/verdict.py --fit --seeds 1003 1089 4, lots whose loads are unknown"
     )
     interval_share: float = setting(1.1, FITTED_COVERAGE)
-    own: tuple[tuple[str, float], ...] = table({"floor": 1.31, "clipping": 2.0, "rest": 0.37}, FITTED_OWN)
 
 
 @dataclass(frozen=True)
@@ -140,7 +127,6 @@ class SharedConfig(KnowledgeConfig):
     )
     log_error: tuple[float, float] = setting((-1.75, 0.78), f"{SET}: that of units whose loads are unknown")
     interval_share: float = setting(1.0)
-    own: tuple[tuple[str, float], ...] = table({"floor": 1.31, "clipping": 2.0, "rest": 0.37}, FITTED_OWN)
 
 
 @dataclass(frozen=True)
@@ -177,11 +163,6 @@ class LoadKnowledge:
     def sensitivity(self) -> Mapping[str, float]:
         """Coefficients c_i by term of the budget."""
         return dict(self.config.sensitivity)
-
-    @property
-    def own(self) -> Mapping[str, float]:
-        """Coefficients of the error of a calibration of the unit's own."""
-        return dict(self.config.own)
 
     def __str__(self) -> str:
         kind = BLIND if self.kind == SHARED else self.kind

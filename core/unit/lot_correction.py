@@ -12,8 +12,9 @@ import numpy as np
 
 from softcal.core.maps.anchors import SourceLevels
 from softcal.core.recording import Array, LabelledRecording
+from softcal.core.unit.adjustments import Correction
 from softcal.core.unit.output_level import LoadLine, OutputLevel
-from softcal.core.unit.state import Correction, UnitState
+from softcal.core.unit.state import UnitState
 
 
 @dataclass(frozen=True)

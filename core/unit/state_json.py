@@ -10,10 +10,11 @@ import numpy as np
 
 from softcal.core.metrics import finite_or_none
 from softcal.core.recording import Arrays
+from softcal.core.unit.fit import Fit, FittedMap
 from softcal.core.unit.health import OutputLimits
 from softcal.core.unit.knowledge import LoadKnowledge
 from softcal.core.unit.method import Method
-from softcal.core.unit.state import Fit, FittedMap, UnitState
+from softcal.core.unit.state import UnitState
 from softcal.core.unit.uncertainty import Interval
 
 Json = dict[str, Any]

@@ -12,7 +12,7 @@ from softcal.core.maps.anchors import AnchoredMap, SourceLevels, check_loads
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
 from softcal.core.metrics import rms, rmse
 from softcal.core.recording import OutputRecording
-from softcal.core.unit.state import Trim
+from softcal.core.unit.adjustments import Trim
 from softcal.core.unit.uncertainty import NORMAL_90, Interval
 from softcal.core.windows import resting
 

@@ -16,7 +16,8 @@ from softcal.db.access.people import user_of
 from softcal.db.entries import Token, User
 from softcal.db.repositories import history
 from softcal.db.repositories.registry_base import RegistryBase, damaged, of_row
-from softcal.db.schema.tables import audit, canonical_json, tokens, users
+from softcal.db.schema.column_types import canonical_json
+from softcal.db.schema.tables import audit, tokens, users
 
 PREFIX = "softcal_"
 """How a token begins, so that one that was published by mistake is found."""

@@ -14,11 +14,12 @@ from softcal.db.entries import Anchor, Heads
 from softcal.db.repositories import history
 from softcal.db.schema import append_only, tables
 from softcal.db.schema.arrays import ARRAY, ARRAYS, parts_of
+from softcal.db.schema.column_types import CanonicalJson, UtcTime, canonical_json
 from softcal.db.schema.database import Database, first_line, is_denied
-from softcal.db.schema.tables import AUDITED, audit, blobs, canonical_json, metadata, registry_info, tokens, users
+from softcal.db.schema.tables import AUDITED, audit, blobs, metadata, registry_info, tokens, users
 
 ROWS_OF_QUICK = 200
-IN_WORDS = (tables.UtcTime, tables.CanonicalJson, Boolean, Date)
+IN_WORDS = (UtcTime, CanonicalJson, Boolean, Date)
 """Types that a database may keep in more than one form."""
 
 TOLD_OF_PEOPLE = ("set_user", "state")

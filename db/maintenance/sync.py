@@ -19,8 +19,9 @@ from softcal.db.repositories.in_use import conflict_line, conflicts_of
 from softcal.db.repositories.lot_decisions import decision_conflicts
 from softcal.db.repositories.registry_base import RegistryBase
 from softcal.db.schema.arrays import copy_blob
+from softcal.db.schema.column_types import UtcTime
 from softcal.db.schema.database import Database
-from softcal.db.schema.tables import AUDITED, UtcTime, audit, blobs, limits, metadata
+from softcal.db.schema.tables import AUDITED, audit, blobs, limits, metadata
 from softcal.db.schema.transaction_cache import HAS_TOLD, forget
 
 ROWS_AT_ONCE = 200

@@ -19,11 +19,13 @@ from softcal.db.repositories.lot_pages import standing_units
 from softcal.db.repositories.registry_base import damaged, of_row
 from softcal.db.repositories.unit_states import FIT_SHA256, fits_of, state_of
 from softcal.db.schema.arrays import put_arrays
+from softcal.db.schema.column_types import canonical_json
 from softcal.db.schema.database import given
-from softcal.db.schema.tables import calibrations, canonical_json, fits, methods, networks, refusals
+from softcal.db.schema.tables import calibrations, fits, methods, networks, refusals
 
 if TYPE_CHECKING:
-    from softcal.core.unit.state import Fit, UnitState
+    from softcal.core.unit.fit import Fit
+    from softcal.core.unit.state import UnitState
 
 KNOWN_NETWORK = select(networks.c.id).where(networks.c.id == bindparam("network"))
 KNOWN_METHOD = select(methods.c.id).where(methods.c.id == bindparam("method"))

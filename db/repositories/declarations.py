@@ -9,8 +9,9 @@ from softcal.core.quality.audit_plan import AuditConfig, AuditPlan
 from softcal.db.entries import Draw
 from softcal.db.repositories.history import plain
 from softcal.db.repositories.registry_base import RegistryBase
+from softcal.db.schema.column_types import canonical_json
 from softcal.db.schema.database import given, parts
-from softcal.db.schema.tables import canonical_json, drawn_units, draws, metadata
+from softcal.db.schema.tables import drawn_units, draws, metadata
 
 MADE = {"made_at", "origin", "actor", "reason"}
 

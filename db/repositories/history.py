@@ -12,8 +12,9 @@ from sqlalchemy import Table, bindparam, select
 
 from softcal.core.errors import RegistryError
 from softcal.db.entries import AuditRow, Heads
+from softcal.db.schema.column_types import canonical_json
 from softcal.db.schema.database import Database
-from softcal.db.schema.tables import TOLD_BY_HASH, audit, canonical_json
+from softcal.db.schema.tables import TOLD_BY_HASH, audit
 
 FIRST_HASH = "0" * 64
 Values = Mapping[str, object]

@@ -17,8 +17,9 @@ from softcal.core.messages.reason import Reason, reason
 from softcal.db.entries import LimitEntry
 from softcal.db.repositories import history
 from softcal.db.repositories.registry_base import RegistryBase, damaged, of_row
+from softcal.db.schema.column_types import canonical_json
 from softcal.db.schema.database import Database, given, parts
-from softcal.db.schema.tables import calibrations, canonical_json, in_use, limits, lots, methods, refusals
+from softcal.db.schema.tables import calibrations, in_use, limits, lots, methods, refusals
 
 NEWEST_STATEMENT = (in_use.c.made_at.desc(), in_use.c.number.desc(), in_use.c.origin.desc())
 OF_STATEMENT = and_(

@@ -8,8 +8,9 @@ from sqlalchemy import func, select
 from softcal.db.entries import LotDecisionEntry
 from softcal.db.provenance import software_now
 from softcal.db.repositories.registry_base import RegistryBase, of_row
+from softcal.db.schema.column_types import canonical_json
 from softcal.db.schema.database import Database
-from softcal.db.schema.tables import canonical_json, lot_decisions
+from softcal.db.schema.tables import lot_decisions
 
 
 class LotDecisionTable(RegistryBase):

@@ -13,19 +13,9 @@ from softcal.core.errors import NoSuchLot, NoSuchUnit, RegistryDamaged, Registry
 from softcal.core.messages.reason import reason
 from softcal.db.entries import AuditRow
 from softcal.db.repositories import history
+from softcal.db.schema.column_types import canonical_json
 from softcal.db.schema.database import Database
-from softcal.db.schema.tables import (
-    AUDITED,
-    audit,
-    canonical_json,
-    in_use,
-    lots,
-    metadata,
-    recordings,
-    refusals,
-    registry_info,
-    units,
-)
+from softcal.db.schema.tables import AUDITED, audit, in_use, lots, metadata, recordings, refusals, registry_info, units
 from softcal.db.schema.transaction_cache import HAS_TOLD
 
 Entry = TypeVar("Entry")

@@ -11,8 +11,9 @@ from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.db.repositories.history import row_key
 from softcal.db.repositories.registry_base import RegistryBase, of_row
 from softcal.db.schema.arrays import get_bytes, put_bytes
+from softcal.db.schema.column_types import canonical_json
 from softcal.db.schema.database import Database, given, parts
-from softcal.db.schema.tables import audit, canonical_json, certificates, golden_runs
+from softcal.db.schema.tables import audit, certificates, golden_runs
 
 
 class StationTables(RegistryBase):

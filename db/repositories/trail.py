@@ -7,7 +7,8 @@ from sqlalchemy import ColumnElement, RowMapping, select
 from softcal.db.entries import AuditRow, Heads
 from softcal.db.repositories import history
 from softcal.db.repositories.registry_base import RegistryBase
-from softcal.db.schema.tables import audit, canonical_json
+from softcal.db.schema.column_types import canonical_json
+from softcal.db.schema.tables import audit
 
 
 class AuditTrail(RegistryBase):

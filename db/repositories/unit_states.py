@@ -14,12 +14,14 @@ from sqlalchemy import select
 from softcal.core.identity import content_sha256
 from softcal.db.repositories.registry_base import damaged
 from softcal.db.schema.arrays import get_arrays
+from softcal.db.schema.column_types import canonical_json
 from softcal.db.schema.database import Database, parts
-from softcal.db.schema.tables import canonical_json, fits, methods
+from softcal.db.schema.tables import fits, methods
 
 if TYPE_CHECKING:
+    from softcal.core.unit.fit import Fit
     from softcal.core.unit.method import Method
-    from softcal.core.unit.state import Fit, UnitState
+    from softcal.core.unit.state import UnitState
 
 FIT_SHA256: WeakKeyDictionary[Fit, str] = WeakKeyDictionary()
 """Hashes of fits that were stored or read: a fit is hashed once, and one without its arrays is never stored again."""

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 from sqlalchemy import bindparam, insert, select
 
 from softcal.core.errors import RegistryDamaged, RegistryError
+from softcal.db.schema.column_types import canonical_json
 from softcal.db.schema.database import Database
-from softcal.db.schema.tables import blobs, canonical_json
+from softcal.db.schema.tables import blobs
 
 if TYPE_CHECKING:
     import numpy as np

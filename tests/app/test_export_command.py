@@ -29,7 +29,7 @@ from softcal.core.errors import InputError
 from softcal.core.export.json_text import network_from_values, unit_from_values
 from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE
 from softcal.core.messages.reason import plain
-from softcal.core.unit.state import FittedMap
+from softcal.core.unit.fit import FittedMap
 from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
 from softcal.core.unit.verdict import Finding, Verdict
 from softcal.db.connection import open_registry

@@ -35,8 +35,9 @@ from softcal.core.network.network import Network
 from softcal.core.quality.audit_plan import AuditConfig
 from softcal.core.quality.lot_standing import Way
 from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.unit.fit import FittedMap
 from softcal.core.unit.health import OutputLimits
-from softcal.core.unit.state import FittedMap, UnitState
+from softcal.core.unit.state import UnitState
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Limit
 from softcal.db.connection import open_registry

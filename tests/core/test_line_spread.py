@@ -81,7 +81,6 @@ def test_of_two_spreads_the_one_that_nobody_stated_is_open_and_not_zero(problem,
 
 def test_a_stated_spread_is_no_finding_and_no_doubt_of_the_map(plain, stated):
     assert stated.fit.findings == plain.fit.findings
-    assert stated.fit.own_rmse == plain.fit.own_rmse
 
 
 def test_what_was_stated_is_part_of_what_a_result_depends_on(problem):

@@ -13,8 +13,8 @@ from softcal.core.maps.interface import Anchors, FitProblem
 from softcal.core.metrics import rmse
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording
+from softcal.core.unit.adjustments import Trim
 from softcal.core.unit.method import LEVELS
-from softcal.core.unit.state import Trim
 from softcal.core.unit.trim import trim
 from softcal.core.unit.uncertainty import Interval
 from softcal.core.windows import resting

@@ -12,10 +12,11 @@ from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.anchors import AnchoredMap
 from softcal.core.maps.interface import map_sha256
 from softcal.core.messages.reason import Reason, plain, reason
+from softcal.core.unit.adjustments import Correction, SampleRelease, Trim
 from softcal.core.unit.measured_error import MeasuredError, Scores
 from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.output_level import LoadLine
-from softcal.core.unit.state import Correction, SampleRelease, Trim, UnitState
+from softcal.core.unit.state import UnitState
 from softcal.core.unit.state_json import adjustments_to_json, fit_from_json, fit_to_json, state_from_json
 from softcal.core.unit.uncertainty import Widening
 from softcal.core.unit.verdict import Finding, Limit, Verdict, default_limit, worst_of

@@ -21,8 +21,8 @@ from softcal.core.maps.interface import Anchors, FitProblem
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.unit.adjustments import Trim as UnitTrim
 from softcal.core.unit.method import LEVELS
-from softcal.core.unit.state import Trim as UnitTrim
 from softcal.core.unit.trim import trim
 from softcal.core.unit.uncertainty import NORMAL_90, Interval
 from softcal.core.windows import TAPS

@@ -14,9 +14,10 @@ from softcal.core.lot import Lot, escape_serial
 from softcal.core.maps.anchors import AnchoredMap
 from softcal.core.messages.figures import decimals_of, telling_decimals, written_value
 from softcal.core.recording import Array
+from softcal.core.unit.adjustments import Correction
 from softcal.core.unit.budget import COVERAGE, Budget, Reference, Standing, forecast_budget, measured_budget
 from softcal.core.unit.estimate import Estimate, estimate
-from softcal.core.unit.state import Correction, UnitState
+from softcal.core.unit.state import UnitState
 from softcal.core.unit.uncertainty import NORMAL_90, ErrorForecast
 from softcal.core.unit.verdict import Limit, Verdict
 from softcal.core.windows import resting
