@@ -97,6 +97,6 @@ def check_stated(loads: Sequence[KnownLoad], source: LabelledRecording, config: 
     check_values(source, np.array([load.value for load in loads]), NOTHING, config)
     most = COVERAGE * config.load_error * float(np.ptp(source.reference))
     for load in loads:
-        if load.expanded > most:
+        if load.expanded is not None and load.expanded > most:
             unit = source.reference_unit
             raise InputError(reason("load.uncertain", value=load.value, expanded=load.expanded, most=most, unit=unit))

@@ -22,10 +22,10 @@ REPEATED = ("load.unsteady", "load.unloaded", "load.same")
 
 @dataclass(frozen=True)
 class KnownLoad:
-    """One weight with its expanded uncertainty U (k = 2), in the reference unit of the lot; 0 where nobody stated U."""
+    """One weight with its expanded uncertainty U (k = 2), in the lot's reference unit; None where nobody stated U."""
 
     value: float
-    expanded: float = 0.0
+    expanded: float | None = None
 
     def __str__(self) -> str:
         """Return load and U; the load alone where nobody stated U."""
@@ -34,19 +34,21 @@ class KnownLoad:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.value) and self.value >= 0):
             raise InputError(reason("load.negative", value=self.value))
-        if not (math.isfinite(self.expanded) and self.expanded >= 0):
+        if self.expanded is not None and not (math.isfinite(self.expanded) and self.expanded >= 0):
             raise InputError(reason("load.bad_uncertainty", value=self.expanded))
 
 
 def loads_text(loads: Sequence[KnownLoad]) -> str:
     """Return loads as one text, which a run's message carries, so that what was asked for cannot change meanwhile."""
-    return ";".join(f"{load.value!r}+-{load.expanded!r}" for load in loads)
+    return ";".join(
+        f"{load.value!r}" if load.expanded is None else f"{load.value!r}+-{load.expanded!r}" for load in loads
+    )
 
 
 def loads_of(text: str) -> tuple[KnownLoad, ...]:
     """Return the loads of `loads_text`."""
-    pairs = (part.split("+-") for part in text.split(";") if part)
-    return tuple(KnownLoad(float(value), float(expanded)) for value, expanded in pairs)
+    pairs = (part.partition("+-") for part in text.split(";") if part)
+    return tuple(KnownLoad(float(value), float(expanded) if expanded else None) for value, _, expanded in pairs)
 
 
 def next_step(message: Sequence[Reason]) -> int:

@@ -147,9 +147,9 @@ def _change_rules(lot: Lot, versions: Sequence[LineRulesEntry]) -> None:
         label, key = f"{say('rules.load', number=place)} [{unit}]", f"rules-load-{place}-{mark}"
         value = cell.number_input(label, 0.0, value=load.value if load else None, format="%.5g", key=key)
         label, key = f"{say('rules.load_uncertainty')} [{unit}]", f"rules-load-u-{place}-{mark}"
-        expanded = beside.number_input(label, 0.0, value=load.expanded if load else 0.0, format="%.5g", key=key)
+        expanded = beside.number_input(label, 0.0, value=load.expanded if load else None, format="%.5g", key=key)
         if value is not None:
-            loads.append((float(value), float(expanded or 0.0)))
+            loads.append((float(value), None if expanded is None else float(expanded)))
 
     reason = ask_reason(f"rules-{mark}", say("rules.set"), "set_limit")
     if reason is None:
