@@ -9,6 +9,7 @@ from typing import Any
 from softcal.app.texts.reasons import Words
 from softcal.app.views.common import percent
 from softcal.db.entries import ROLES, AuditRow
+from softcal.db.repositories.lots import parse_rules
 
 _ENTITIES = {
     "results": "calibrations refusals in_use adaptations unit fits lot_decisions draws drawn_units "
@@ -106,9 +107,11 @@ def _values(kept: str | None) -> Mapping[str, Any]:
     # What was done to a unit is said by its numbers and its verdict.
     if isinstance(flat.get("state"), dict):
         del flat["state"]
-    # The rules of a line are one value of their table; each of them is said by itself.
-    rules = flat.pop("rules", None)
-    return flat | (rules if isinstance(rules, dict) else {})
+    if "serial_pattern" not in flat:
+        return flat
+    # Re-tests and known loads of a line's rules are several columns, and one value for people each.
+    rules = parse_rules(flat)
+    return flat | {"retests": rules.retests, "loads": [str(load) for load in rules.loads]}
 
 
 def _said(name: str, value: object, words: Words) -> str:

@@ -1,6 +1,6 @@
 """Lots, their units, and in versions their limits and rules: who set them, when and why."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sqlalchemy import RowMapping, Table, select
@@ -8,7 +8,8 @@ from sqlalchemy import RowMapping, Table, select
 from softcal.core.errors import ChangedMeanwhile, InputError
 from softcal.core.lot import Lot
 from softcal.core.messages.reason import Reason
-from softcal.core.quality.line_rules import LineRules, rules_for
+from softcal.core.quality.known_loads import MOST_LOADS, KnownLoad
+from softcal.core.quality.line_rules import RETESTS, LineRules, rules_for
 from softcal.db.entries import LimitEntry, LineRulesEntry, RunEntry, UnitEntry
 from softcal.db.repositories.in_use import newest_limit
 from softcal.db.repositories.lot_pages import standing_units
@@ -18,6 +19,9 @@ from softcal.db.schema.tables import calibrations, limits, line_rules, lots, ref
 
 STATED_WITH_LOT = "stated with the lot"
 """The reason of a version of the limit that came with `lot.toml`."""
+
+PLAIN_RULES = ("serial_pattern", "letters", "target", "is_badge_needed")
+"""Rules of a line that are a column each."""
 
 
 class LotTables(RegistryBase):
@@ -146,7 +150,7 @@ class LotTables(RegistryBase):
     def line_rules_versions(self, lot_id: str) -> list[LineRulesEntry]:
         """Return every version of a lot's rules, oldest first."""
         rows = self._versions(line_rules, lot_id)
-        return [of_row(LineRulesEntry, row, rules=LineRules(**row["rules"])) for row in rows]
+        return [of_row(LineRulesEntry, row, rules=parse_rules(row)) for row in rows]
 
     def set_line_rules(
         self,
@@ -170,8 +174,8 @@ class LotTables(RegistryBase):
             changed = f"the rules of lot {lot_id!r} were changed"
             following = self._next_version(lot_id, newest, expected_version, changed, actor, reason)
             entry = LineRulesEntry(**following, rules=rules)
-            values = {**vars(entry), "rules": rules.settings(), "origin": self.origin}
-            before = {"version": newest.version, "rules": newest.rules.settings()} if newest else None
+            values = {**following, **_rule_columns(rules), "origin": self.origin}
+            before = {"version": newest.version, **_rule_columns(newest.rules)} if newest else None
             self._store(line_rules, values, "set_rules", actor, reason, before)
             return entry
 
@@ -203,3 +207,21 @@ class LotTables(RegistryBase):
         newest = self.limit(row["id"])
         facts = {name: value for name, value in row.items() if name not in ("id", "added_at")}
         return Lot.from_settings(row["id"], facts | {"limit_rmse": newest.rmse if newest else None})
+
+
+def _rule_columns(rules: LineRules) -> dict[str, Any]:
+    """Return rules of a line as the columns of their table."""
+    values = {name: getattr(rules, name) for name in PLAIN_RULES}
+    values |= {f"retests_{verdict}": rules.retests.get(verdict) for verdict in RETESTS}
+    loads = [*rules.loads, *[None] * (MOST_LOADS - len(rules.loads))]
+    for number, load in enumerate(loads, 1):
+        values |= {f"load_{number}": load and load.value, f"load_{number}_expanded": load and load.expanded}
+    return values
+
+
+def parse_rules(row: Mapping[Any, Any]) -> LineRules:
+    """Return the rules of `_rule_columns`."""
+    retests = {verdict: times for verdict in RETESTS if (times := row[f"retests_{verdict}"]) is not None}
+    numbers = [number for number in range(1, MOST_LOADS + 1) if row[f"load_{number}"] is not None]
+    loads = tuple(KnownLoad(row[f"load_{number}"], row[f"load_{number}_expanded"]) for number in numbers)
+    return LineRules(**{name: row[name] for name in PLAIN_RULES}, retests=retests, loads=loads)

@@ -81,7 +81,13 @@ lots = table(
 )
 
 limits = numbered("limits", "version", optional(rmse=Double))
-line_rules = numbered("line_rules", "version", needed(rules=CanonicalJson))
+line_rules = numbered(
+    "line_rules",
+    "version",
+    needed(serial_pattern=Text, letters=String(16), is_badge_needed=sa.Boolean),
+    optional(target=Integer, retests_pass=Integer, retests_conditional=Integer, retests_fail=Integer),
+    optional(retests_retest=Integer, load_1=Double, load_1_expanded=Double, load_2=Double, load_2_expanded=Double),
+)
 
 units = table(
     "units",

@@ -11,12 +11,15 @@ import pytest
 
 from softcal.app.texts.catalogue import LANGUAGES, catalogue, text
 from softcal.app.views.audit_trail import FIELDS, HEADINGS, SECTIONS, TrailFilter, entry_of, trail
+from softcal.core.quality.known_loads import KnownLoad
 from softcal.core.quality.line_rules import LineRules
 from softcal.db.connection import open_registry
 from softcal.db.entries import AuditRow, CellCertificate, GoldenRun
 
 SAY = partial(text, "en")
 NOW = datetime(2026, 5, 4, 8, 0, tzinfo=UTC)
+
+RULES = LineRules(target=40, loads=(KnownLoad(0.0), KnownLoad(2.0, 0.002)))
 
 
 def row(action: str, entity: str, key: object, after: object = None, before: object = None, **more: str) -> AuditRow:
@@ -31,7 +34,12 @@ def busy(calibrated: str) -> str:
     with open_registry(calibrated) as registry:
         registry.lots.set_limit("small", 0.3, reason="customer drawing", actor="Quinn")
         registry.lots.set_limit("small", 0.25, reason="revision C of the drawing", actor="Quinn")
-        registry.lots.set_line_rules("small", LineRules(target=40), reason="order 4711", actor="Erin")
+        registry.lots.set_line_rules(
+            "small",
+            RULES,
+            reason="order 4711",
+            actor="Erin",
+        )
         registry.people.set("Lee", "engineer", "2580", actor="Quinn", reason="new colleague")
         cell = CellCertificate("LC-9", "K-1", "KRISS", date(2026, 1, 2), date(2027, 1, 2), 50.0, 1.0)
         registry.stations.add_certificate(cell, actor="Erin")
@@ -132,6 +140,7 @@ def test_a_change_says_what_was_before_and_after(busy: str) -> None:
     assert limit.what == SAY("trail.set_limit.limits", lot="small") and "0.3 → 0.25" in limit.changed
     rules = next(e for e in entries if e.row.action == "set_rules")
     assert SAY("trail.field.target") in rules.changed and "40" in rules.changed
+    assert SAY("trail.field.loads") in rules.changed and "0, 2 ± 0.002" in rules.changed
     person = next(e for e in entries if e.row.action == "set_user")
     assert "Engineer" in person.changed
 

@@ -5,6 +5,7 @@ import pytest
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.messages.reason import plain
+from softcal.core.quality.known_loads import KnownLoad
 from softcal.core.quality.line_rules import LineRules
 
 LOT = Lot("L1", "A0", 50.0)
@@ -22,7 +23,8 @@ def test_a_lot_without_rules_spells_its_serials_as_its_source(registry, lot):
 
 def test_rules_are_versions_with_a_reason_in_the_audit_trail(registry, lot):
     registry.lots.set_line_rules("L1", LineRules(target=6), reason="first order", actor="kim")
-    rules = LineRules(serial_pattern=r"A\d+", letters="upper", target=12, retests={"fail": 0})
+    loads = (KnownLoad(0.0), KnownLoad(2.0, 0.002))
+    rules = LineRules(r"A\d+", "upper", 12, {"fail": 0}, loads, is_badge_needed=True)
     registry.lots.set_line_rules("L1", rules, reason="order doubled", actor="lee", expected_version=1)
     assert registry.lots.line_rules(lot) == rules
     assert [(e.version, e.actor, e.reason) for e in registry.lots.line_rules_versions("L1")] == [
