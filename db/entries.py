@@ -68,10 +68,12 @@ class RunEntry:
 
 
 @dataclass(frozen=True, eq=False)
-class _Calibration:
-    """What every reading of a revision holds.
+class CalibrationSummary:
+    """One revision as a report needs it: its state without arrays, so that a lot of ten thousand fits into memory.
 
     Args:
+        state: without arrays it can be decided on and estimates nothing.
+        map_sha256: content hash of the map in force.
         revision: 1, 2, 3 ... per serial.
         input_sha256: content hash of what asked for it.
         made_at: UTC; never before the revision it follows.
@@ -79,6 +81,7 @@ class _Calibration:
     """
 
     state: "UnitState"
+    map_sha256: str
     revision: int
     input_sha256: str
     made_at: datetime
@@ -106,8 +109,8 @@ class _Calibration:
 
 
 @dataclass(frozen=True, eq=False)
-class StoredCalibration(_Calibration):
-    """One revision in the history of a serial.
+class StoredCalibration(CalibrationSummary):
+    """One revision in the history of a serial, with the arrays of its state.
 
     Args:
         rolled_back_to: the older revision this one repeats, for a rollback.
@@ -126,18 +129,6 @@ class StoredCalibration(_Calibration):
     @property
     def key(self) -> UnitKey:
         return UnitKey(self.lot_id, self.serial)
-
-
-@dataclass(frozen=True, eq=False)
-class CalibrationSummary(_Calibration):
-    """One revision as a report needs it: its state without arrays, so that a lot of ten thousand fits into memory.
-
-    Args:
-        state: can be decided on and estimates nothing.
-        map_sha256: content hash of the map in force.
-    """
-
-    map_sha256: str
 
 
 UNIT_ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
