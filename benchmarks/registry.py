@@ -33,7 +33,7 @@ from sqlalchemy import make_url
 
 from softcal.app.batch.batch import run_batch
 from softcal.app.batch.lot_work import BatchConfig, Watch
-from softcal.app.batch.train import train_or_find
+from softcal.app.batch.train import provide_network
 from softcal.app.calibration.changes import change_limit, compare_verdicts, read_verdicts
 from softcal.app.calibration.unit_result import UnitResult
 from softcal.app.files.lot_folder import LotFolder, open_lot_folder
@@ -402,7 +402,7 @@ def kill_batches(kind: str, kills: int, moments: random.Random) -> Row:
     with fresh_url(kind) as url, tempfile.TemporaryDirectory(prefix="softcal-bench-") as root:
         folder = open_lot_folder(make_lot(Path(root) / "lot", UNITS_PER_KILL * kills))
         with open_registry(url) as registry:
-            train_or_find(folder.lot, folder.read_source(), registry, NETWORK)
+            provide_network(folder.lot, folder.read_source(), registry, NETWORK)
         for _ in range(kills):
             acknowledged += killed(lambda tell: batch(url, folder, tell), moments, 0.6)
         batch(url, folder, acknowledged.append)

@@ -48,7 +48,7 @@ class SoftcalError(Exception):
     """Of a command that ends so."""
 
     def __init__(self, said: Reason | str = "") -> None:
-        self.reason = Reason.of(said)
+        self.reason = Reason.parse(said)
         super().__init__(said)
 
     def __str__(self) -> str:

@@ -164,8 +164,8 @@ class Condition:
     says: Reason
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "name", Reason.of(self.name))
-        object.__setattr__(self, "says", Reason.of(self.says))
+        object.__setattr__(self, "name", Reason.parse(self.name))
+        object.__setattr__(self, "says", Reason.parse(self.says))
 
 
 @dataclass(frozen=True)
@@ -188,4 +188,4 @@ class Heartbeat:
     is_overridden: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "reasons", tuple(map(Reason.of, self.reasons)))
+        object.__setattr__(self, "reasons", tuple(map(Reason.parse, self.reasons)))

@@ -316,7 +316,7 @@ class GoldenRun:
     recording_sha256: str | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "reasons", tuple(map(Reason.of, self.reasons)))
+        object.__setattr__(self, "reasons", tuple(map(Reason.parse, self.reasons)))
 
 
 ROLES = ("operator", "engineer", "quality")

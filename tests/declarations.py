@@ -5,11 +5,11 @@ from datetime import date
 import numpy as np
 
 from softcal.app.calibration.audit import draw_plan
-from softcal.app.calibration.lot_context import state_family, state_line, state_sources
+from softcal.app.calibration.lot_context import declare_family, declare_line_spread, declare_sources
 from softcal.app.export.certificates.laboratory import Laboratory, Person, store_laboratory
 from softcal.app.registry.given_files import remember_files
-from softcal.app.registry.golden import keep_golden_of
-from softcal.app.registry.known_loads import keep_loads
+from softcal.app.registry.golden import store_golden_of
+from softcal.app.registry.known_loads import store_loads
 from softcal.app.registry.reference import state_reference
 from softcal.core.lot import UnitKey
 from softcal.core.maps.interface import Anchors
@@ -26,12 +26,12 @@ def declare_all(factory, labelled) -> None:
     registry, lot_id = factory.registry, factory.lot_id
     factory.calibrate("U1")
     factory.calibrate("U2")
-    state_family(registry, lot_id, "affine")
-    state_line(registry, lot_id, LineSpread(0.05, 0.01))
-    state_sources(registry, lot_id, [factory.network_id])
+    declare_family(registry, lot_id, "affine")
+    declare_line_spread(registry, lot_id, LineSpread(0.05, 0.01))
+    declare_sources(registry, lot_id, [factory.network_id])
     state_reference(registry, lot_id, CELL, labelled)
-    keep_loads(registry, lot_id, {"b" * 64: ("U1", LOADS)}, "file", actor="Erin")
-    keep_golden_of(registry, lot_id, {"b" * 64: ("U1", "c" * 64)}, actor="Erin")
+    store_loads(registry, lot_id, {"b" * 64: ("U1", LOADS)}, "file", actor="Erin")
+    store_golden_of(registry, lot_id, {"b" * 64: ("U1", "c" * 64)}, actor="Erin")
     draw_plan(registry, lot_id, AuditConfig(random=1, doubtful=1))
     confirmed = {"lot_id": lot_id, "serial": "U1", "output_sha256": "d" * 64, "doubt": {"code": "plain"}}
     registry.declarations.declare("confirmed_audits", confirmed, action="confirm", reason="pressed again")

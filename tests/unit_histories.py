@@ -16,7 +16,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from softcal.app.calibration.audit import draw_plan, update_lot
 from softcal.app.calibration.changes import carry_out, change_limit, preview
-from softcal.app.calibration.lot_context import keep_result
+from softcal.app.calibration.lot_context import store_result
 from softcal.app.calibration.redecision import confirm, redecide, redecide_stale
 from softcal.app.calibration.release import decide_lot, lot_standing, roll_back
 from softcal.app.calibration.unit_calibration import Calibrated
@@ -75,7 +75,7 @@ def calibrated(registry: Registry, serial: str, number: int, rmse_N: float = 0.1
 def batch(registry: Registry, numbers: dict[str, int]) -> None:
     with registry.transaction():
         for serial, number in numbers.items():
-            keep_result(registry, LOT.id, serial, calibrated(registry, serial, number), "batch")
+            store_result(registry, LOT.id, serial, calibrated(registry, serial, number), "batch")
         decide_lot(registry, LOT.id)
         update_lot(registry, LOT.id)
 

@@ -11,7 +11,7 @@ from softcal.app.api.given import labelled_of, recording_of, recording_with
 from softcal.app.api.network import SourceNetwork
 from softcal.app.api.recording import COLUMNS, Recording
 from softcal.app.api.unit import Unit, unit_frame, unit_row
-from softcal.app.calibration.unit_calibration import LotFacts, UnitInputs
+from softcal.app.calibration.unit_calibration import LotContext, UnitInputs
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps.catalogue import check_family
 from softcal.core.maps.config import DEFAULT
@@ -196,7 +196,7 @@ def named_recordings(network: SourceNetwork, units: Any, facts: Mapping[str, Any
 class _MapFit:
     """What all units of one call are fitted with."""
 
-    lot: LotFacts
+    lot: LotContext
 
     @classmethod
     def prepare(cls, network: SourceNetwork, family: str, limit_rmse: Any) -> "_MapFit":
@@ -206,7 +206,7 @@ class _MapFit:
             method = Method.with_family(check_family(family))
             model = make_source_model(model.source, model.network, network.held_out, method=method)
         limit = None if limit_rmse is None else number("limit_rmse", limit_rmse, "a number in the reference unit")
-        return cls(LotFacts((model,), stated_limit(network.reference_unit, limit)))
+        return cls(LotContext((model,), stated_limit(network.reference_unit, limit)))
 
     @property
     def rate_Hz(self) -> float:

@@ -5,17 +5,17 @@ from dataclasses import replace
 
 from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
 from softcal.app.batch.report import BatchReport, unused_audits
-from softcal.app.batch.train import train_or_find
+from softcal.app.batch.train import provide_network
 from softcal.app.batch.unit_work import ReadFile
 from softcal.app.calibration.audit import update_lot
 from softcal.app.calibration.changes import compare_verdicts, read_verdicts
 from softcal.app.calibration.lot_context import (
-    KeptFacts,
-    lot_facts,
+    StoredInputs,
+    declare_family,
+    declare_line_spread,
+    declare_sources,
     lot_method,
-    state_family,
-    state_line,
-    state_sources,
+    read_lot_context,
 )
 from softcal.app.calibration.lot_fit import make_batch_fit
 from softcal.app.calibration.redecision import redecide_dependent_lots
@@ -24,8 +24,8 @@ from softcal.app.files.lot_folder import LotFolder
 from softcal.app.files.measured_at import local_time_remarks
 from softcal.app.files.recording_file import naming
 from softcal.app.files.unused_parts import unused_columns
-from softcal.app.registry.golden import keep_golden_of
-from softcal.app.registry.known_loads import keep_loads
+from softcal.app.registry.golden import store_golden_of
+from softcal.app.registry.known_loads import store_loads
 from softcal.app.registry.reference import state_reference
 from softcal.app.registry.same_recordings import same_recordings_of
 from softcal.core.messages.reason import Reason
@@ -52,32 +52,32 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     looked = folder.inspect_sources().values()
     sources, actor, lot_id = [one.labelled(folder.lot.reference_unit) for one in looked], config.actor, folder.lot.id
     source, read = sources[0], [ReadFile.from_recording(one, one.remarks) for one in looked]
-    trained = [train_or_find(folder.lot, one, registry, config.network, actor, watch.on_epoch) for one in sources]
-    state_family(registry, lot_id, config.family or folder.family, actor)
+    trained = [provide_network(folder.lot, one, registry, config.network, actor, watch.on_epoch) for one in sources]
+    declare_family(registry, lot_id, config.family or folder.family, actor)
     method = lot_method(registry, lot_id)
     models = [make_source_model(one, found.network, method=method) for one, found in zip(sources, trained, strict=True)]
     lot, run = registry.lots.get(lot_id), folder.read_golden()
-    state_line(registry, lot_id, folder.line, actor)
-    state_sources(registry, lot_id, [model.network.id for model in models[1:]], actor)
+    declare_line_spread(registry, lot_id, folder.line, actor)
+    declare_sources(registry, lot_id, [model.network.id for model in models[1:]], actor)
     state_reference(registry, lot_id, folder.reference, source, actor)
-    kept = KeptFacts(registry, lot_id, list(folder.unit_paths))
+    kept = StoredInputs(registry, lot_id, list(folder.unit_paths))
     beside = None
     if run is not None and folder.golden_path is not None:
         with naming(folder.golden_path):
             beside = make_bridge(models[0], run)
     own = config.network if config.score_own else None
-    facts = lot_facts(registry, lot, models, own, kept.golden_runs, beside)
+    facts = read_lot_context(registry, lot, models, own, kept.golden_runs, beside)
     work = LotWork(folder, registry, facts, kept, config, watch)
     work.run()
     # Known loads and the golden run that lay beside the files are kept: whoever calibrates those recordings has them.
     of = work.recordings([serial for serial in folder.unit_paths if serial in config.anchors])
     loads = {sha256: (serial, config.anchors[serial]) for serial, sha256 in of.items()}
-    keep_loads(registry, lot_id, loads, "file", actor=actor)
+    store_loads(registry, lot_id, loads, "file", actor=actor)
     if isinstance(run, LabelledRecording):
         golden = registry.recordings.add(lot_id, run, "audit", actor=actor)
         pressed = {sha256: (serial, golden) for serial, sha256 in work.recordings(list(folder.unit_paths)).items()}
         pressed[golden] = run.serial, golden
-        keep_golden_of(registry, lot_id, pressed, actor=actor)
+        store_golden_of(registry, lot_id, pressed, actor=actor)
     plan = make_batch_fit(registry, lot_id, actor)
     decided = decide_lot(registry, lot_id, actor)
     audit = update_lot(registry, lot_id, actor)

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from softcal.app.bootstrap import data_folder
-from softcal.app.calibration.lot_context import config_of, stated_sources
+from softcal.app.calibration.lot_context import config_of, declared_sources
 from softcal.app.files.importing import ImportPlan, LookedAt, compare_audits, import_lot, look_through
 from softcal.app.files.lot_folder import FOLDER_OF, LotFolder, open_lot_folder
 from softcal.app.files.lot_toml import write_lot_toml
@@ -130,7 +130,7 @@ def lot_files(registry: Registry, lot_id: str, tell: Callable[[int, int], None])
         if stored.is_dir():
             shutil.copytree(stored, folder)
         folder.mkdir(exist_ok=True)
-        others = [source_recording(registry, network).serial for network in stated_sources(registry, lot_id)]
+        others = [source_recording(registry, network).serial for network in declared_sources(registry, lot_id)]
         measured_at = open_lot_folder(folder).measured_at if stored.is_dir() else {}
         audits = {serial: entry.observed_at for (kind, serial), entry in newest.items() if kind == "audit"}
         write_lot_toml(folder, lot, more_sources=others, measured_at={**measured_at, **audits})

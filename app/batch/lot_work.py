@@ -31,8 +31,8 @@ from softcal.app.batch.unit_work import (
     UnitTask,
     work_on,
 )
-from softcal.app.calibration.lot_context import KeptFacts, keep_result, put_back
-from softcal.app.calibration.unit_calibration import Known, LotFacts, Refusal
+from softcal.app.calibration.lot_context import StoredInputs, put_back, store_result
+from softcal.app.calibration.unit_calibration import Known, LotContext, Refusal
 from softcal.app.calibration.unit_result import UnitResult
 from softcal.app.files.lot_folder import LotFolder
 from softcal.app.files.regular import read_regular
@@ -111,7 +111,13 @@ class LotWork:
     """The units of one lot on their way through queue, engine and registry."""
 
     def __init__(
-        self, folder: LotFolder, registry: Registry, facts: LotFacts, kept: KeptFacts, config: BatchConfig, watch: Watch
+        self,
+        folder: LotFolder,
+        registry: Registry,
+        facts: LotContext,
+        kept: StoredInputs,
+        config: BatchConfig,
+        watch: Watch,
     ) -> None:
         self._folder, self._registry, self._facts, self._known = folder, registry, facts, kept
         self._config, self._watch = config, watch
@@ -188,7 +194,7 @@ class LotWork:
 
     def _refuse(self, serial: str, reason: Reason | str, work_sha256: str | None = None) -> None:
         asked = {"actor": self._config.actor, "work_sha256": work_sha256}
-        self._registry.calibrations.refuse(self._lot_id, serial, str(Verdict.RETEST), (Reason.of(reason),), **asked)
+        self._registry.calibrations.refuse(self._lot_id, serial, str(Verdict.RETEST), (Reason.parse(reason),), **asked)
         self._ended.add(serial)
 
     def told(self, serials: Sequence[str]) -> dict[str, UnitResult]:
@@ -280,7 +286,7 @@ class LotWork:
             if held is None:
                 # Asked for by another batch, or tried again: the file may be another by now.
                 self._works[item.serial] = self._work_sha256(item.serial, recording, audit)
-            facts = self._known.of(item.serial, self._config.anchors.get(item.serial))
+            facts = self._known.unit(item.serial, self._config.anchors.get(item.serial))
             given, at = known.get(item.serial, frozenset()), self._folder.measured_at.get(item.serial)
             yield UnitTask(item.id, item.serial, recording, audit, facts, given, stated=at)
 
@@ -319,7 +325,7 @@ class LotWork:
                     note("unit_failed", trace=result.trace, **facts)
                 statement = registry, self._lot_id, unit.serial, result, "batch"
                 asked = None if isinstance(result, PassingRefusal) else work
-                keep_result(*statement, actor=self._config.actor, reason="batch", work_sha256=asked)
+                store_result(*statement, actor=self._config.actor, reason="batch", work_sha256=asked)
             if unit.recording is not None and not isinstance(result, Refusal):
                 self._recordings[unit.serial] = unit.recording.sha256
             if not isinstance(result, Known):
@@ -331,7 +337,7 @@ class LotWork:
             self._new.add(unit.serial)
 
 
-def _settings_sha256(lot: Lot, facts: LotFacts, is_refit: bool) -> str:
+def _settings_sha256(lot: Lot, facts: LotContext, is_refit: bool) -> str:
     """Return the hash of all that a result depends on beside the unit's own files."""
     networks = [model.network.id for model in facts.sources]
     settings = {

@@ -4,7 +4,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from softcal.app.batch.train import TrainedOrFound
+from softcal.app.batch.train import LotNetwork
 from softcal.app.calibration.audit import LotAudit, audit_json, audit_line
 from softcal.app.calibration.changes import Changes
 from softcal.app.calibration.lot_fit import LotFitPlan
@@ -32,7 +32,7 @@ class BatchReport:
     """
 
     lot_id: str
-    network: TrainedOrFound
+    network: LotNetwork
     units: tuple[UnitResult, ...]
     wall_s: float
     audit: LotAudit | None = None

@@ -20,7 +20,7 @@ LOOK_EVERY_S = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class TrainedOrFound:
+class LotNetwork:
     """The shared network of a lot, whether it was trained now, errors on the source's validation
     blocks and the time of training.
     """
@@ -30,7 +30,7 @@ class TrainedOrFound:
     metrics: dict[str, float]
 
 
-def train_or_find(
+def provide_network(
     lot: Lot,
     source: LabelledRecording,
     registry: Registry,
@@ -38,7 +38,7 @@ def train_or_find(
     actor: str | None = None,
     on_epoch: Callable[[EpochReport], None] | None = None,
     proof_method: str | None = None,
-) -> TrainedOrFound:
+) -> LotNetwork:
     """Return the network of this source and configuration, trained where there is none. Where
     another process trains the same just now, its network is waited for.
     """
@@ -73,6 +73,6 @@ def train_or_find(
     return _registered(registry, id_, True)
 
 
-def _registered(registry: Registry, network_id: str, is_new: bool) -> TrainedOrFound:
+def _registered(registry: Registry, network_id: str, is_new: bool) -> LotNetwork:
     metrics = {name: float(str(value)) for name, value in registry.networks.entry(network_id).metrics.items()}
-    return TrainedOrFound(registry.networks.get(network_id), is_new, metrics)
+    return LotNetwork(registry.networks.get(network_id), is_new, metrics)

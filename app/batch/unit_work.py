@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
-from softcal.app.calibration.unit_calibration import LotFacts, Refusal, Result, UnitInputs, calibrate_unit
+from softcal.app.calibration.unit_calibration import LotContext, Refusal, Result, UnitInputs, calibrate_unit
 from softcal.app.files.measured_at import measured_at
 from softcal.app.files.recording_file import PLAIN, ColumnNames, FileRecording, inspect_recording
 from softcal.app.tables.timestamps import Start
@@ -47,7 +47,7 @@ class SharedWork:
     """What every worker holds once: how files of the lot are read, how its units are fitted."""
 
     lot: Lot
-    facts: LotFacts
+    facts: LotContext
     names: ColumnNames = PLAIN
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from softcal.app.calibration.lot_context import KeptFacts, lot_facts
+from softcal.app.calibration.lot_context import StoredInputs, read_lot_context
 from softcal.app.calibration.unit_calibration import Calibrated, calibrate_unit
 from softcal.app.registry.lot_recordings import source_model, unlabelled
 from softcal.core.unit.method import Method
@@ -24,16 +24,16 @@ def compare_on_lot(registry: Registry, request: Mapping[str, Any], tell: Tell) -
     """
     lot = registry.lots.get(request["lot"])
     newest = {entry.serial: entry.sha256 for entry in registry.recordings.of_lot(lot.id, kind="unit")}
-    kept = KeptFacts(registry, lot.id, list(newest))
+    kept = StoredInputs(registry, lot.id, list(newest))
     # Those with an audit first: they say most.
     chosen = sorted(newest, key=lambda serial: (serial not in kept.audits, serial))[: int(request["units"])]
-    units = [(unlabelled(registry.recordings.get(newest[serial])), kept.of(serial)) for serial in chosen]
+    units = [(unlabelled(registry.recordings.get(newest[serial])), kept.unit(serial)) for serial in chosen]
     pairs = [(network, family) for network in request["networks"] for family in request["families"]]
     rows: list[dict[str, object]] = []
     for k, (network_id, family) in enumerate(pairs):
         tell(k / len(pairs), f"{network_id[:12]}, {family}")
         model = source_model(registry, network_id, Method.with_family(family))
-        facts = lot_facts(registry, lot, [model], golden=kept.golden_runs)
+        facts = read_lot_context(registry, lot, [model], golden=kept.golden_runs)
         made = [calibrate_unit(facts, recording, known) for recording, known in units]
         states = [one.state for one in made if isinstance(one, Calibrated)]
         scores = [state.scores for state in states if state.scores is not None]

@@ -4,12 +4,12 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
 from typing import Any
 
-from softcal.app.calibration.unit_calibration import Known, LotFacts, Refusal, Result, UnitInputs
+from softcal.app.calibration.unit_calibration import Known, LotContext, Refusal, Result, UnitInputs
 from softcal.app.registry.golden import bridge_over, golden_of
 from softcal.app.registry.known_loads import known_loads
 from softcal.app.registry.lot_recordings import audit_of, newest_audits
 from softcal.app.registry.reference import lot_reference
-from softcal.app.registry.trimmed import trim_kept
+from softcal.app.registry.trimmed import trim_stored
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.maps.interface import Anchors
@@ -25,32 +25,32 @@ from softcal.db.registry import Registry
 WITH_LOT = "stated with the lot"
 
 
-def state_line(registry: Registry, lot_id: str, line: LineSpread | None, actor: str | None = None) -> None:
+def declare_line_spread(registry: Registry, lot_id: str, line: LineSpread | None, actor: str | None = None) -> None:
     """Keep how differently a line presses units, where a lot folder states it anew."""
     if line is not None:
         facts = {"lot_id": lot_id, **vars(line)}
         registry.declarations.declare("line_spreads", facts, actor=actor, reason=WITH_LOT)
 
 
-def stated_line(registry: Registry, lot_id: str) -> LineSpread | None:
+def declared_line_spread(registry: Registry, lot_id: str) -> LineSpread | None:
     """Return what was stated last for a lot; None where nothing was."""
     facts = registry.declarations.newest("line_spreads", lot_id)
     return None if facts is None else LineSpread(facts["load"], facts["day"])
 
 
-def state_sources(registry: Registry, lot_id: str, networks: Sequence[str], actor: str | None = None) -> None:
+def declare_sources(registry: Registry, lot_id: str, networks: Sequence[str], actor: str | None = None) -> None:
     """Keep the networks of the further sources that a lot folder names."""
-    if list(networks) != stated_sources(registry, lot_id):
+    if list(networks) != declared_sources(registry, lot_id):
         registry.declarations.declare("lot_sources", {"lot_id": lot_id, "networks": list(networks)}, actor=actor)
 
 
-def stated_sources(registry: Registry, lot_id: str) -> list[str]:
+def declared_sources(registry: Registry, lot_id: str) -> list[str]:
     """Return the networks of a lot's further sources, in its order."""
     facts = registry.declarations.newest("lot_sources", lot_id)
     return [] if facts is None else list(facts["networks"])
 
 
-def state_family(registry: Registry, lot_id: str, family: str | None, actor: str | None = None) -> None:
+def declare_family(registry: Registry, lot_id: str, family: str | None, actor: str | None = None) -> None:
     """Store the family of a lot's maps where somebody states it anew."""
     if family is not None and family != lot_method(registry, lot_id).map.family:
         facts = {"lot_id": lot_id, "family": family}
@@ -79,7 +79,7 @@ Cross = Callable[[SourceModel, str], Bridge | str]
 """Source, hash of a golden run → the bridge over it, or why it cannot be crossed."""
 
 
-def lot_facts(
+def read_lot_context(
     registry: Registry,
     lot: Lot,
     sources: Sequence[SourceModel],
@@ -87,7 +87,7 @@ def lot_facts(
     golden: Iterable[str] = (),
     beside: Bridge | None = None,
     cross: Cross | None = None,
-) -> LotFacts:
+) -> LotContext:
     """Return what a lot's units are calibrated with, as these sources see them.
 
     Args:
@@ -100,13 +100,13 @@ def lot_facts(
         # One limit for all units, whichever source they take: a noisier source must not widen it.
         first = sources[0]
         limit = default_limit(lot.reference_unit, first.held_out_rmse, first.full_range, first.method.decision)
-    line, reference = stated_line(registry, lot.id), lot_reference(registry, lot.id)
+    line, reference = declared_line_spread(registry, lot.id), lot_reference(registry, lot.id)
     cross = cross or partial(bridge_over, registry)
     bridges = {sha256: cross(sources[0], sha256) for sha256 in dict.fromkeys(golden)}
-    return LotFacts(tuple(sources), limit, own, line, reference, beside, bridges)
+    return LotContext(tuple(sources), limit, own, line, reference, beside, bridges)
 
 
-class KeptFacts:
+class StoredInputs:
     """What the registry has about units of a lot: known loads and golden runs by serial and
     recording, the newest audit by serial.
     """
@@ -126,13 +126,13 @@ class KeptFacts:
     def golden_runs(self) -> list[str]:
         return [sha256 for of in self.golden.values() for sha256 in of.values()]
 
-    def of(self, serial: str, anchors: Anchors | None = None) -> UnitInputs:
+    def unit(self, serial: str, anchors: Anchors | None = None) -> UnitInputs:
         """Return what is known of a unit; its audit is read."""
         audit = audit_of(self._registry, self.audits.get(serial))
         return UnitInputs(anchors, self.loads.get(serial, {}), self.golden.get(serial, {}), audit)
 
 
-def keep_result(
+def store_result(
     registry: Registry,
     lot_id: str,
     serial: str,
@@ -156,7 +156,7 @@ def keep_result(
         if not put_back(registry, lot_id, serial, result.input_sha256, by, actor=actor, work_sha256=work_sha256):
             raise InputError(f"{serial}: its calibration vanished from the registry; run `registry verify`")
     else:
-        with trim_kept(registry, lot_id, serial, actor):
+        with trim_stored(registry, lot_id, serial, actor):
             add = registry.calibrations.add
             asked = result.input_sha256
             add(lot_id, result.state, actor, reason, input_sha256=asked, decided_by=by, work_sha256=work_sha256)
@@ -173,5 +173,5 @@ def put_back(
     work_sha256: str | None = None,
 ) -> bool:
     """Put the calibration of an input, and the unit's trim, into use again; False without one."""
-    with trim_kept(registry, lot_id, serial, actor):
+    with trim_stored(registry, lot_id, serial, actor):
         return registry.calibrations.put_in_use(lot_id, serial, input_sha256, by, actor=actor, work_sha256=work_sha256)

@@ -10,11 +10,11 @@ from dataclasses import dataclass, field, replace
 
 import msgspec
 
-from softcal.app.calibration.lot_context import KeptFacts, lot_facts, lot_method, stated_sources
+from softcal.app.calibration.lot_context import StoredInputs, declared_sources, lot_method, read_lot_context
 from softcal.app.calibration.lot_decision import LotFitDecision, decision_in_force
 from softcal.app.calibration.release import decide_lot
 from softcal.app.registry.lot_recordings import source_model, target_serials, unlabelled
-from softcal.app.registry.trimmed import trim_kept
+from softcal.app.registry.trimmed import trim_stored
 from softcal.core.errors import ChangedMeanwhile
 from softcal.core.maps.common_load import find_groups
 from softcal.core.maps.config import DEFAULT
@@ -148,7 +148,7 @@ def store_lot_fit(registry: Registry, plan: LotFitPlan, actor: str | None = None
         if what:
             raise ChangedMeanwhile(f"{what} meanwhile; nothing was changed; fit the lot again")
         for serial, state in plan.states.items():
-            with trim_kept(registry, plan.lot_id, serial, actor):
+            with trim_stored(registry, plan.lot_id, serial, actor):
                 said = f"lot fit {plan.number}"
                 registry.calibrations.put_state(plan.lot_id, state, DECIDED_BY, actor=actor, reason=said)
         sittings = _sittings(registry, plan.lot_id)
@@ -215,10 +215,10 @@ class _Lot:
         found = {serial: one.summary for serial, one in standings.items() if one.summary is not None}
         self.states = {serial: one.state for serial, one in found.items() if self._may_share(one.state)}
         self.revisions = {serial: found[serial].revision for serial in self.states}
-        self._kept = KeptFacts(registry, lot_id, serials)
+        self._kept = StoredInputs(registry, lot_id, serials)
         released = registry.networks.released(lot_id)
         first = [] if released is None else [released.network.id]
-        self.sources = list(dict.fromkeys([*first, *stated_sources(registry, lot_id)]))
+        self.sources = list(dict.fromkeys([*first, *declared_sources(registry, lot_id)]))
         self._models: dict[str, SourceModel] = {}
         self._recordings: dict[str, OutputRecording] = {}
 
@@ -272,8 +272,8 @@ class _Lot:
         state, start_s = self.states[serial], time.perf_counter()
         networks = self.sources if state.fit.network_id in self.sources else [state.fit.network_id]
         lot, kept, models = self._registry.lots.get(self._lot_id), self._kept, [self._model(one) for one in networks]
-        facts = lot_facts(self._registry, lot, models, None, kept.golden.get(serial, {}).values())
-        problems = facts.problems(self._recording(serial), kept.of(serial))
+        facts = read_lot_context(self._registry, lot, models, None, kept.golden.get(serial, {}).values())
+        problems = facts.problems(self._recording(serial), kept.unit(serial))
         problem = problems[networks.index(state.fit.network_id)]
         scores = None if state.audit is None else state.audit.scores.own
         unread = str(state.unreadable_audit.values["error"]) if state.unreadable_audit else ""

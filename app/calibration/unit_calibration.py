@@ -45,7 +45,7 @@ class UnitInputs:
 
 
 @dataclass(frozen=True, eq=False)
-class LotFacts:
+class LotContext:
     """What all units of a lot are calibrated with.
 
     Args:
@@ -142,7 +142,7 @@ Result = Calibrated | Refusal | Known
 
 
 def calibrate_unit(
-    lot: LotFacts,
+    lot: LotContext,
     recording: OutputRecording,
     unit: UnitInputs = UnitInputs(),
     known: Collection[str] = (),  # noqa: B008

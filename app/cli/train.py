@@ -24,7 +24,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Train or find f, and print what it is."""
-    from softcal.app.batch.train import train_or_find
+    from softcal.app.batch.train import provide_network
     from softcal.app.files.lot_folder import open_lot_folder
     from softcal.app.registry.reference import state_reference
 
@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> None:
         say(f"note: {remark}")
     lot, source = folder.lot, folder.read_source()
     with registry_of(options, create=True) as registry:
-        trained = train_or_find(
+        trained = provide_network(
             lot,
             source,
             registry,

@@ -161,7 +161,7 @@ def _verdict(registry: Registry, entity: str, content: Mapping[str, Any]) -> dic
         revision = content["revision"]
         rows = registry.trail.of("calibrations", (serial, revision, content["made_by"]))
         calibration = json.loads(rows[0].after or "{}")
-    reasons = [Reason.of(reason) for reason in calibration["reasons"]]
+    reasons = [Reason.parse(reason) for reason in calibration["reasons"]]
     data = {
         "lot": lot_id,
         "serial": serial,

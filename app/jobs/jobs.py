@@ -123,7 +123,7 @@ def _beat(board: JobBoard, job_id: str, over: threading.Event, on_cancel: Callab
 
 def train(registry: Registry, job: Job, tell: Teller) -> Outcome:
     """Train f on a lot's newest source; request: lot, hidden, seed, members, max_epochs."""
-    from softcal.app.batch.train import train_or_find
+    from softcal.app.batch.train import provide_network
 
     request = job.request
     lot = registry.lots.get(request["lot"])
@@ -143,7 +143,7 @@ def train(registry: Registry, job: Job, tell: Teller) -> Outcome:
         tell(done, f"{report.epoch} / {report.max_epochs}, {report.best_validation_rmse:.4g}", trace)
 
     tell(0.0, "")
-    network = train_or_find(lot, newest_source(registry, lot.id), registry, config, job.actor, on_epoch)
+    network = provide_network(lot, newest_source(registry, lot.id), registry, config, job.actor, on_epoch)
     result = {"network": network.network.id, "is_new": network.is_new, "trace": trace, **network.metrics}
     return Outcome(network.network.id[:12], result)
 

@@ -8,8 +8,15 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache, partial
 
-from softcal.app.batch.train import train_or_find
-from softcal.app.calibration.lot_context import KeptFacts, config_of, keep_result, lot_facts, lot_method, stated_sources
+from softcal.app.batch.train import provide_network
+from softcal.app.calibration.lot_context import (
+    StoredInputs,
+    config_of,
+    declared_sources,
+    lot_method,
+    read_lot_context,
+    store_result,
+)
 from softcal.app.calibration.lot_fit import open_lot_fit
 from softcal.app.calibration.redecision import redecide
 from softcal.app.calibration.release import decide_unit
@@ -18,8 +25,8 @@ from softcal.app.line.gate_facts import SHIFT, check_golden, quarantine
 from softcal.app.line.load_readings import LoadReadings, check_stated
 from softcal.app.line.rig import check_labels, with_response
 from softcal.app.line.scan_codes import numbered
-from softcal.app.registry.golden import bridge_over, golden_lot, golden_of, keep_golden_of, newest_golden
-from softcal.app.registry.known_loads import keep_loads
+from softcal.app.registry.golden import bridge_over, golden_lot, golden_of, newest_golden, store_golden_of
+from softcal.app.registry.known_loads import store_loads
 from softcal.app.registry.lot_recordings import source_model
 from softcal.app.registry.reference import state_reference
 from softcal.core.errors import BadReply, InputError
@@ -140,7 +147,9 @@ class RunKeeper:
         if isinstance(said, Reason):
             return replace(done, message=(said,))
         unit, loads = said
-        keep_loads(self._registry, order.lot_id, {unit.sha256: (unit.serial, loads)}, "line", actor=order.actor or None)
+        store_loads(
+            self._registry, order.lot_id, {unit.sha256: (unit.serial, loads)}, "line", actor=order.actor or None
+        )
         tell(Progress(order.order_id, RunState.RUNNING, CALIBRATING, 0.99, 1.0))
         sha256, outcome = self._keep_unit(order, unit, unit.sha256)
         word, reasons = outcome or ("", (reason("run.no_network", lot=order.lot_id),))
@@ -187,7 +196,7 @@ class RunKeeper:
         today, used = datetime.now(UTC).astimezone().date(), with_response(self._reference, recording)
         used = None if used is None else replace(used, used_on=today)
         actor = order.actor or None
-        trained = train_or_find(
+        trained = provide_network(
             lot, source, self._registry, self._network, actor, on_epoch, proof_method=recording.proof_method
         )
         state_reference(self._registry, lot.id, used, source, order.actor or None)
@@ -209,15 +218,15 @@ class RunKeeper:
         lot = registry.lots.get(order.lot_id)
         golden = newest_golden(registry, self._station, lot.id, datetime.now(UTC) - self._sitting)
         if golden is not None and sha256 not in golden_of(registry, lot.id, [unit.serial]):
-            keep_golden_of(registry, lot.id, {sha256: (unit.serial, golden)}, actor=actor)
-        kept = KeptFacts(registry, lot.id, [unit.serial])
-        others = [network for network in stated_sources(registry, lot.id) if network != entry.id]
+            store_golden_of(registry, lot.id, {sha256: (unit.serial, golden)}, actor=actor)
+        kept = StoredInputs(registry, lot.id, [unit.serial])
+        others = [network for network in declared_sources(registry, lot.id) if network != entry.id]
         models = [self._source(lot.id, network) for network in (entry.id, *others)]
-        facts = lot_facts(registry, lot, models, config_of(entry), kept.golden_runs, cross=self._cross)
+        facts = read_lot_context(registry, lot, models, config_of(entry), kept.golden_runs, cross=self._cross)
         done = registry.calibrations.known_inputs(lot.id, [unit.serial]).get(unit.serial, ())
-        made = calibrate_unit(facts, unit, kept.of(unit.serial), done)
+        made = calibrate_unit(facts, unit, kept.unit(unit.serial), done)
         why = order.reason or f"pressed on {self._station}"
-        keep_result(registry, lot.id, unit.serial, made, "line", actor=actor, reason=why)
+        store_result(registry, lot.id, unit.serial, made, "line", actor=actor, reason=why)
         if not isinstance(made, Refusal):
             decide_unit(registry, lot.id, unit.serial, actor)
         standing = registry.pages.standings(lot.id, [unit.serial])[unit.serial]

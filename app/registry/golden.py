@@ -20,7 +20,7 @@ def golden_of(registry: Registry, lot_id: str, serials: Collection[str]) -> Mapp
     return {row["recording_sha256"]: (row["serial"], row["golden_sha256"]) for row in rows}
 
 
-def keep_golden_of(registry: Registry, lot_id: str, of: Mapping[str, tuple[str, str]], *, actor: str | None) -> None:
+def store_golden_of(registry: Registry, lot_id: str, of: Mapping[str, tuple[str, str]], *, actor: str | None) -> None:
     """Keep which golden run recordings belong to; what is known gets no row.
 
     Args:

@@ -46,7 +46,7 @@ def known_loads(registry: Registry, lot_id: str, serials: Collection[str] | None
     return found
 
 
-def keep_loads(
+def store_loads(
     registry: Registry, lot_id: str, loads: Mapping[str, tuple[str, Anchors]], where: str, *, actor: str | None = None
 ) -> int:
     """Keep known loads that are new, all or none; return of how many recordings.

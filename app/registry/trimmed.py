@@ -65,7 +65,7 @@ def put_trim(registry: Registry, stored: StoredCalibration, new: Trim, why: str,
 
 
 @contextmanager
-def trim_kept(registry: Registry, lot_id: str, serial: str, actor: str | None) -> Iterator[None]:
+def trim_stored(registry: Registry, lot_id: str, serial: str, actor: str | None) -> Iterator[None]:
     """Put the trim of a unit behind another calibration that comes into use: both, or neither.
 
     Loads of another recording are left out: they say how the unit was when that one was made. So are loads that the new

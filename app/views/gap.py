@@ -34,7 +34,7 @@ def words_for(report: Report, say: Words) -> Words:
 def untold_lines(report: Report, say: Words) -> list[str]:
     """Return one line for everything the runs of a report do not tell."""
     identifiability = report.get("identifiability") or {"untold": ()}
-    return [said(Reason.of(one), say) for one in identifiability["untold"]]
+    return [said(Reason.parse(one), say) for one in identifiability["untold"]]
 
 
 def plain_name(identifier: str) -> str:
@@ -188,4 +188,4 @@ def ranked(report: Report) -> Sequence[Mapping[str, Any]]:
 
 def _sentences(entry: Mapping[str, Any], names: Sequence[str], say: Words) -> list[str]:
     """Return what an entry says under some names: its reasons, else its plain sentences."""
-    return [said(Reason.of(one), say) for one in entry.get("reasons") or [entry.get(name) or "" for name in names]]
+    return [said(Reason.parse(one), say) for one in entry.get("reasons") or [entry.get(name) or "" for name in names]]

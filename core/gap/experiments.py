@@ -48,7 +48,7 @@ def most_telling(entries: Sequence[MenuEntry], rivals: Sequence[Fit]) -> NextExp
     causes = causes_of(rivals)
     if count == 0:
         remedies = dict.fromkeys(e.signs.remedy for f in rivals for e in f.effects if e.signs.remedy)
-        remedy = several([Reason.of(one) for one in remedies] or [Reason("gap.remedy.usual")])
+        remedy = several([Reason.parse(one) for one in remedies] or [Reason("gap.remedy.usual")])
         return NextExperiment("none", reason("gap.next.inseparable", causes=causes, remedy=remedy))
     why = reason("gap.next.separates", causes=causes, distance=distance, minutes=experiment.minutes)
     if count < len(others):
@@ -179,11 +179,11 @@ def why(one: ParameterTold) -> Reason:
     """Return why runs do not tell a parameter or a cause, and which run would."""
     runs = [reason("gap.run", profile=name) for name in one.by]
     cure = reason("gap.told.run", runs=several(runs, "gap.list")) if runs else Reason("gap.told.no_run")
-    name = Reason.of(one.name) if one.is_base else reason("gap.effect", effect=one.name)
+    name = Reason.parse(one.name) if one.is_base else reason("gap.effect", effect=one.name)
     if one.is_own:
         return reason("gap.told.own", name=name, offset=one.offset, cure=cure)
     if one.beside:
-        beside = several([Reason.of(other) for other in one.beside], "gap.both")
+        beside = several([Reason.parse(other) for other in one.beside], "gap.both")
         return reason("gap.told.beside", name=name, beside=beside, cure=cure)
     if one.sigma < one.config.nothing:
         return reason("gap.told.never", name=name, cure=cure)

@@ -281,7 +281,7 @@ class TwinModel(Model):
                     places.append(place)
                     continue
                 # The alias takes its share to its own stage.
-                known = reason("gap.seen.alias", alias=Reason.of(alias.detail))
+                known = reason("gap.seen.alias", alias=Reason.parse(alias.detail))
                 places.append(replace(place, share=(1.0 - alias.share) * place.share))
                 places.append(replace(place, stage=alias.stage, share=alias.share * place.share, detail=known))
             if verdict == "explained_in_part":
@@ -302,7 +302,7 @@ class TwinModel(Model):
         if verdict == "no_gap":
             return NextExperiment("long_hold", Reason("gap.next.slow"))
         for effect_id, alias in _open_aliases(search.best).items():
-            values = {"alias": Reason.of(alias.detail), "advice": Reason.of(alias.advice)}
+            values = {"alias": Reason.parse(alias.detail), "advice": Reason.parse(alias.advice)}
             return NextExperiment(alias.told_by, reason("gap.next.alias", effect=effect_id, **values))
         return NextExperiment("none", Reason("gap.next.separated"))
 

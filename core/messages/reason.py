@@ -84,7 +84,7 @@ class Reason:
         return {"code": self.code, "values": values}
 
     @classmethod
-    def of(cls, kept: object) -> "Reason":
+    def parse(cls, kept: object) -> "Reason":
         """Read a reason that was kept: `to_json`, or a sentence that was quoted.
 
         A code that nobody here knows, of a package that is not installed, stays readable as its own name.
@@ -96,7 +96,7 @@ class Reason:
         code, values = str(kept["code"]), kept["values"]
         if not is_known(code):
             return plain(" ".join([code, *(f"{name} {value}" for name, value in values.items())]))
-        return cls(code, {name: cls.of(v) if isinstance(v, Mapping) else v for name, v in values.items()})
+        return cls(code, {name: cls.parse(v) if isinstance(v, Mapping) else v for name, v in values.items()})
 
 
 class _Filler(Formatter):
@@ -128,13 +128,13 @@ def plain(text: str) -> Reason:
 
 def to_kept(why: Reason | str) -> object:
     """Return what a table keeps of a reason: its code and values, or its sentence."""
-    cause = Reason.of(why)
+    cause = Reason.parse(why)
     return str(cause) if cause.code == PLAIN else cause.to_json()
 
 
 def packed(reasons: Iterable[Reason | str]) -> str:
     """Return reasons as one text for a column that holds messages; `unpacked` reads them back."""
-    said = tuple(map(Reason.of, reasons))
+    said = tuple(map(Reason.parse, reasons))
     if not any(why.code != PLAIN for why in said):
         return joined(said)
     return json.dumps([why.to_json() for why in said], ensure_ascii=False)
@@ -144,7 +144,7 @@ def unpacked(message: str) -> tuple[Reason, ...]:
     """Return the reasons that a message was packed from; another message is one sentence."""
     if not message.startswith('[{"code"'):
         return (plain(message),) if message else ()
-    return tuple(map(Reason.of, json.loads(message)))
+    return tuple(map(Reason.parse, json.loads(message)))
 
 
 def several(reasons: Sequence[Reason], code: str = "and") -> Reason:

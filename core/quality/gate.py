@@ -170,7 +170,7 @@ def _zero(facts: StationFacts) -> Condition:
     name, fault = Reason("gate.name.zero_return"), facts.rig.zero_fault
     moved = {"moved_N": facts.rig.zero_return_N, "limit_N": facts.zero_return_limit_N}
     if fault or abs(facts.rig.zero_return_N) > facts.zero_return_limit_N:
-        why = Reason.of(fault) if fault else reason("gate.zero_moved", **moved)
+        why = Reason.parse(fault) if fault else reason("gate.zero_moved", **moved)
         return Condition(name, False, reason("gate.zero_fault", why=why))
     return Condition(name, True, reason("gate.zero", **moved))
 
@@ -178,7 +178,7 @@ def _zero(facts: StationFacts) -> Condition:
 def _homing(rig: RigFacts) -> Condition:
     name = Reason("gate.name.homing")
     if rig.homing_fault:
-        return Condition(name, False, reason("gate.homing_fault", why=Reason.of(rig.homing_fault)))
+        return Condition(name, False, reason("gate.homing_fault", why=Reason.parse(rig.homing_fault)))
     return Condition(name, True, Reason("gate.homed") if rig.is_homed else Reason("gate.homes"))
 
 

@@ -21,7 +21,7 @@ from softcal.core.unit.forecast import forecast_error, variance_table
 from softcal.core.unit.health import check_alive, health_findings, output_limits
 from softcal.core.unit.missing import check_windows, jump_findings, missing_findings, missing_samples
 from softcal.core.unit.output_level import output_level
-from softcal.core.unit.rules import RuleFacts, rule_findings
+from softcal.core.unit.rules import RuleInput, rule_findings
 from softcal.core.unit.state import UnitState
 from softcal.core.unit.unit_problem import UnitProblem
 
@@ -119,7 +119,7 @@ def _with_rules(problem: UnitProblem, state: UnitState, estimates: Array) -> Uni
         return state
     measured = None if state.scores is None else state.scores.after.rmse
     source, fit = problem.source.source, state.fit
-    inputs = RuleFacts(problem.recording, source, estimates, fit.forecast, state.limit, measured)
+    inputs = RuleInput(problem.recording, source, estimates, fit.forecast, state.limit, measured)
     return replace(state, fit=replace(fit, rule_findings=rule_findings(problem.rules, inputs)))
 
 

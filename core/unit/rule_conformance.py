@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from softcal.core.maps.conformance import example_problem
-from softcal.core.unit.rules import Objection, Rule, RuleFacts, is_rule
+from softcal.core.unit.rules import Objection, Rule, RuleInput, is_rule
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Limit
 
@@ -36,12 +36,12 @@ def faults(rule: Rule) -> list[str]:
     return list(dict.fromkeys(problems))
 
 
-def _examples() -> Iterator[RuleFacts]:
+def _examples() -> Iterator[RuleInput]:
     """Yield a unit within its limit that nobody measured, the same measured beyond it, and one at rest."""
     problem = example_problem()
     estimate = problem.network.evaluate(problem.target.windows)
     limit, forecast = Limit(problem.source.reference_unit, 0.5), ErrorForecast(0.1, 0.05, 0.2)
-    unmeasured = RuleFacts(problem.target, problem.source, estimate, forecast, limit)
+    unmeasured = RuleInput(problem.target, problem.source, estimate, forecast, limit)
     yield unmeasured
     yield replace(unmeasured, measured_rmse=0.7)
     still = replace(problem.target, output=np.full_like(problem.target.output, 0.4))

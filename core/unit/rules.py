@@ -17,7 +17,7 @@ from softcal.core.unit.verdict import Finding, Limit, Verdict
 
 
 @dataclass(frozen=True, eq=False)
-class RuleFacts:
+class RuleInput:
     """What a rule may look at. Of an audit it sees the error alone, not the reference.
 
     Args:
@@ -53,7 +53,7 @@ class Rule(Protocol):
     name: str
     version: str
 
-    def look(self, facts: RuleFacts) -> Iterable[Objection]:
+    def look(self, facts: RuleInput) -> Iterable[Objection]:
         """Return what stands against the unit; nothing lets it go on."""
 
 
@@ -82,7 +82,7 @@ def rules_in_force() -> tuple[str, ...]:
     return tuple(RULES)
 
 
-def rule_findings(asked: Sequence[str], facts: RuleFacts) -> tuple[Finding, ...]:
+def rule_findings(asked: Sequence[str], facts: RuleInput) -> tuple[Finding, ...]:
     """Ask rules about a unit.
 
     Raises:

@@ -264,7 +264,7 @@ class StandingQuery:
         elif row["judged_by"] is not None:
             reasons = (self.limit.why(row["judged_by"]),)
         else:
-            reasons = tuple(map(Reason.of, row["reasons"] or ()))
+            reasons = tuple(map(Reason.parse, row["reasons"] or ()))
         return of_row(UnitEntry, row, reasons=reasons)
 
 

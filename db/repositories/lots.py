@@ -100,7 +100,7 @@ class LotTables(RegistryBase):
         for name, key in last.items():
             if (verdict := stands[name].verdict) is not None:
                 presses[key] |= {"verdict": verdict, "reasons": stands[name].reasons}
-        return [RunEntry(**row | {"reasons": tuple(map(Reason.of, row["reasons"]))}) for row in presses.values()]
+        return [RunEntry(**row | {"reasons": tuple(map(Reason.parse, row["reasons"]))}) for row in presses.values()]
 
     def limit(self, lot_id: str) -> LimitEntry | None:
         """Return the newest version of a lot's limit, or None where none was ever stated."""

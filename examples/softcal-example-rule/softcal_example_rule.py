@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.core.unit.rules import Objection, RuleFacts
+from softcal.core.unit.rules import Objection, RuleInput
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,7 @@ class RestBand:
     name: str = "rest band"
     version: str = "1"
 
-    def look(self, facts: RuleFacts) -> Iterator[Objection]:
+    def look(self, facts: RuleInput) -> Iterator[Objection]:
         """Object where the median output under the least twentieth of the loads lies outside the band."""
         recording, estimate = facts.recording, facts.estimate
         last = recording.windows[:, -1]

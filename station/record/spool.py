@@ -156,7 +156,7 @@ def read_spool(path: Path) -> SpooledRun:
         polls = tuple(StagePosition(*row) for value in values[1:] for row in value.get("polls", ()))
         # A second header is another run in the same file: what belongs to which cannot be told.
         damaged += sum("schema" in value for value in values[1:])
-        end = Reason.of(values[-1].get("end", Reason("spool.cut_off")))
+        end = Reason.parse(values[-1].get("end", Reason("spool.cut_off")))
         header = {key: str(text) for key, text in values[0].items() if key != "schema"}
         facts: dict[str, Any] = next((value["facts"] for value in values if "facts" in value), {})
         return SpooledRun(header, output, force, polls, facts, end, damaged)

@@ -189,9 +189,9 @@ def test_the_desk_is_korean_and_hands_out_the_page(
 
 def test_the_english_sentences_of_a_report_stay_beside_their_codes(report: dict[str, Any]) -> None:
     for place in report["where"]:
-        assert [str(Reason.of(one)) for one in place["reasons"]] == [place["regime"], place["detail"]]
+        assert [str(Reason.parse(one)) for one in place["reasons"]] == [place["regime"], place["detail"]]
     (why,) = report["next_experiment"]["reasons"]
-    assert str(Reason.of(why)) == report["next_experiment"]["why"]
+    assert str(Reason.parse(why)) == report["next_experiment"]["why"]
 
 
 def test_a_report_of_an_older_version_is_shown_as_it_stands() -> None:
@@ -206,7 +206,7 @@ def test_a_report_of_an_older_version_is_shown_as_it_stands() -> None:
 def test_what_a_plug_in_brings_is_shown_as_it_is_written() -> None:
     assert effect_name("cable_drag", KOREAN) == "cable drag"
     alias = Alias("electronics", "a loose plug", 0.5, "rest", "temperature_C", 1.0, "press the plug home")
-    told = {"alias": Reason.of(alias.detail), "advice": Reason.of(alias.advice)}
+    told = {"alias": Reason.parse(alias.detail), "advice": Reason.parse(alias.advice)}
     assert "a loose plug" in said(Reason("gap.next.alias", {"effect": "cable_drag", **told}), KOREAN)
     assert pressed_name("my own dance", KOREAN) == "my own dance"
 

@@ -18,7 +18,7 @@ from sqlalchemy import event as sqlalchemy_event
 
 from softcal.app.calibration.audit import audited_sample
 from softcal.app.calibration.audit_evidence import AuditReader
-from softcal.app.calibration.lot_context import stated_line
+from softcal.app.calibration.lot_context import declared_line_spread
 from softcal.app.calibration.lot_decision import decision_in_force
 from softcal.app.calibration.redecision import redecide
 from softcal.app.calibration.release import decide_lot, decide_unit, lot_standing, statement_provenance
@@ -394,13 +394,13 @@ def test_a_golden_unit_of_another_sensor_model_withdraws_nothing(make_lot, batch
 def test_a_lot_states_its_line_and_the_line_knows_it(make_lot, batch, registry_url, capsys, registry):
     folder = make_lot(audits=0)
     plain = {unit["serial"]: unit for unit in batch(folder)["units"]}
-    assert stated_line(registry, "large") is None
+    assert declared_line_spread(registry, "large") is None
     assert all("line.open" in _codes(registry, serial) for serial in plain)
     with (folder / "lot.toml").open("a") as file:
         file.write("[line]\nload_spread = 0.05\n")
     for unit in batch(folder)["units"]:
         assert unit["predicted_rmse"] > plain[unit["serial"]]["predicted_rmse"]
-    assert stated_line(registry, "large") == LineSpread(0.05)
+    assert declared_line_spread(registry, "large") == LineSpread(0.05)
     assert all("line.stated" in _codes(registry, serial) for serial in plain)
     (folder / "lot.toml").write_text((folder / "lot.toml").read_text().replace("0.05\n", "5\n"))
     assert main(["batch", str(folder), "--registry", registry_url, *SMALL]) == 2

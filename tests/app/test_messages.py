@@ -203,7 +203,7 @@ def test_a_device_of_another_maker_keeps_its_name() -> None:
 def test_a_number_that_is_none_never_keeps_a_stop_from_being_said(value: float) -> None:
     why = reason("rig.force", force_N=value, coming_N=1.0, limit_N=5.0)
     assert f"force {value} N, 1.00 N by the time" in str(why)
-    assert str(value) in said(Reason.of(json.loads(json.dumps(why.to_json(), allow_nan=False))), KOREAN)
+    assert str(value) in said(Reason.parse(json.loads(json.dumps(why.to_json(), allow_nan=False))), KOREAN)
 
 
 def test_what_a_station_says_crosses_the_registry_with_its_values(tmp_path: Path) -> None:

@@ -21,8 +21,8 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from softcal.app.batch import lot_work
 from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
 from softcal.app.batch.unit_work import ChunkOutcome, UnitOutcome
-from softcal.app.calibration.lot_context import KeptFacts
-from softcal.app.calibration.unit_calibration import Calibrated, Known, LotFacts, Refusal
+from softcal.app.calibration.lot_context import StoredInputs
+from softcal.app.calibration.unit_calibration import Calibrated, Known, LotContext, Refusal
 from softcal.app.files.lot_folder import LotFolder
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
@@ -45,7 +45,7 @@ SERIALS, SIDES = ("A1", "A2"), ("station", "centre")
 BAD = 0
 LOT = Lot("L1", "S0", 50.0, limit_rmse=2.0)
 NETWORK = Network((np.zeros((15, 1)),), (np.zeros(1),), 0.0, 1.0, 0.0, 1.0)
-FACTS = LotFacts((SimpleNamespace(network=NETWORK, method=Method()),))
+FACTS = LotContext((SimpleNamespace(network=NETWORK, method=Method()),))
 
 
 def input_of(serial: str, number: int) -> str:
@@ -164,7 +164,7 @@ class OneAnswerMachine(RuleBasedStateMachine):
 
     def work(self, folder: LotFolder, side: str, config: BatchConfig, watch: Watch) -> LotWork:
         registry = self.registries[side]
-        return LotWork(folder, registry, FACTS, KeptFacts(registry, LOT.id, list(folder.unit_paths)), config, watch)
+        return LotWork(folder, registry, FACTS, StoredInputs(registry, LOT.id, list(folder.unit_paths)), config, watch)
 
     def is_to_be_worked_on(self, side: str, serial: str) -> bool:
         """Whether a batch has to read the unit's file: nothing that is known answers it."""

@@ -106,18 +106,18 @@ def test_every_code_is_given_somewhere() -> None:
 
 def test_a_reason_survives_being_kept() -> None:
     for one in EXAMPLES:
-        assert Reason.of(json.loads(json.dumps(one.to_json()))) == one
-        assert Reason.of(json.loads(json.dumps(to_kept(one)))) == one
+        assert Reason.parse(json.loads(json.dumps(one.to_json()))) == one
+        assert Reason.parse(json.loads(json.dumps(to_kept(one)))) == one
         assert unpacked(packed([one, one])) == (one, one) or one.code == PLAIN
 
 
 def test_the_sentence_an_older_version_kept_stays_as_it_is() -> None:
-    old = Reason.of("drift inside the recording: estimates at rest move by +0.2 N; warm up, record again")
+    old = Reason.parse("drift inside the recording: estimates at rest move by +0.2 N; warm up, record again")
     assert said(old, KOREAN) == str(old) and str(old).startswith("drift inside")
 
 
 def test_a_code_of_a_later_version_stays_readable() -> None:
-    assert str(Reason.of({"code": "haunted", "values": {"ghosts": 3}})) == "haunted ghosts 3"
+    assert str(Reason.parse({"code": "haunted", "values": {"ghosts": 3}})) == "haunted ghosts 3"
 
 
 @pytest.mark.parametrize("error", [0.05, 0.11, 0.13, 0.4])

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from softcal.app.calibration.lot_context import keep_result
+from softcal.app.calibration.lot_context import store_result
 from softcal.app.calibration.lot_decision import decision_in_force
 from softcal.app.calibration.release import decide_lot, lot_standing, roll_back
 from softcal.core.quality.lot_standing import Way
@@ -59,11 +59,11 @@ def test_a_statement_made_again_counts_the_units_that_it_releases(registry):
     near, firm, new = *sampled, "U99"
     forecasts_N = {near: 0.98 * 0.5 / standing.decided.found.factor, firm: 0.02, new: 0.02}
     for serial in (near, firm):
-        keep_result(registry, LOT.id, serial, calibrated(registry, serial, 1, forecasts_N[serial]), "batch")
+        store_result(registry, LOT.id, serial, calibrated(registry, serial, 1, forecasts_N[serial]), "batch")
     decide_lot(registry, LOT.id)
     assert set(decision_in_force(registry, LOT.id).released) == {near, firm}
     # A batch is at work: its unit is calibrated, and nobody has decided on it.
-    keep_result(registry, LOT.id, new, calibrated(registry, new, 0, forecasts_N[new]), "batch")
+    store_result(registry, LOT.id, new, calibrated(registry, new, 0, forecasts_N[new]), "batch")
     bring_audit(registry, measured[0], 1.04, 9)
     in_force, standing = decision_in_force(registry, LOT.id), lot_standing(registry, LOT.id)
     assert [unit.serial for unit in standing.on(Way.SAMPLED)] == [firm] == list(in_force.released)

@@ -12,11 +12,11 @@ from softcal.core.metrics import rmse
 from softcal.core.unit import rules
 from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.rule_conformance import faults
-from softcal.core.unit.rules import Objection, Rule, RuleFacts, identity
+from softcal.core.unit.rules import Objection, Rule, RuleInput, identity
 from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.unit.verdict import Limit
 
-Answer = Callable[[RuleFacts], Iterator[Objection]]
+Answer = Callable[[RuleInput], Iterator[Objection]]
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Answering:
     name: str = "house"
     version: str = "1"
 
-    def look(self, facts: RuleFacts) -> Iterator[Objection]:
+    def look(self, facts: RuleInput) -> Iterator[Objection]:
         return self.answer(facts)
 
 
@@ -70,7 +70,7 @@ def test_a_rule_may_ask_for_another_recording(source_model, unit, rule_in_force)
 
 
 def test_a_rule_sees_the_unit_and_no_reference_of_it(source_model, unit, rule_in_force) -> None:
-    seen: list[RuleFacts] = []
+    seen: list[RuleInput] = []
     rule_in_force(Answering(lambda facts: iter(seen.append(facts) or [])))
     made = calibrate(problem(source_model, unit, audit=unit))
     (facts,) = seen
@@ -82,7 +82,7 @@ def test_a_rule_sees_the_unit_and_no_reference_of_it(source_model, unit, rule_in
 
 
 def test_a_rule_that_breaks_lets_nothing_pass_and_stops_no_lot(source_model, unit, rule_in_force) -> None:
-    def broken(facts: RuleFacts) -> Iterator[Objection]:
+    def broken(facts: RuleInput) -> Iterator[Objection]:
         raise KeyError("gauge")
 
     rule_in_force(Answering(broken))

@@ -9,10 +9,10 @@ import pytest
 from sqlalchemy import inspect
 
 from softcal.app.calibration.audit import audited_sample, confirmed_audits, draw_plan, lot_audit
-from softcal.app.calibration.lot_context import lot_method, state_line, stated_line, stated_sources
+from softcal.app.calibration.lot_context import declare_line_spread, declared_line_spread, declared_sources, lot_method
 from softcal.app.export.certificates.laboratory import registry_laboratory
 from softcal.app.registry.golden import golden_of
-from softcal.app.registry.known_loads import keep_loads, known_loads
+from softcal.app.registry.known_loads import known_loads, store_loads
 from softcal.app.registry.reference import lot_reference, reference_expanded, state_reference
 from softcal.core.maps.interface import Anchors
 from softcal.core.quality.audit_plan import AuditConfig
@@ -47,8 +47,8 @@ def declared(registry, lot_id="L1") -> list[object]:
     audit = lot_audit(registry, lot_id)
     return [
         lot_method(registry, lot_id).map.family,
-        stated_line(registry, lot_id),
-        stated_sources(registry, lot_id),
+        declared_line_spread(registry, lot_id),
+        declared_sources(registry, lot_id),
         lot_reference(registry, lot_id),
         reference_expanded(registry, lot_id),
         (loads.loads.output.tolist(), loads.loads.reference.tolist(), loads.where, loads.actor, loads.at),
@@ -81,8 +81,8 @@ def test_the_newest_of_a_key_is_in_force_and_the_same_again_is_no_row(factory, l
     declare_all(factory, labelled_of("S0"))
     count = len(registry.trail.rows())
     state_reference(registry, lot_id, CELL, labelled_of("S0"))
-    state_line(registry, lot_id, LineSpread(0.05, 0.01))
-    assert keep_loads(registry, lot_id, {"b" * 64: ("U1", LOADS)}, "file", actor="Erin") == 0
+    declare_line_spread(registry, lot_id, LineSpread(0.05, 0.01))
+    assert store_loads(registry, lot_id, {"b" * 64: ("U1", LOADS)}, "file", actor="Erin") == 0
     assert len(registry.trail.rows()) == count
     other = replace(CELL, certificate="D-K-2")
     state_reference(registry, lot_id, other, labelled_of("S0"))
@@ -95,21 +95,21 @@ def test_a_declaration_behind_a_clock_that_was_set_back_is_the_newest(registry_u
     now = datetime(2026, 5, 1, tzinfo=UTC)
     with open_registry(registry_url, RegistrySettings(clock=lambda: now)) as registry:
         factory = make_factory(registry)
-        state_line(registry, factory.lot_id, LineSpread(0.05))
+        declare_line_spread(registry, factory.lot_id, LineSpread(0.05))
         now -= timedelta(days=1)
-        state_line(registry, factory.lot_id, LineSpread(0.07))
-        assert stated_line(registry, factory.lot_id) == LineSpread(0.07)
+        declare_line_spread(registry, factory.lot_id, LineSpread(0.07))
+        assert declared_line_spread(registry, factory.lot_id) == LineSpread(0.07)
 
 
 def test_two_registries_have_the_same_in_force_after_a_sync(factory, labelled_of, file_registry):
     declare_all(factory, labelled_of("S0"))
     synchronise(factory.registry, file_registry)
     assert declared(file_registry) == declared(factory.registry)
-    state_line(file_registry, factory.lot_id, LineSpread(0.09))
+    declare_line_spread(file_registry, factory.lot_id, LineSpread(0.09))
     draw_plan(file_registry, factory.lot_id, AuditConfig(random=2, doubtful=0), reason="a second sample")
     synchronise(factory.registry, file_registry)
     assert declared(file_registry) == declared(factory.registry) and not file_registry.verify()
-    assert stated_line(factory.registry, factory.lot_id) == LineSpread(0.09)
+    assert declared_line_spread(factory.registry, factory.lot_id) == LineSpread(0.09)
 
 
 def test_a_backup_brings_back_what_is_in_force(factory, labelled_of, tmp_path):
@@ -123,7 +123,7 @@ def test_a_backup_brings_back_what_is_in_force(factory, labelled_of, tmp_path):
 def test_who_asks_for_one_unit_reads_no_others(factory):
     registry = factory.registry
     for number in range(5):
-        keep_loads(registry, factory.lot_id, {f"{number:064x}": (f"U{number}", LOADS)}, "line")
+        store_loads(registry, factory.lot_id, {f"{number:064x}": (f"U{number}", LOADS)}, "line")
     assert [row["serial"] for row in registry.declarations.in_force("known_loads", factory.lot_id, ["U3"])] == ["U3"]
 
 
@@ -131,7 +131,7 @@ def test_a_value_that_is_no_number_stores_nothing(factory):
     broken = Anchors(np.array([0.1, np.nan]), np.array([1.0, 2.0]))
     loads = {"b" * 64: ("U1", LOADS), "c" * 64: ("U2", broken)}
     with pytest.raises(ValueError, match="JSON"):
-        keep_loads(factory.registry, factory.lot_id, loads, "file")
+        store_loads(factory.registry, factory.lot_id, loads, "file")
     assert not known_loads(factory.registry, factory.lot_id, ["U1", "U2"])
 
 

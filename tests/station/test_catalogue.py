@@ -124,7 +124,7 @@ sys.path.insert(0, sys.argv[1])
 import softcal.app
 from softcal.app.texts.catalogue import text
 from softcal.core.messages.reason import Reason
-kept = Reason.of({"code": "ours.line", "values": {"line": "'x'"}})
+kept = Reason.parse({"code": "ours.line", "values": {"line": "'x'"}})
 assert "softcal.station.drivers.grbl" in sys.modules
 print(kept)
 print(text("ko", "reason.ours.line", line="'y'"))

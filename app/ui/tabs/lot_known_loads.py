@@ -6,7 +6,7 @@ from pathlib import Path
 import streamlit as st
 
 from softcal.app.files.anchors import read_anchors
-from softcal.app.registry.known_loads import keep_loads, known_loads
+from softcal.app.registry.known_loads import known_loads, store_loads
 from softcal.app.registry.lot_recordings import source_recording
 from softcal.app.ui.account import actor, allows, permit
 from softcal.app.ui.actions import finish, say_finished
@@ -70,7 +70,7 @@ def draw_known_loads(lot_id: str) -> None:
         if st.button(label, type="primary", disabled=not taken, key="known-loads-take"):
             permit(ACTION)
             loads = {newest[serial]: (serial, one) for serial, one in taken.items()}
-            is_new = keep_loads(registry(), lot_id, loads, "page", actor=actor())
+            is_new = store_loads(registry(), lot_id, loads, "page", actor=actor())
             forget_files(ASKED)
             if not is_new:
                 finish(ASKED, say("known_loads.no_change"))

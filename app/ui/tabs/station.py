@@ -85,17 +85,17 @@ def draw_state() -> None:
             {
                 say("setup.port"): port,
                 say("setup.is"): say(f"setup.role.{role or 'none'}") + (f" ({kind})" if kind else ""),
-                say("setup.says"): in_words(Reason.of(answer)),
+                say("setup.says"): in_words(Reason.parse(answer)),
             }
             for port, role, kind, answer in result["ports"]
         )
     table(
         {
             say("station.good"): MARKS[not cure],
-            say("setup.device"): in_words(Reason.of(device)),
-            say("setup.what"): in_words(Reason.of(what)),
-            say("setup.value"): in_words(Reason.of(value)),
-            say("setup.cure"): in_words(Reason.of(cure or "")),
+            say("setup.device"): in_words(Reason.parse(device)),
+            say("setup.what"): in_words(Reason.parse(what)),
+            say("setup.value"): in_words(Reason.parse(value)),
+            say("setup.cure"): in_words(Reason.parse(cure or "")),
         }
         for device, what, value, cure in result["found"]
     )
