@@ -32,7 +32,7 @@ from softcal.app.batch.unit_work import (
     work_on,
 )
 from softcal.app.calibration.lot_context import StoredInputs, put_back, store_result
-from softcal.app.calibration.unit_calibration import Known, LotContext, Refusal
+from softcal.app.calibration.unit_calibration import ExistingCalibration, LotContext, Refusal
 from softcal.app.calibration.unit_result import UnitResult
 from softcal.app.files.lot_folder import LotFolder
 from softcal.app.files.regular import read_regular
@@ -328,7 +328,7 @@ class LotWork:
                 store_result(*statement, actor=self._config.actor, reason="batch", work_sha256=asked)
             if unit.recording is not None and not isinstance(result, Refusal):
                 self._recordings[unit.serial] = unit.recording.sha256
-            if not isinstance(result, Known):
+            if not isinstance(result, ExistingCalibration):
                 self._new.add(unit.serial)
         except (RegistryError, SQLAlchemyError):
             raise

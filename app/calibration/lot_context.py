@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
 from typing import Any
 
-from softcal.app.calibration.unit_calibration import Known, LotContext, Refusal, Result, UnitInputs
+from softcal.app.calibration.unit_calibration import ExistingCalibration, LotContext, Refusal, Result, UnitInputs
 from softcal.app.registry.golden import bridge_over, golden_of
 from softcal.app.registry.known_loads import known_loads
 from softcal.app.registry.lot_recordings import audit_of, newest_audits
@@ -152,7 +152,7 @@ def store_result(
     if isinstance(result, Refusal):
         why = (result.reason,)
         registry.calibrations.refuse(lot_id, serial, str(result.verdict), why, actor=actor, work_sha256=work_sha256)
-    elif isinstance(result, Known):
+    elif isinstance(result, ExistingCalibration):
         if not put_back(registry, lot_id, serial, result.input_sha256, by, actor=actor, work_sha256=work_sha256):
             raise InputError(f"{serial}: its calibration vanished from the registry; run `registry verify`")
     else:

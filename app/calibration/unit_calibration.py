@@ -124,7 +124,7 @@ class Refusal:
 
 
 @dataclass(frozen=True)
-class Known:
+class ExistingCalibration:
     """A unit whose calibration from this very input is there already."""
 
     input_sha256: str
@@ -138,17 +138,17 @@ class Calibrated:
     input_sha256: str
 
 
-Result = Calibrated | Refusal | Known
+Result = Calibrated | Refusal | ExistingCalibration
 
 
 def calibrate_unit(
     lot: LotContext,
     recording: OutputRecording,
     unit: UnitInputs = UnitInputs(),
-    known: Collection[str] = (),  # noqa: B008
+    existing: Collection[str] = (),  # noqa: B008
 ) -> Result:
-    """Calibrate a unit with the source that suits it best; inputs among `known` were calibrated
-    already.
+    """Calibrate a unit with the source that suits it best; inputs among `existing` were
+    calibrated already.
 
     Raises:
         InputError: the lot's limit is stated in another unit than the reference.
@@ -159,8 +159,8 @@ def calibrate_unit(
         return Refusal(Verdict.RETEST, error.reason)
     for problem in problems:
         # Its input names the sources it was chosen among: the choice need not be made again.
-        if problem.input_sha256 in known:
-            return Known(problem.input_sha256)
+        if problem.input_sha256 in existing:
+            return ExistingCalibration(problem.input_sha256)
     return calibrated(problems[0] if len(problems) == 1 else nearest(problems))
 
 

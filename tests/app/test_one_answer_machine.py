@@ -22,7 +22,7 @@ from softcal.app.batch import lot_work
 from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
 from softcal.app.batch.unit_work import ChunkOutcome, UnitOutcome
 from softcal.app.calibration.lot_context import StoredInputs
-from softcal.app.calibration.unit_calibration import Calibrated, Known, LotContext, Refusal
+from softcal.app.calibration.unit_calibration import Calibrated, ExistingCalibration, LotContext, Refusal
 from softcal.app.files.lot_folder import LotFolder
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
@@ -64,7 +64,7 @@ def fake_work(shared, chunk):
         if number == BAD:
             result = Refusal(Verdict.RETEST, plain("bad"))
         elif input_of(task.serial, number) in task.known:
-            result = Known(input_of(task.serial, number))
+            result = ExistingCalibration(input_of(task.serial, number))
         else:
             result = Calibrated(unit_state(task.serial, number), input_of(task.serial, number))
         units.append(UnitOutcome(task.item_id, task.serial, result))
