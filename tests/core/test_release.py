@@ -387,3 +387,15 @@ def test_units_that_share_their_error_with_none_are_released_as_before():
     assert decided.sampled.reason is None and decided.found == release(
         dict.fromkeys(sittings, 0.2), qualify(audits, [], NOW, "", METHOD).audits, LIMIT, RULES
     )
+
+
+def test_a_promise_on_some_units_counts_those_that_may_not_be_released():
+    rng = np.random.default_rng(3)
+    audits = [AuditedUnit(f"A{k}", 0.1, 0.1 * np.exp(0.1 * rng.normal())) for k in range(12)]
+    forecasts = {f"U{k}": 0.1 for k in range(8)}
+    some, all_of_them = ("U1", "U2", "U3", "U5"), release(forecasts, audits, LIMIT, RULES)
+    result = release(forecasts, audits, LIMIT, RULES, candidates=some)
+    assert result.released == some and len(all_of_them.released) == 8
+    # Half of the units share the risk of all: the bound is that of half the risk.
+    assert result.factor == audited_ratios(audits, RULES).bound(RULES, RULES.risk / 2) > all_of_them.factor
+    assert release(forecasts, audits, LIMIT, RULES, candidates=some[:3]).released == (), "less than half of the lot"
