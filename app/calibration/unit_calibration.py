@@ -1,7 +1,7 @@
 """One unit from its recording to its calibration, for line, batch, workers and Python alike.
 
 The one place that makes a `UnitProblem` of a unit of a registry or of files; `core.transfer` makes those of twins.
-It asks no registry and reads no file: see `known.py`.
+It asks no registry and reads no file: see `lot_context.py`.
 """
 
 import time

@@ -50,7 +50,7 @@ AT_A_TERMINAL = {
     "db/connection.py": "to whoever keeps the registry: it cannot be opened",
     "db/schema/database.py": "to whoever keeps the registry: it cannot be opened",
     "db/schema/engines.py": "to whoever keeps the registry: it cannot be opened",
-    "db/schema/tables.py": "to whoever keeps the registry: it is damaged",
+    "db/schema/column_types.py": "to whoever keeps the registry: it is damaged",
     "db/repositories/calibrations.py": "to whoever names a serial in a command; pages name lot and serial",
     "db/repositories/lot_decisions.py": "registries that a command exchanges",
     "db/repositories/registry_base.py": "to whoever keeps the registry: it is damaged",
