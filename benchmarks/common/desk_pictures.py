@@ -17,7 +17,7 @@ from common.planted import planted
 from common.screens import THEMES, Theme, keep_picture, served
 from playwright.sync_api import Browser, Page, ViewportSize
 
-from softcal.app.batch.changes import change_limit
+from softcal.app.calibration.changes import change_limit
 from softcal.app.cli.main import main as softcal
 from softcal.app.files.recording_file import write_columns
 from softcal.app.gap.desk import practise
