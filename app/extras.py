@@ -15,6 +15,7 @@ MODULES_OF = {
     "postgresql": ("psycopg",),
     "cluster": ("dask", "distributed"),
     "sklearn": ("sklearn",),
+    "fmu": ("fmpy",),
     "connect": ("asyncua", "fastapi", "h11", "httpx2", "paho", "uvicorn"),
 }
 """Modules that are imported, by their extra."""

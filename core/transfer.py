@@ -1,15 +1,17 @@
 """What a cause explains of the calibration error: on the rig, and on twins without and with it."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.gap.case import Case, Run
+from softcal.core.gap.diagnosis import Diagnosis
 from softcal.core.gap.fit import Fit, fit
+from softcal.core.gap.model import CalibrationGap
 from softcal.core.gap.places import explained_twin
-from softcal.core.gap.twin import TWIN
+from softcal.core.gap.twin import TWIN, TwinModel
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
@@ -210,14 +212,44 @@ def calibration_worth(
     start = np.append(bare.coordinates, shared.coordinates[hypothesis.of_base.stop :])
     full = fit(bare.problem, hypothesis, start, steps=40)
 
-    def error_of(twin: Twin) -> float:
-        rng, pairs = np.random.default_rng(0), zip(recorded, case.presses, strict=True)
-        simulated = [pressed(twin, one.unlabelled, rng, run.temperature_C) for one, run in pairs]
-        return _error(_joined(unit, simulated), test)
-
-    nominal, explained = error_of(explained_twin(bare)), error_of(explained_twin(full))
+    nominal, explained = (_error_of_twin(explained_twin(one), recorded, case.presses, test) for one in (bare, full))
     of_rig = tuple(_error(_joined(unit, recorded[:k]), test) for k in range(1, len(recorded) + 1))
     return CalibrationWorth(unit, nominal, explained, of_rig)
+
+
+def calibration_gap(diagnosis: Diagnosis[TwinModel], say: Callable[[str], None] = lambda _: None) -> CalibrationGap:
+    """Train f on the base twin, on the repaired twin and on the rig, and test all on the last pressed run.
+
+    Twins and f know the other runs alone: base parameters and sizes are fitted to them once more.
+
+    Raises:
+        InputError: fewer than two runs are pressed, or one lacks stage position, force or output.
+    """
+    case = diagnosis.case
+    *seen, last = case.presses
+    if not seen:
+        raise InputError(f"case {case.serial}: one run is pressed; a calibration is tested on another one")
+    recorded, test = [_labelled(case.serial, run) for run in seen], _labelled(case.serial, last)
+    say(f"training f on two twins and on the rig, to test it on {last.name}")
+    others = replace(case, runs=tuple(run for run in case.runs if run is not last))
+
+    def error_of(found: Fit) -> float:
+        problem = replace(found.problem, case=others, use=None, extra_variance=None)
+        # Episodes belong to the recordings they were found in.
+        refitted = fit(problem, found.hypothesis.without_episodes(), found.coordinates, steps=40)
+        return _error_of_twin(explained_twin(refitted), recorded, seen, test)
+
+    of_rig = _error(_joined(case.serial, recorded), test)
+    return CalibrationGap(last.name, error_of(diagnosis.base), error_of(diagnosis.best), of_rig)
+
+
+def _error_of_twin(
+    twin: Twin, recorded: Sequence[LabelledRecording], runs: Sequence[Run], test: LabelledRecording
+) -> float:
+    """Return the error of f that is trained on a twin, pressed along the stage positions of recordings."""
+    rng, pairs = np.random.default_rng(0), zip(recorded, runs, strict=True)
+    simulated = [pressed(twin, one.unlabelled, rng, run.temperature_C) for one, run in pairs]
+    return _error(_joined(recorded[0].unlabelled.serial, simulated), test)
 
 
 def _labelled(unit: str, run: Run) -> LabelledRecording:

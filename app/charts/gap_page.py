@@ -59,7 +59,13 @@ def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str, sa
             *([section(say("gap.data.asked"), _rows(asked, "", say))] if asked else []),
             section(say("gap.where"), drawings(figures.chain_figure(report, say)), places, maps),
             section(say("gap.why"), ranking, causes, ambiguous),
-            section(say("gap.gain"), _gain_words(report, say), _gain_rows(report, runs, say), drawings(gain)),
+            section(
+                say("gap.gain"),
+                _gain_words(report, say),
+                _calibration_words(report, say),
+                _gain_rows(report, runs, say),
+                drawings(gain),
+            ),
             *([section(say("gap.told"), f"<ul>{untold}</ul>")] if untold else []),
             section(say("gap.sure"), _hidden_words(report, say), drawings(figures.hidden_figure(report, say))),
             *([section(say("gap.left"), *_left(report["residual"], report, say))] if report.get("residual") else []),
@@ -88,6 +94,14 @@ def _gain_rows(report: Mapping[str, Any], runs: Sequence[RunView], say: Words) -
             row[name] = f"{times * channel[key]:.3g} {unit} ({100 * channel[key] / span:.2g} %)"
         rows.append(row)
     return _rows(rows, "", say)
+
+
+def _calibration_words(report: Mapping[str, Any], say: Words) -> str:
+    """Return what the gap costs a calibration, where it was asked for."""
+    if (errors := report.get("calibration")) is None:
+        return ""
+    newtons = {name: f"{errors[name]:.3g}" for name in ("base", "repaired", "rig")}
+    return f"<p>{_told(say, 'gap.gain.calibration', run=errors['run'], **newtons)}</p>"
 
 
 def _left(residual: Mapping[str, Any], report: Mapping[str, Any], say: Words) -> tuple[str, str]:

@@ -62,6 +62,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     diagnose = action("diagnose", "find the causes of the gap in a case", _diagnose, epilog=_DIAGNOSE_EXAMPLES)
     _add_case(diagnose)
     add_shared(diagnose, "json")
+    diagnose.add_argument(
+        "--calibration",
+        action="store_true",
+        help="train f on the base twin, on the repaired twin and on the rig, and test it on the last run",
+    )
     diagnose.add_argument("--page", **FILE, help="write a page of figures (standalone HTML)")
     check = action(
         "check", "say what the runs of a case can tell, before anything is diagnosed", _check, epilog=_CHECK_EXAMPLES
@@ -98,6 +103,9 @@ def _add_case(parser: argparse.ArgumentParser, nargs: str | None = None) -> None
         "--simulator",
         metavar="MODULE:NAME",
         help="a simulator of your own instead of the twin; columns are its inputs and channels",
+    )
+    parser.add_argument(
+        "--processes", default=1, **COUNT, help="processes that call the simulator at the same time (default 1)"
     )
 
 
@@ -241,14 +249,21 @@ def _apply(options: argparse.Namespace) -> None:
 def _diagnosed(options: argparse.Namespace) -> "Diagnosis[Any]":
     """Return the diagnosis of a case, by the twin or by a simulator of the user's own."""
     from softcal.app.gap.diagnose import case_provenance, diagnose_case
-    from softcal.app.gap.simulator import load_simulator, read_runs
+    from softcal.app.gap.simulator import foretell_duration, in_processes, load_simulator, read_runs
     from softcal.core.gap.diagnosis import diagnose_simulator
 
     if not options.simulator:
-        return diagnose_case(options.case, say, _table_readout(options), table_options(options))
+        asked = getattr(options, "calibration", False)
+        return diagnose_case(options.case, say, _table_readout(options), table_options(options), asked)
+    if getattr(options, "calibration", False):
+        raise InputError("--simulator has no force and output that f could be trained on; leave --calibration out")
     _refuse_electronics(options)
-    simulator = load_simulator(options.simulator)
-    diagnosis = diagnose_simulator(simulator, *read_runs(options.case, simulator, table_options(options)), say)
+    declared = load_simulator(options.simulator)
+    runs, serial = read_runs(options.case, declared, table_options(options))
+    if duration := foretell_duration(declared, runs, options.processes):
+        say(duration)
+    with in_processes(options.simulator, declared, options.processes) as simulator:
+        diagnosis = diagnose_simulator(simulator, runs, serial, say)
     return replace(diagnosis, provenance=case_provenance(options.case, options.simulator).to_json())
 
 
@@ -305,9 +320,14 @@ def _print(diagnosis: "Diagnosis[Any]", options: argparse.Namespace) -> None:
         held = f"{left.held_out:.2f} [{left.low:.2f}, {left.high:.2f}] held out"
         addition = f", beside {beside}, which alone reach {diagnosis.residual.without:.2f}" if beside else ""
         print(f"describes   {held}{addition}: a description, no cause; softcal gap apply --empirical adds it")
+    if (worth := diagnosis.calibration) is not None:
+        twins = f"base twin {worth.base:.3g} N, repaired twin {worth.repaired:.3g} N"
+        print(f"calibrates  error of f on run {worth.run}, by what it was trained on: {twins}, rig {worth.rig:.3g} N")
     for channel, fades in diagnosis.named.problem.colour.items():
         print(f"noise       {channel}: {fades.spread:.3g} beside the white noise, fading within {fades.fading_s:.2g} s")
     if options.simulator:
+        for name, prior in diagnosis.model.stated_and_fitted(diagnosis.best).items():
+            print(f"prior       {name} = {prior['mean']:.4g} ± {prior['sd']:.2g}, fitted {prior['fitted']:.4g}")
         return
     if diagnosis.case.missing_channels:
         print(f"missing     {', '.join(diagnosis.case.missing_channels)}")

@@ -18,6 +18,7 @@ from typing import TypeAlias
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from softcal.app.extras import lacking
 from softcal.core.errors import InputError
 from softcal.core.gap.simulator import Columns, Simulate
 from softcal.core.recording import Array
@@ -130,7 +131,7 @@ def run_fmu(
     try:
         import fmpy
     except ImportError as error:
-        raise InputError(f"{path}: fmpy is missing ({error}); install it with pip install fmpy") from error
+        raise InputError(f"{path}: {lacking('fmpy', 'a functional mock-up unit') or error}") from error
     try:
         described, folder = fmpy.read_model_description(str(path)), fmpy.extract(str(path))
     except Exception as error:

@@ -49,9 +49,18 @@ def diagnose_case(
     progress: Callable[[str], None] | None = None,
     readout: ReadoutMetadata | None = None,
     table: TableOptions = DETECT,
+    with_calibration: bool = False,
 ) -> Diagnosis[TwinModel]:
-    """Read a case as `open_place` does and diagnose it; the diagnosis knows what it was made from."""
+    """Read a case as `open_place` does and diagnose it; the diagnosis knows what it was made from.
+
+    Args:
+        with_calibration: with what the gap costs a calibration; not where the recordings hold a mistake.
+    """
     diagnosis = diagnose(open_place(place, readout, table), progress)
+    if with_calibration and diagnosis.verdict != "data":
+        from softcal.core.transfer import calibration_gap
+
+        diagnosis = replace(diagnosis, calibration=calibration_gap(diagnosis, progress or (lambda _: None)))
     return replace(diagnosis, provenance=case_provenance(place).to_json())
 
 

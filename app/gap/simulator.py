@@ -2,9 +2,15 @@
 
 import importlib
 import json
+import multiprocessing
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import fields, replace
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -17,9 +23,18 @@ from softcal.app.tables.options import DETECT, TableOptions
 from softcal.app.tables.read import read_table
 from softcal.app.tables.time_column import find_time_column
 from softcal.core.errors import InputError
-from softcal.core.gap.simulator import Simulator, SimulatorRun, recorded
+from softcal.core.gap.simulator import (
+    Columns,
+    Experiment,
+    Simulator,
+    SimulatorFailed,
+    SimulatorRun,
+    candidate,
+    recorded,
+)
 from softcal.core.gap.simulator_reach import term_of, with_terms
 from softcal.core.recording import Array
+from softcal.core.twin.effects import Effect, Parameter
 
 PARAMETERS_SCHEMA = "softcal.simulator/1"
 
@@ -51,12 +66,138 @@ def load_simulator(reference: str) -> Simulator:
         raise InputError(
             f"--simulator {reference}: {name}() raises {type(error).__name__}: {error}; it must return a Simulator"
         ) from error
+    if isinstance(made, Mapping):
+        return simulator_of(made, module_name)
     if not isinstance(made, Simulator):
         raise InputError(
-            f"--simulator {reference}: {name} is {type(made).__name__}; a softcal.core.gap.simulator.Simulator, or a "
-            "function without arguments that returns one, was expected"
+            f"--simulator {reference}: {name} is {type(made).__name__}; a dictionary, a "
+            "softcal.core.gap.simulator.Simulator, or a function without arguments that returns one, was expected"
         )
     return made
+
+
+PLAIN = ("run", "inputs", "channels", "base", "candidates")
+"""What a dictionary must say of a simulator."""
+
+
+def simulator_of(declared: Mapping[str, Any], name: str) -> Simulator:
+    """Return the simulator that a dictionary declares; its keys are the arguments of `Simulator`.
+
+    A parameter is (low, high, usual), with its unit as a fourth where it has one, or the arguments of `Parameter` as a
+    dictionary. A candidate is a dictionary of parameters; the first one switches it off at 0.
+
+    Args:
+        name: for reports, where the dictionary has none.
+
+    Raises:
+        InputError: a key is missing or none of these, or a parameter is none.
+    """
+    known = [f.name for f in fields(Simulator)]
+    if wrong := sorted({*PLAIN} - set(declared)) or sorted(set(declared) - set(known)):
+        raise InputError(f"simulator {name}: {', '.join(wrong)} missing or unknown; known are {', '.join(known)}")
+    given = {"name": name, **declared}
+    given |= {key: tuple(given[key]) for key in ("inputs", "channels") if not isinstance(given[key], str)}
+    for key in ("base", "run_parameters"):
+        if isinstance(given.get(key), Mapping):
+            given[key] = tuple(_parameter(name, one, row) for one, row in given[key].items())
+    if isinstance(given["candidates"], Mapping):
+        given["candidates"] = tuple(_candidate(name, one, rows) for one, rows in given["candidates"].items())
+    given["experiments"] = {
+        one: Experiment(**row) if isinstance(row, Mapping) else row for one, row in given.get("experiments", {}).items()
+    }
+    return Simulator(**given)
+
+
+def _candidate(simulator: str, name: str, rows: Mapping[str, Any]) -> Effect:
+    place = str(rows.get("place", name))
+    first, *others = (_parameter(simulator, one, row) for one, row in rows.items() if one != "place")
+    first = replace(first, neutral=0.0) if first.neutral is None else first
+    return candidate(name, place, first, *others)
+
+
+def _parameter(simulator: str, name: str, row: Any) -> Parameter:
+    try:
+        if isinstance(row, Mapping):
+            return Parameter(**{"name": name, "unit": "", **row})
+        low, high, usual, *unit = row
+        (of_unit,) = unit or [""]
+        return Parameter(name, of_unit, low, high, usual)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"simulator {simulator}: {name} is {row!r}; (low, high, usual), with a unit as a fourth, was expected"
+        ) from error
+
+
+CALLS_PER_PARAMETER = (30, 350)
+"""Calls of a diagnosis per parameter of base and candidates: where nothing is missing, and where structure is left."""
+
+
+COMPILED_s = 10.0
+"""A first round of calls that takes less is made once more."""
+
+
+def foretell_duration(simulator: Simulator, runs: Sequence[SimulatorRun], processes: int = 1) -> str:
+    """Call a simulator on every run, and return how long a diagnosis will take; empty where that is no minute."""
+    parameters = {name: p.usual for name, p in simulator.every_parameter.items()} | simulator.neutral_values
+    try:
+        each_s = _seconds(simulator, runs, parameters)
+        # A simulator that is compiled when it is first called takes longer once.
+        each_s = _seconds(simulator, runs, parameters) if each_s < COMPILED_s else each_s
+    except SimulatorFailed:
+        return ""
+    several = each_s * len(simulator.every_parameter) / processes
+    least_min, most_min = (count * several / 60.0 for count in CALLS_PER_PARAMETER)
+    if most_min < 1.0:
+        return ""
+    return (
+        f"one call takes {each_s / len(runs):.2g} s: about {least_min:.2g} minutes where nothing is missing, up to "
+        f"{most_min:.2g} where structure is left; --processes divides it"
+    )
+
+
+def _seconds(simulator: Simulator, runs: Sequence[SimulatorRun], parameters: Mapping[str, float]) -> float:
+    started = perf_counter()
+    for run in runs:
+        simulator.predict(run, parameters)
+    return perf_counter() - started
+
+
+_OF_PROCESS: list[Simulator] = []
+"""The simulator of a worker process."""
+
+
+def _load_in_process(reference: str) -> None:
+    _OF_PROCESS[:] = [load_simulator(reference)]
+
+
+def _answer(asked: tuple[Columns, Mapping[str, float]]) -> Columns | Exception:
+    try:
+        with np.errstate(all="ignore"):
+            return dict(_OF_PROCESS[0].run(*asked))
+    except (Exception, SystemExit) as error:
+        return RuntimeError(f"{type(error).__name__}: {error}")
+
+
+@contextmanager
+def in_processes(reference: str, simulator: Simulator, count: int) -> Iterator[Simulator]:
+    """Give a simulator whose calls are answered by several processes, each of which imports `module:name` anew."""
+    if count < 1:
+        raise InputError(f"--processes {count}: a number from 1 was expected")
+    if count == 1:
+        yield simulator
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(count, context, _load_in_process, (reference,)) as pool:
+
+        def run_many(asked: Sequence[tuple[Columns, Mapping[str, float]]]) -> list[Columns | Exception]:
+            try:
+                return list(pool.map(_answer, asked, chunksize=max(1, len(asked) // (4 * count))))
+            except BrokenProcessPool as error:
+                raise InputError(
+                    f"--simulator {reference}: a process that called it ended; leave --processes out"
+                ) from error
+
+        yield replace(simulator, run_many=run_many)
 
 
 def read_runs(place: Path, simulator: Simulator, options: TableOptions = DETECT) -> tuple[list[SimulatorRun], str]:
@@ -80,7 +221,7 @@ def read_runs(place: Path, simulator: Simulator, options: TableOptions = DETECT)
         raise InputError(f"{place}: neither a table nor runs/<n>/{RECORDING}; record the mechanism first")
     runs = []
     for path in paths:
-        name = str(path.parent.relative_to(place)) if place.is_dir() else path.stem
+        name = path.parent.name if place.is_dir() else path.stem
         columns = _columns(path, simulator, options)
         runs.append(recorded(simulator, name, columns, str(_said(path).get("profile", ""))))
     return runs, str(_said(paths[0]).get("serial", place.stem))

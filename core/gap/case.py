@@ -261,6 +261,7 @@ Kind = Literal[
     "out_of_range",
     "constant",
     "repeats",
+    "noise",
 ]
 
 

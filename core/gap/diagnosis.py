@@ -24,7 +24,7 @@ from softcal.core.gap.evidence import (
 )
 from softcal.core.gap.experiments import Identifiability, NextExperiment, identifiability, reasons
 from softcal.core.gap.fit import Fit
-from softcal.core.gap.model import DiagnosisVerdict, GapPlace, Model, Partial, RankedCause, Where
+from softcal.core.gap.model import CalibrationGap, DiagnosisVerdict, GapPlace, Model, Partial, RankedCause, Where
 from softcal.core.gap.places import in_catalogue_form, with_constants
 from softcal.core.gap.residual import (
     ChannelGap,
@@ -68,6 +68,7 @@ class Diagnosis(Generic[M]):
         residual: empirical terms for what no named cause explains, if they hold on runs held back.
         told: what the runs tell of the base and of every effect; None where there is a mistake.
         list_complete: probability that nothing unmodelled is left.
+        calibration: what the gap costs a calibration; None where it was not asked for.
         provenance: what made it and from what, as JSON values; None of what was read from no file.
     """
 
@@ -92,6 +93,7 @@ class Diagnosis(Generic[M]):
     residual: LearnedResidual[Any] | None = None
     told: Identifiability | None = None
     list_complete: float = 0.0
+    calibration: CalibrationGap | None = None
     provenance: Mapping[str, object] | None = None
 
     @classmethod
@@ -148,6 +150,7 @@ class Diagnosis(Generic[M]):
             "residual": None if self.residual is None else self.residual.record(),
             "list_complete": self.list_complete,
             "on_bound": self.on_bound,
+            "calibration": None if self.calibration is None else vars(self.calibration),
         }
         return report | self.model.report(self) | ({"provenance": self.provenance} if self.provenance else {})
 
@@ -274,7 +277,7 @@ def diagnose_with(
         mistakes=questions,
         partial=partial_of(search, judgement),
         residual=learned(search.base, parents, terms),
-        told=told,
+        told=told.naming(best.ids),
         list_complete=judgement.list_complete,
     )
 
@@ -339,14 +342,23 @@ def judged(search: Search) -> Judgement:
 
 
 def closest_set(search: Search) -> Fit:
-    """Return the smallest set whose error on samples held back is near the least: a few sets are tried."""
-    config, every = search.model.method.verdict, list(search.fits.values())
-    tried = {f.ids: f for f in (search.best, *sorted(every, key=lambda f: f.chi2)[: config.most_tried])}
+    """Return the smallest set whose error on samples held back is near the least.
+
+    A few sets are tried, and of the nearest one with a cause more.
+    """
+    config, every = search.model.method, list(search.fits.values())
+    tried = {f.ids: f for f in (search.best, *sorted(every, key=lambda f: f.chi2)[: config.verdict.most_tried])}
     for size in {len(f.ids) for f in every}:
         one = min((f for f in every if len(f.ids) == size), key=lambda f: f.chi2)
         tried[one.ids] = one
     errors = {ids: held_out_error(search.base, found) for ids, found in tried.items()}
-    near = min(errors.values()) * (1.0 + config.near_error)
+    nearest = tried[min(errors, key=lambda ids: errors[ids])]
+    if len(nearest.ids) < config.rival.most_causes:
+        for grown in search.grown_from(nearest):
+            search.keep(grown)
+            if (kept := search.fits.get(grown.ids)) is not None:
+                tried[kept.ids], errors[kept.ids] = kept, held_out_error(search.base, kept)
+    near = min(errors.values()) * (1.0 + config.verdict.near_error)
     return tried[min((ids for ids, error in errors.items() if error <= near), key=lambda i: (len(i), errors[i]))]
 
 

@@ -141,7 +141,7 @@ def rivals(
     ahead = {f.ids: exact_log_evidence(f) - exact_log_evidence(best) for f in larger}
     least = max(ahead.values(), default=0.0) - config.odds
     # Another form of one cause may be two in the catalogue's equations: a joint is frame and toe.
-    is_in_other_form = any(form.effect is e for e in best.effects for form in best.problem.model.forms.get(e.id, ()))
+    is_in_other_form = any(form.effect is e for e in best.effects for form in best.problem.model.forms_of(e.id))
     within = config.odds if is_in_other_form else config.added
     most_z = max(best.problem.method.structure.dirty_z, config.structure_left * structure(best).z)
     for found in sorted(larger, key=lambda f: -ahead[f.ids]):

@@ -95,6 +95,7 @@ class ParameterTold:
         offset: the offset that does, as `delay of y`; empty where none does.
         beside: other parameters of the base that it is traded against.
         by: runs that could be made and would tell it, the quickest first.
+        is_named: whether a search named it: then it shows here, though a change of the usual size would not.
     """
 
     name: str
@@ -105,6 +106,7 @@ class ParameterTold:
     offset: str = ""
     beside: tuple[str, ...] = ()
     by: tuple[str, ...] = ()
+    is_named: bool = False
     config: TellingConfig = field(default=TellingConfig(), repr=False)
 
     @property
@@ -114,11 +116,11 @@ class ParameterTold:
 
     @property
     def is_told(self) -> bool:
-        """Whether a change of the usual size would show."""
-        return self.sigma >= self.config.sigma and not self.is_own
+        """Whether it shows, or a change of the usual size would."""
+        return self.is_named or (self.sigma >= self.config.sigma and not self.is_own)
 
     def record(self) -> dict[str, object]:
-        plain = {name: value for name, value in vars(self).items() if name != "config"}
+        plain = {name: value for name, value in vars(self).items() if name not in ("config", "is_named")}
         return plain | {"beside": list(self.beside), "by": list(self.by), "is_told": self.is_told}
 
 
@@ -136,6 +138,10 @@ class Identifiability:
     def untold(self) -> tuple[ParameterTold, ...]:
         """What these runs do not tell."""
         return tuple(one for one in self.every if not one.is_told)
+
+    def naming(self, causes: Sequence[str]) -> "Identifiability":
+        """Return the same where a search has named these causes."""
+        return replace(self, every=tuple(replace(one, is_named=one.name in causes) for one in self.every))
 
     def record(self) -> dict[str, object]:
         return {
@@ -226,7 +232,7 @@ class _Rows:
             *map(problem.whitened, own),
             *(row for pair in causes.values() for row in pair),
         ]
-        stacked = np.array(every).reshape(len(every), len(problem.measured))
+        stacked = np.array(every).reshape(len(every), len(bare.residual))
         return cls(tuple(names[k] for k in telling), kinds, tuple(causes), stacked @ stacked.T, config)
 
     def with_run(self, new: "_Rows") -> "_Rows":
@@ -315,7 +321,7 @@ def _changes(bare: Fit, effect: Effect) -> tuple[Array, Array]:
     for values in (usual, [smaller, *usual[1:]]):
         start = np.append(bare.coordinates, start_coordinates([effect], [values]))
         change = bare.problem.predict(bare.hypothesis.adding(effect), start) - bare.predicted
-        row = bare.problem.whitened(change) if np.all(np.isfinite(change)) else np.zeros(len(change))
+        row = bare.problem.whitened(change if np.all(np.isfinite(change)) else np.zeros(len(change)))
         rows.append(row)
     return rows[0], rows[1]
 

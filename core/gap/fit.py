@@ -38,8 +38,8 @@ class Fit:
 
     @cached_property
     def jacobian(self) -> Array:
-        """(parameters, samples) derivative of the whitened prediction; rows held fixed are 0."""
-        return np.array([self.problem.whitened(row) for row in self.slopes])
+        """(parameters, samples + priors) derivative of the whitened prediction; rows held fixed are 0."""
+        return self.problem.jacobian(self.slopes)
 
     @cached_property
     def base(self) -> BaseParameters:
@@ -62,8 +62,8 @@ class Fit:
 
     @cached_property
     def residual(self) -> Array:
-        """(samples,) measured − predicted, whitened: in white noise over σ."""
-        return self.problem.whitened(self.problem.measured - self.predicted)
+        """(samples + priors,) measured − predicted, whitened: in white noise over σ."""
+        return self.problem.residual(self.predicted, self.coordinates)
 
     @cached_property
     def covariance(self) -> Array:
@@ -81,8 +81,7 @@ class Fit:
 
     def under(self, problem: Problem) -> "Fit":
         """Return the same parameters scored under another noise level."""
-        residual = problem.whitened(problem.measured - self.predicted)
-        return replace(self, problem=problem, chi2=energy(residual))
+        return replace(self, problem=problem, chi2=energy(problem.residual(self.predicted, self.coordinates)))
 
     @property
     def penalty(self) -> float:
@@ -107,13 +106,13 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20)
     space = _Space(problem, hypothesis)
     x = np.clip(start, space.low, space.high)
     predicted, around = problem.predict_around(hypothesis, x)
-    residual = problem.whitened(problem.measured - predicted)
+    residual = problem.residual(predicted, x)
     chi2, damping = _finite_energy(residual), 1e-4
     if chi2 == np.inf:
         return Fit(problem, hypothesis, x, predicted, chi2, np.zeros((len(x), len(predicted))))
     slopes = space.slopes(x, predicted, around)
     for _ in range(steps):
-        jacobian = np.array([problem.whitened(row) for row in slopes])
+        jacobian = problem.jacobian(slopes)
         normal, slope = gram(jacobian), jacobian @ residual
         accepted = False
         for _ in range(TRIES):
@@ -122,7 +121,7 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20)
             # A step cut short by a bound may promise nothing where a more damped one does.
             if float(2.0 * moved @ slope - moved @ normal @ moved) > 0.1 * TOLERANCE:
                 trial, trial_around = problem.predict_around(hypothesis, candidate)
-                trial_residual = problem.whitened(problem.measured - trial)
+                trial_residual = problem.residual(trial, candidate)
                 trial_chi2 = _finite_energy(trial_residual)
                 if trial_chi2 < chi2:
                     accepted = True
@@ -150,7 +149,7 @@ class _Space:
     """Bounds, scales and derivatives of one hypothesis on one problem."""
 
     def __init__(self, problem: Problem, hypothesis: Hypothesis) -> None:
-        self._hypothesis = hypothesis
+        self._problem, self._hypothesis = problem, hypothesis
         parameters = [problem.scale.sized(p) for p in hypothesis.parameters]
         bounds = [sorted((to_fit(p, p.low), to_fit(p, p.high))) for p in parameters]
         self.low = np.array([b[0] for b in bounds])
@@ -165,12 +164,11 @@ class _Space:
 
     def slopes(self, x: Array, predicted: Array, around: Around) -> Array:
         """(parameters, samples) derivative of the prediction, one-sided, away from a bound."""
-        out = np.zeros((len(x), len(predicted)))
-        for k in np.flatnonzero(self.is_free):
-            # One-sided: a central difference costs twice and gains nothing on kinked effects.
-            step = DIFFERENCE * self.scale[k]
-            if x[k] + step > self.high[k]:
-                step = -step
+        out, free = np.zeros((len(x), len(predicted))), np.flatnonzero(self.is_free)
+        # One-sided: a central difference costs twice and gains nothing on kinked effects.
+        steps = np.where(x + DIFFERENCE * self.scale > self.high, -1.0, 1.0) * DIFFERENCE * self.scale
+        self._problem.prepare([(self._hypothesis, x + steps * (np.arange(len(x)) == k)) for k in free])
+        for k, step in zip(free, steps[free], strict=True):
             # Where a simulator fails the other side tells; between two failures a parameter is held.
             for side in (step, -step):
                 moved = x.copy()
@@ -260,11 +258,14 @@ class Tangent:
     def _around(self) -> Around:
         return self._found.problem.predict_around(self._found.hypothesis, self._found.coordinates)[1]
 
+    def place_of(self, probe: Probe) -> tuple[Hypothesis, Array]:
+        """Return the hypothesis with a probe, and its coordinates."""
+        x = np.concatenate([self._found.coordinates, start_coordinates([probe.effect], [probe.values])])
+        return self._found.hypothesis.adding(probe.effect), x
+
     def signature(self, probe: Probe) -> Array:
         """(samples,) change of the whitened prediction when the probe is switched on."""
-        found = self._found
-        hypothesis = found.hypothesis.adding(probe.effect)
-        x = np.concatenate([found.coordinates, start_coordinates([probe.effect], [probe.values])])
+        found, (hypothesis, x) = self._found, self.place_of(probe)
         change = found.problem.whitened(self._around(hypothesis, x) - found.predicted)
         return change if np.all(np.isfinite(change)) else np.zeros(len(change))
 
@@ -361,5 +362,5 @@ def shares_of_gap(
 
 def form_of(found: Fit, effect: Effect) -> str:
     """Return the form by which an effect of a fit acts, empty for the list's own equation."""
-    names = (form.effect.equation for form in found.problem.model.forms.get(effect.id, ()))
+    names = (form.effect.equation for form in found.problem.model.forms_of(effect.id))
     return effect.equation if effect.equation in names else ""

@@ -27,6 +27,16 @@ if TYPE_CHECKING:
 DIFFERENCE = 2e-4
 """Step of a derivative, in usual sizes of a parameter: beyond corners of play and clipping."""
 
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of a base parameter before any run: which one, its mean and SD in coordinates of the fit."""
+
+    place: int
+    mean: float
+    sd: float
+
+
 LARGEST_LOG = float(np.log(np.finfo(np.float64).max))
 
 

@@ -57,6 +57,7 @@ class MistakeConfig:
     as_warm_K: float = setting(8.0)
     step_apart: float = setting(5.0)  # factor from which the steps of time of one run are none of jitter.
     stuck: float = setting(0.01)  # share of samples on the largest or smallest value that may be a channel cut off.
+    louder: float = setting(1.5)  # times the noise that is stated of a channel from which its scatter is a question.
     resting: float = setting(0.05)  # share of repeated samples up to which a channel does not rest on steps.
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from softcal.core.gap.diagnosis import Diagnosis, Judgement
     from softcal.core.gap.experiments import NextExperiment
     from softcal.core.gap.fit import Fit, Map, Probe, Regime
-    from softcal.core.gap.linear import RigScale
+    from softcal.core.gap.linear import Prior, RigScale
     from softcal.core.gap.method import GapMethod, SearchConfig
     from softcal.core.gap.problem import Block, Hypothesis, Problem
     from softcal.core.gap.search import Search
@@ -95,6 +95,22 @@ class Partial:
     share: float
 
 
+@dataclass(frozen=True)
+class CalibrationGap:
+    """Errors of f on a run that neither twin nor f has seen, RMS in N, by what f was trained on.
+
+    Args:
+        run: the run that was held back.
+        base, repaired: f trained on the refitted base twin, and on the twin with the causes.
+        rig: f trained on the rig's other runs.
+    """
+
+    run: str
+    base: float
+    repaired: float
+    rig: float
+
+
 class Model(ABC):
     """What predicts recordings, what it may lack, and what every run may have of its own: a zero, a delay.
 
@@ -102,9 +118,9 @@ class Model(ABC):
         method: every number of the diagnosis.
         base: parameters that every hypothesis has.
         candidates: effects it may lack; causes are sought among them.
-        forms: other realisations of a cause, by its identifier.
         offset_names: of what every run may have of its own.
         are_relative: of which offsets only what the runs differ by is taken off.
+        priors: what is known of the base before any run.
         are_bending: which offsets move a channel other than in proportion.
         hands_on_closest: whether the set of least error held back is handed on where no cause is certain.
         smooth_order: which differences of a residual hold noise alone: second ones where all is quick.
@@ -122,9 +138,13 @@ class Model(ABC):
     @abstractmethod
     def candidates(self) -> tuple[Effect, ...]: ...
 
+    def forms_of(self, cause: str) -> Sequence[Form]:
+        """Return other realisations of a cause."""
+        return next((effect.forms for effect in self.candidates if effect.id == cause), ())
+
     @property
     @abstractmethod
-    def forms(self) -> Mapping[str, Sequence[Form]]: ...
+    def priors(self) -> Sequence[Prior]: ...
 
     @property
     @abstractmethod
@@ -162,8 +182,8 @@ class Model(ABC):
         """Return the channels whose gap is measured."""
 
     @abstractmethod
-    def least_noise(self, problem: Problem, channel: str) -> float:
-        """Return the least noise of a channel that is believed: one without any has no weight."""
+    def noise_range(self, problem: Problem, channel: str) -> tuple[float, float]:
+        """Return the least and the largest noise of a channel that is believed: one without any has no weight."""
 
     @abstractmethod
     def times_slower(self, case: Case) -> float:
@@ -176,6 +196,10 @@ class Model(ABC):
     @abstractmethod
     def largest_offsets(self, case: Case) -> Array:
         """Return (k,) bounds of what every run has of its own."""
+
+    def prepare(self, problem: Problem, places: Sequence[tuple[Hypothesis, Array]]) -> None:
+        """Make predictions at several places at once, and store them; one after another is as quick."""
+        return
 
     @abstractmethod
     def clean(self, problem: Problem, hypothesis: Hypothesis, coordinates: Array, sizes: Sizes) -> Array:

@@ -1,6 +1,6 @@
 """What a fit is of: a hypothesis, and measured channels as one vector with weights."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, TypeAlias
@@ -10,6 +10,7 @@ import numpy as np
 from softcal.core.gap.case import Case, Mask, Run, RunKind
 from softcal.core.gap.linear import (
     Colour,
+    Prior,
     RigScale,
     bounded_sizes,
     filter_of,
@@ -187,9 +188,14 @@ class Problem:
         """How noise that fades is read."""
         return self.method.colour.slower(self.model.times_slower(self.case))
 
-    def least_noise(self, channel: str) -> float:
-        """Return the least noise of a channel that is believed: one without any has no weight."""
-        return self.model.least_noise(self, channel)
+    def noise_range(self, channel: str) -> tuple[float, float]:
+        """Return the least and the largest noise of a channel that is believed."""
+        return self.model.noise_range(self, channel)
+
+    @cached_property
+    def priors(self) -> Sequence[Prior]:
+        """What is known of the base beforehand; a run that is only planned does not tell it again."""
+        return () if self.case.is_planned else self.model.priors
 
     @property
     def scored_channels(self) -> list[str]:
@@ -237,10 +243,24 @@ class Problem:
         return 1.0 / self.noise if self.use is None else self.use / self.noise
 
     def whitened(self, values: Array) -> Array:
-        """Return (samples,) independent values over their noise, 0 where a fit may not look."""
-        out = np.asarray(values * self.weights)
+        """Return (samples + priors,) independent values over their noise, 0 where a fit may not look."""
+        out = np.append(values * self.weights, np.zeros(len(self.priors)))
         for block, steps in self._filters:
             out[block.place] = filtered(values[block.place], steps)
+        return out
+
+    def residual(self, predicted: Array, coordinates: Array) -> Array:
+        """Return (samples + priors,) what a prediction leaves, and how far its base lies from what is known of it."""
+        out = self.whitened(self.measured - predicted)
+        for k, prior in enumerate(self.priors, start=len(predicted)):
+            out[k] = (prior.mean - coordinates[prior.place]) / prior.sd
+        return out
+
+    def jacobian(self, slopes: Array) -> Array:
+        """Return (parameters, samples + priors) derivatives of what is compared, from those of a prediction."""
+        out = np.array([self.whitened(row) for row in slopes])
+        for k, prior in enumerate(self.priors, start=len(self.measured)):
+            out[prior.place, k] = 1.0 / prior.sd
         return out
 
     @cached_property
@@ -304,6 +324,10 @@ class Problem:
         """Return how a prediction with these offsets in it changes with each of them."""
         return self.model.directions(self, hypothesis, coordinates, clean, sizes)
 
+    def prepare(self, places: Sequence[tuple[Hypothesis, Array]]) -> None:
+        """Make predictions at several places at once, where the model is quicker so."""
+        self.model.prepare(self, places)
+
     def clean(self, hypothesis: Hypothesis, coordinates: Array, sizes: "Sizes") -> Array:
         """Return the (samples,) prediction with these offsets in it, NaN where nobody can know."""
         return self.model.clean(self, hypothesis, coordinates, sizes)
@@ -328,20 +352,31 @@ class Nearby:
 
     directions: "Directions"
     moved: "Sizes" = field(default_factory=dict)
+    _products: dict[int, tuple[Array, Array]] = field(default_factory=dict, repr=False)
+
+    def _weighted(self, problem: Problem, number: int, rows: Array) -> tuple[Array, Array]:
+        """Return the rows of a block over the noise, and their products: the same however often sizes are asked for."""
+        if number not in self._products:
+            weighted = np.asarray(rows / problem.slow_noise[problem.blocks[number].place])
+            self._products[number] = weighted, gram(weighted)
+        return self._products[number]
 
     def sizes(self, problem: Problem, clean: Array) -> dict[int, Array]:
         """Return what is still to be added to a prediction, (samples,) with `moved` in it."""
         pairs = list(zip(problem.blocks, self.directions, strict=True))
         runs, count = list(dict.fromkeys(b.run for b, rows in pairs if rows is not None)), len(problem.largest_offsets)
         normal, slope = np.zeros((len(runs), count, count)), np.zeros((len(runs), count))
-        for block, rows in pairs:
+        for number, (block, rows) in enumerate(pairs):
             if rows is not None:
                 k, at = runs.index(block.run), block.place
                 error = (problem.measured[at] - clean[at]) / problem.slow_noise[at]
-                # A sample that nobody can foretell tells nothing.
-                weighted = np.where(np.isnan(error), 0.0, rows / problem.slow_noise[at])
-                normal[k] += gram(weighted)
-                slope[k] += weighted @ np.nan_to_num(error)
+                weighted, product = self._weighted(problem, number, rows)
+                if not np.all(np.isfinite(error)):
+                    # A sample that nobody can foretell tells nothing.
+                    weighted = np.where(np.isnan(error), 0.0, weighted)
+                    error, product = np.nan_to_num(error), gram(weighted)
+                normal[k] += product
+                slope[k] += weighted @ error
         has = np.array([self.moved.get(run, np.zeros(count)) for run in runs]).reshape(len(runs), count)
         sizes = bounded_sizes(normal, slope, has, problem.largest_offsets, problem.are_relative)
         return dict(zip(runs, sizes, strict=True))

@@ -78,7 +78,14 @@ def gap_of_base(base: Fit) -> dict[str, ChannelGap]:
 
 
 def noise_levels(found: Fit) -> dict[str, float]:
-    """Return σ of the white noise per channel from the differences of neighbouring residuals.
+    """Return σ of the white noise per channel, within what is believed of it."""
+    problem = found.problem
+    scatter = {c: float(np.clip(sigma, *problem.noise_range(c))) for c, sigma in scatter_of(found).items()}
+    return {**problem.sigma, **scatter}
+
+
+def scatter_of(found: Fit) -> dict[str, float]:
+    """Return the scatter per channel from the differences of neighbouring residuals.
 
     A structured residual is smooth and hardly enters.
     """
@@ -88,13 +95,12 @@ def noise_levels(found: Fit) -> dict[str, float]:
         error = (problem.measured - found.predicted)[block.place]
         # White noise of variance 1 gives differences of variance 2, second ones of 6.
         squares.setdefault(block.channel, []).append(np.diff(error, order) ** 2 / comb(2 * order, order))
-    levels = dict(problem.sigma)
+    levels = {}
     for channel, parts in squares.items():
         every = np.sort(np.concatenate(parts))
         trimmed = every[: max(1, int(len(every) * (1 - TRIMMED)))]
         # A Gaussian without its largest 2 % of squares keeps 0.873 of its variance.
-        variance = float(np.mean(trimmed)) / 0.873
-        levels[channel] = max(float(np.sqrt(variance)), problem.least_noise(channel))
+        levels[channel] = float(np.sqrt(np.mean(trimmed) / 0.873))
     return levels
 
 
@@ -102,6 +108,9 @@ def noise_of(found: Fit, channels: Iterable[str] | None = None) -> tuple[dict[st
     """Return white noise and, in these channels or where there already is one, the fading part."""
     levels, colours, config = noise_levels(found), {}, found.problem.colour_config
     for channel in found.problem.colour if channels is None else channels:
+        least, largest = found.problem.noise_range(channel)
+        if least == largest:
+            continue
         noise = read_noise([_stretch(found, b) for b in found.problem.blocks_of(channel)], config)
         if noise.gain > config.gain:
             levels[channel], colours[channel] = noise.white, noise.colour
@@ -359,7 +368,7 @@ def held_out_error(base: Fit, found: Fit) -> float:
     problem, squares, count = found.problem, 0.0, 0
     for unseen in _folds(problem, found.hypothesis)[0]:
         after = _refit(base, found, unseen).after
-        errors = problem.whitened(problem.measured - after.predicted)[unseen]
+        errors = problem.whitened(problem.measured - after.predicted)[np.flatnonzero(unseen)]
         squares, count = squares + energy(errors), count + len(errors)
     return float(np.sqrt(squares / max(count, 1)))
 
@@ -392,7 +401,8 @@ def _held_out_gain(folds: list[_Fold], problem: Problem) -> tuple[float, float]:
     gain = parted = 0.0
     for fold in folds:
         before, after = (
-            problem.whitened(problem.measured - f.predicted)[fold.unseen] for f in (fold.before, fold.after)
+            problem.whitened(problem.measured - f.predicted)[np.flatnonzero(fold.unseen)]
+            for f in (fold.before, fold.after)
         )
         gain, parted = gain + energy(before) - energy(after), parted + energy(before - after)
     return gain, 2.0 * float(np.sqrt(parted))

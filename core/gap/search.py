@@ -51,9 +51,9 @@ def screen(found: Fit, candidates: Sequence[Probe]) -> list[Lead]:
     """
     space = Tangent(found)
     best: dict[str, Lead] = {}
+    candidates = [probe for probe in candidates if probe.effect.id not in found.ids]
+    found.problem.prepare([space.place_of(probe) for probe in candidates])
     for probe in candidates:
-        if probe.effect.id in found.ids:
-            continue
         lead = space.lead(probe)
         if lead is not None and (probe.effect.id not in best or lead.gain > best[probe.effect.id].gain):
             best[probe.effect.id] = lead
@@ -136,7 +136,7 @@ class Search:
         singles = sorted((f for ids, f in self.fits.items() if len(ids) == 1), key=lambda f: f.bic)
         likely = [f for f in singles if self.share(f) > share * self.share(singles[0])] if singles else []
         for found in likely[: self._config.with_forms]:
-            for form in self.model.forms.get(found.ids[0], ()):
+            for form in self.model.forms_of(found.ids[0]):
                 self.keep(self._in_form(found, form))
         self.settle_noise()
         self.best = self._most_likely
@@ -145,7 +145,7 @@ class Search:
             # One cause in another form, another left out: that may be what the equation leaves.
             for smaller in self.one_less(before).values():
                 for cause in smaller.ids if len(smaller.ids) > 1 else ():
-                    for form in self.model.forms.get(cause, ()):
+                    for form in self.model.forms_of(cause):
                         self.keep(self._in_form(smaller, form))
             if self._most_likely.ids == before.ids:
                 break

@@ -35,6 +35,8 @@ Columns: TypeAlias = Mapping[str, Array]
 
 Simulate: TypeAlias = Callable[[Columns, Mapping[str, float]], Columns]
 
+SimulateMany: TypeAlias = Callable[[Sequence[tuple[Columns, Mapping[str, float]]]], Sequence[Columns | Exception]]
+
 OFFSETS = ("zero", "gain", "delay", "drift")
 """What a run may have of its own in a channel."""
 
@@ -72,6 +74,12 @@ class Simulator:
             taken off. A gain that all runs share belongs to the base.
         run_parameters: what each run has of its own and the simulator must be told, such as where it begins. They are
             fitted run by run, and called `name@run` in a report.
+        priors: what is known of a parameter of base or runs before any recording, such as a mass that stood on a
+            scale: by name, mean and standard deviation in its unit.
+        noise: by channel, standard deviation of its noise where the sensor's is known; else it is read off the runs.
+        skip_s: how much of the start of every run is simulated and not compared, in s.
+        run_many: answers several calls at once, each (inputs, parameters), in their order; an exception in the place
+            of an answer is a call that failed. Derivatives are made so where it is given.
 
     Raises:
         InputError: two parts have the same name, or a part that must be there is missing.
@@ -86,6 +94,10 @@ class Simulator:
     experiments: Mapping[str, Experiment] = field(default_factory=dict)
     per_run: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     run_parameters: tuple[Parameter, ...] = ()
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    noise: Mapping[str, float] = field(default_factory=dict)
+    skip_s: float = 0.0
+    run_many: SimulateMany | None = None
 
     def __post_init__(self) -> None:
         if not callable(self.run):
@@ -104,6 +116,7 @@ class Simulator:
             if len(set(names)) < len(names):
                 raise InputError(f"simulator {self.name}: two of the {what}s have one name: {', '.join(names)}")
         self._check_bounds()
+        self._check_priors()
         for channel, kinds in self.per_run.items():
             if channel not in self.channels or not set(kinds) <= set(OFFSETS):
                 raise InputError(
@@ -115,6 +128,26 @@ class Simulator:
                     raise InputError(
                         f"simulator {self.name}: {kind} of {channel} is {largest}; its largest was expected"
                     )
+
+    def _check_priors(self) -> None:
+        base = {p.name: p for p in (*self.base, *self.run_parameters)}
+        for name, (mean, sd) in self.priors.items():
+            if name.partition("@")[0] not in {plain.partition("@")[0] for plain in base}:
+                raise InputError(f"simulator {self.name}: priors has {name}; one of {', '.join(base)} was expected")
+            bounds = base.get(name)
+            if bounds is not None and not (bounds.low <= mean <= bounds.high and 0.0 < sd < np.inf):
+                raise InputError(
+                    f"simulator {self.name}: the prior of {name} is {mean:g} with the standard deviation {sd:g}; a "
+                    f"mean within {bounds.low:g} and {bounds.high:g} and a deviation above 0 were expected"
+                )
+        for channel, sigma in self.noise.items():
+            if channel not in self.channels or not 0.0 < sigma < np.inf:
+                raise InputError(
+                    f"simulator {self.name}: noise has {channel}: {sigma:g}; the standard deviation of one of "
+                    f"{', '.join(self.channels)} was expected, above 0"
+                )
+        if not 0.0 <= self.skip_s < np.inf:
+            raise InputError(f"simulator {self.name}: skip_s is {self.skip_s:g}; seconds from 0 were expected")
 
     def _check_bounds(self) -> None:
         for name, p in self.every_parameter.items():
@@ -147,7 +180,18 @@ class Simulator:
     def of_runs(self, names: Sequence[str]) -> "Simulator":
         """Return the simulator with a base parameter for each run of these names in place of its own parameters."""
         own = tuple(replace(p, name=f"{p.name}@{name}") for name in names for p in self.run_parameters)
-        return replace(self, base=(*self.base, *own), run_parameters=())
+        # A search begins at what is known.
+        known = ((p, self.prior_of(p)) for p in (*self.base, *own))
+        base = tuple(replace(p, usual=prior[0]) if prior is not None else p for p, prior in known)
+        return replace(self, base=base, run_parameters=())
+
+    def prior_of(self, parameter: Parameter) -> tuple[float, float] | None:
+        """Return mean and standard deviation of what is known of a base parameter, of one run's by its plain name."""
+        return self.priors.get(parameter.name) or self.priors.get(parameter.name.partition("@")[0])
+
+    def first_compared(self, t_s: Array) -> int:
+        """Return the first sample of a run, (n,) times, that is compared."""
+        return int(np.searchsorted(t_s, t_s[0] + self.skip_s)) if self.skip_s and len(t_s) else 0
 
     def parameters_of(self, parameters: Mapping[str, float], run_name: str) -> Mapping[str, float]:
         """Return parameters as `run` takes them for one run: what that run has of its own by its plain name."""
@@ -204,8 +248,42 @@ class Simulator:
         try:
             # What overflows is found below, and is said once.
             with np.errstate(all="ignore"):
-                found = self.run(inputs, self.parameters_of(parameters, run_name))
+                found: Columns | BaseException = self.run(inputs, self.parameters_of(parameters, run_name))
         except (Exception, SystemExit) as error:
+            found = error
+        return self._checked(found, len(inputs["t_s"]), parameters)
+
+    def predict(self, run: "SimulatorRun", parameters: Mapping[str, float]) -> Columns:
+        """Return the predicted channels of a run at the samples that are compared.
+
+        Raises:
+            SimulatorFailed: as of a call.
+        """
+        channels = self(run.driving(self.inputs), parameters, run.name)
+        return {name: values[run.skipped :] for name, values in channels.items()}
+
+    def predict_many(
+        self, runs: Sequence["SimulatorRun"], places: Sequence[Mapping[str, float]]
+    ) -> list[list[Columns | SimulatorFailed]]:
+        """Return for every place of the parameters the channels of all runs, or how a run failed; in one call."""
+        if self.run_many is None:
+            raise ValueError(f"simulator {self.name} has no run_many")
+        asked = [(run.driving(self.inputs), self.parameters_of(place, run.name)) for place in places for run in runs]
+        answers = iter(self.run_many(asked))
+        return [[self._answer(next(answers), run, place) for run in runs] for place in places]
+
+    def _answer(
+        self, found: Columns | BaseException, run: "SimulatorRun", parameters: Mapping[str, float]
+    ) -> "Columns | SimulatorFailed":
+        try:
+            channels = self._checked(found, run.skipped + len(run), parameters)
+        except SimulatorFailed as error:
+            return error
+        return {name: values[run.skipped :] for name, values in channels.items()}
+
+    def _checked(self, found: Columns | BaseException, count: int, parameters: Mapping[str, float]) -> Columns:
+        if isinstance(found, BaseException):
+            error = found
             lines = [one.lineno for one in traceback.extract_tb(error.__traceback__) if one.filename == self._file]
             line = f", line {lines[-1]}" if lines else ""
             raise self._failed(f"{type(error).__name__}: {error}", parameters, line) from error
@@ -220,8 +298,8 @@ class Simulator:
                 out[channel] = np.asarray(found[channel], dtype=np.float64)
             except (TypeError, ValueError) as error:
                 raise self._failed(f"{channel} is no array of numbers: {error}", parameters) from error
-            if out[channel].shape != np.shape(inputs["t_s"]):
-                shapes = f"has shape {out[channel].shape}, t_s has {np.shape(inputs['t_s'])}"
+            if out[channel].shape != (count,):
+                shapes = f"has shape {out[channel].shape}, t_s has {(count,)}"
                 raise self._failed(f"{channel} {shapes}", parameters)
             bad = np.flatnonzero(~np.isfinite(out[channel]))
             if len(bad):
@@ -275,9 +353,15 @@ def candidate(
 
 @dataclass(frozen=True, eq=False)
 class SimulatorRun(Run):
-    """One recorded run of a mechanism: its columns by name."""
+    """One recorded run of a mechanism.
+
+    Args:
+        columns: its columns by name, (n,) each.
+        lead: the columns before, which are simulated and not compared; empty where there are none.
+    """
 
     columns: Columns = field(default_factory=dict)
+    lead: Columns = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if len(self.t_s) < SHORTEST:
@@ -288,6 +372,22 @@ class SimulatorRun(Run):
         for name, values in self.columns.items():
             if len(values) != len(self.t_s) or not np.all(np.isfinite(values)):
                 raise InputError(f"{self.name}: {name} has {len(values)} samples or is not finite; t_s has {len(self)}")
+
+    @property
+    def skipped(self) -> int:
+        """Samples at the start that are not compared."""
+        return len(self.lead["t_s"]) if self.lead else 0
+
+    def driving(self, inputs: Sequence[str]) -> dict[str, Array]:
+        """Return `t_s` and the inputs from the first sample on, as a simulator takes them."""
+        names = ("t_s", *inputs)
+        if not self.lead:
+            return {name: self.columns[name] for name in names}
+        return {name: np.concatenate([self.lead[name], self.columns[name]]) for name in names}
+
+    def changed(self, change: Callable[[Columns], Columns]) -> "SimulatorRun":
+        """Return the run with other columns, those before alike."""
+        return replace(self, columns=change(self.columns), lead=change(self.lead) if self.lead else {})
 
 
 def recorded(simulator: Simulator, name: str, columns: Columns, profile: str = "") -> SimulatorRun:
@@ -311,12 +411,18 @@ def recorded(simulator: Simulator, name: str, columns: Columns, profile: str = "
             raise InputError(f"{name}: {column} is no column of numbers: {error}") from error
         if kept[column].ndim != 1:
             raise InputError(f"{name}: {column} has shape {kept[column].shape}; one column was expected")
-    return _run(name, kept, profile)
+    return _run(simulator, name, kept, profile)
 
 
-def _run(name: str, columns: Columns, profile: str = "") -> SimulatorRun:
+def _run(simulator: Simulator, name: str, columns: Columns, profile: str = "") -> SimulatorRun:
+    first = simulator.first_compared(columns["t_s"])
+    lead, kept = ({n: values[part] for n, values in columns.items()} for part in (slice(first), slice(first, None)))
+    if first and len(kept["t_s"]) < SHORTEST:
+        raise InputError(
+            f"{name}: {len(kept['t_s'])} samples after skip_s = {simulator.skip_s:g} s; at least {SHORTEST} are needed"
+        )
     # The electronics of a soft sensor mean nothing here.
-    return SimulatorRun(name, columns["t_s"], ReadoutMetadata(), profile=profile, columns=columns)
+    return SimulatorRun(name, kept["t_s"], ReadoutMetadata(), profile=profile, columns=kept, lead=lead if first else {})
 
 
 def runs_of(case: Case) -> list[SimulatorRun]:
@@ -327,17 +433,17 @@ def runs_of(case: Case) -> list[SimulatorRun]:
 def planned(simulator: Simulator, name: str) -> SimulatorRun:
     """Return an experiment as the run it would be, its channels still empty (zeros)."""
     inputs = {k: np.asarray(v, dtype=np.float64) for k, v in simulator.experiments[name].inputs.items()}
-    return _run(name, {channel: np.zeros(len(inputs["t_s"])) for channel in simulator.channels} | inputs)
+    return _run(simulator, name, {channel: np.zeros(len(inputs["t_s"])) for channel in simulator.channels} | inputs)
 
 
 REPEATABLE = 1e-7
 """Largest difference of equal calls, as a share of a channel's span: a tenth of what derivatives bear."""
 
-LONG_STEP = 100.0
-"""Steps of the fit in the longer of two difference quotients that are compared."""
-
-MOVED, ROUNDED = 1e-3, 0.5
+MOVED, UNEQUAL = 1e-3, 0.5
 """Share of the largest change from which a sample is compared; share of samples and changes that rounding spoils."""
+
+SMOOTH, FEWEST_STEPS, OFF_GRID = 1e-6, 8, 1e-3
+"""Share of a span that a channel may be rounded to; steps that make a grid; how far off it a value lies, in steps."""
 
 
 class _ReadNames(dict[str, float]):
@@ -402,16 +508,17 @@ class _Calls:
 
     def excited(self, values: Mapping[str, float]) -> Array:
         """Return the channels of the first run where every input swings about what was recorded."""
-        t_s = self._runs[0].columns["t_s"]
+        driving = self._runs[0].driving(self.simulator.inputs)
+        t_s = driving["t_s"]
         phase = 2.0 * np.pi * (t_s - t_s[0]) / max(float(t_s[-1] - t_s[0]), 1e-300)
         swings = {}
         for k, name in enumerate(self.simulator.inputs, start=1):
-            column = self._runs[0].columns[name]
+            column = driving[name]
             swings[name] = column + (float(np.max(np.abs(column))) or 1.0) * np.sin((2 * k + 1) * phase)
         return self._run(self._runs[0], values, swings)
 
     def _run(self, run: SimulatorRun, values: Mapping[str, float], swings: Columns | None = None) -> Array:
-        recorded = {name: run.columns[name] for name in ("t_s", *self.simulator.inputs)} | dict(swings or {})
+        recorded = run.driving(self.simulator.inputs) | dict(swings or {})
         inputs = {name: column.copy() for name, column in recorded.items()}
         channels = self._watched(inputs, values)
         self.names |= self._read.names
@@ -452,16 +559,21 @@ def check_calls(simulator: Simulator, runs: Sequence[SimulatorRun]) -> None:
         with_causes = calls.first(on)
         after = "called again after a call with other parameters"
         _refuse_differing(simulator, plain, calls.first(off), after)
-        near, far = (calls.first(_moved(simulator, on, steps)) for steps in (1.0, LONG_STEP))
+        moved = [calls.first(_moved(simulator, on, steps)) for steps in (1.0, 2.0)]
     except SimulatorFailed:
         return
-    if np.array_equal(far, with_causes) and np.array_equal(with_causes, plain):
+    if np.array_equal(moved[1], with_causes) and np.array_equal(with_causes, plain):
         raise refused(simulator, "no parameter changes a channel; it gives what it gave before")
-    if _is_rounded(near - with_causes, far - with_causes):
+    one_each = len(runs[0]) + runs[0].skipped
+    for k, channel in enumerate(simulator.channels):
+        answers = [values[k * one_each : (k + 1) * one_each] for values in (plain, with_causes, *moved)]
+        if _is_on_grid(answers):
+            raise refused(simulator, f"it rounds {channel}; give it in full precision")
+    if _jumps(moved[0] - with_causes, moved[1] - moved[0]):
         raise refused(
             simulator,
-            "a small change of its parameters does not show as a hundredth of a larger one: it rounds its channels, "
-            "or is not smooth; give them in full precision",
+            "equal small steps of its parameters change its channels by unequal amounts: it rounds them, or an event "
+            "in it jumps from one of its steps to the next; give full precision, and place an event between two steps",
         )
     _refuse_unread(calls, on)
 
@@ -484,11 +596,24 @@ def _moved(simulator: Simulator, values: Mapping[str, float], steps: float) -> d
     return out
 
 
-def _is_rounded(near: Array, far: Array) -> bool:
-    """Whether most samples that a long step moves are not moved in proportion by a short one."""
-    moves = np.abs(far) > MOVED * np.max(np.abs(far), initial=0.0)
-    is_apart = np.abs(LONG_STEP * near - far)[moves] > ROUNDED * np.abs(far)[moves]
-    return bool(moves.any() and np.mean(is_apart) > ROUNDED)
+def _jumps(first: Array, second: Array) -> bool:
+    """Whether most samples that two equal steps move are moved otherwise by the one than by the other."""
+    larger = np.maximum(np.abs(first), np.abs(second))
+    moves = larger > MOVED * np.max(larger, initial=0.0)
+    return bool(moves.any() and np.mean(np.abs(second - first)[moves] > UNEQUAL * larger[moves]) > UNEQUAL)
+
+
+def _is_on_grid(answers: Sequence[Array]) -> bool:
+    """Whether a channel takes multiples of one coarse step alone, whatever its parameters are."""
+    if all(np.array_equal(answers[0], other) for other in answers[1:]):
+        return False
+    values = np.unique(np.concatenate(answers))
+    span = float(np.ptp(values))
+    steps = np.diff(values)
+    # Between two states a channel has one step, and is not rounded.
+    step = float(np.min(steps[steps > 1e-12 * span], initial=np.inf))
+    is_coarse = SMOOTH * span < step < np.inf and span > FEWEST_STEPS * step
+    return bool(is_coarse and np.all(np.abs(values / step - np.round(values / step)) < OFF_GRID))
 
 
 def _refuse_unread(calls: _Calls, values: Mapping[str, float]) -> None:

@@ -1,10 +1,9 @@
 """A simulator of somebody else as the model of a diagnosis."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from types import MappingProxyType
-from typing import TYPE_CHECKING, ClassVar, cast
+from typing import TYPE_CHECKING, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -14,13 +13,21 @@ from softcal.core.gap.case import Case, DataMistake, Mask, MenuEntry, Run
 from softcal.core.gap.evidence import beside_rest, places_of, regime_places
 from softcal.core.gap.experiments import NextExperiment, causes_of, most_telling, together
 from softcal.core.gap.fit import Fit, Probe, Tangent, fit, structure
-from softcal.core.gap.linear import COMMON_STEP_s, RigScale, energy, fit_scale, from_fit, to_fit
+from softcal.core.gap.linear import COMMON_STEP_s, Prior, RigScale, energy, fit_scale, from_fit, to_fit
 from softcal.core.gap.method import METHOD, GapMethod, SearchConfig
 from softcal.core.gap.mistakes import find_repeats
 from softcal.core.gap.model import Directions, GapPlace, Model, RankedCause, Sizes, Where
 from softcal.core.gap.problem import Block, Hypothesis, Problem, rows_of_runs
-from softcal.core.gap.residual import noise_chance, noise_levels
-from softcal.core.gap.simulator import STRAIGHT, Simulator, SimulatorFailed, SimulatorRun, planned, runs_of
+from softcal.core.gap.residual import noise_chance, noise_levels, scatter_of
+from softcal.core.gap.simulator import (
+    STRAIGHT,
+    Columns,
+    Simulator,
+    SimulatorFailed,
+    SimulatorRun,
+    planned,
+    runs_of,
+)
 from softcal.core.gap.simulator_reach import (
     SimulatorTerm,
     TermStep,
@@ -28,6 +35,7 @@ from softcal.core.gap.simulator_reach import (
     cut_off,
     find_strays,
     known_of_signals,
+    louder_than_stated,
     regimes_of,
     shifted,
     shown,
@@ -36,7 +44,7 @@ from softcal.core.gap.simulator_reach import (
 from softcal.core.messages.reason import Reason, reason
 from softcal.core.metrics import finite_or_none
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect, Form, Parameter
+from softcal.core.twin.effects import Effect, Parameter
 from softcal.core.twin.probes import ExcitationRange
 
 if TYPE_CHECKING:
@@ -92,9 +100,10 @@ def likeliest(problem: Problem, hypothesis: Hypothesis, places: Sequence[Array])
     """Return places in the order of what a prediction at each leaves; those without one last."""
 
     def left(place: Array) -> float:
-        cost = energy(problem.whitened(problem.measured - problem.predict(hypothesis, place)))
+        cost = energy(problem.residual(problem.predict(hypothesis, place), place))
         return cost if np.isfinite(cost) else np.inf
 
+    problem.prepare([(hypothesis, place) for place in places])
     return sorted(places, key=left)
 
 
@@ -155,6 +164,12 @@ class Calls:
     first: str = ""
     known: dict[tuple[tuple[str, float], ...], Array] = field(default_factory=dict)
 
+    def store(self, key: tuple[tuple[str, float], ...], answer: Array) -> None:
+        """Store an answer; the oldest goes: every part that is held back begins where the others did."""
+        self.known[key] = answer
+        if len(self.known) > KNOWN:
+            del self.known[next(iter(self.known))]
+
     def record(self) -> dict[str, object] | None:
         """Return what a report says of failures; None where it never failed."""
         return {"evaluations": self.count, "of": self.of, "first": self.first} if self.count else None
@@ -168,7 +183,6 @@ class SimulatorModel(Model):
     method: GapMethod = METHOD
     _calls: WeakKeyDictionary[Case, Calls] = field(default_factory=WeakKeyDictionary, repr=False)
 
-    forms: ClassVar[Mapping[str, Sequence[Form]]] = MappingProxyType({})
     smooth_order = 2
     hands_on_closest = True
 
@@ -183,6 +197,15 @@ class SimulatorModel(Model):
     @property
     def candidates(self) -> tuple[Effect, ...]:
         return self.simulator.candidates
+
+    @property
+    def priors(self) -> Sequence[Prior]:
+        known = [(k, p, self.simulator.prior_of(p)) for k, p in enumerate(self.base)]
+        return [
+            Prior(k, to_fit(p, one[0]), one[1] / one[0] if p.scale == "log" else one[1])
+            for k, p, one in known
+            if one is not None
+        ]
 
     @property
     def offset_names(self) -> tuple[str, ...]:
@@ -215,8 +238,9 @@ class SimulatorModel(Model):
     def scored_channels(self, problem: Problem) -> list[str]:
         return list(self.simulator.channels)
 
-    def least_noise(self, problem: Problem, channel: str) -> float:
-        return 1e-9 * max(float(np.ptp(problem.measured[b.place])) for b in problem.blocks_of(channel))
+    def noise_range(self, problem: Problem, channel: str) -> tuple[float, float]:
+        least = 1e-9 * max(float(np.ptp(problem.measured[b.place])) for b in problem.blocks_of(channel))
+        return (self.simulator.noise.get(channel, least), self.simulator.noise.get(channel, np.inf))
 
     def times_slower(self, case: Case) -> float:
         return float(np.median(np.concatenate([run.step_s[1:] for run in case.runs]))) / COMMON_STEP_s
@@ -263,13 +287,11 @@ class SimulatorModel(Model):
     def _simulated(self, problem: Problem, hypothesis: Hypothesis, coordinates: Array) -> Array:
         """Return (samples,) with the empirical terms, NaN where the simulator fails in a run."""
         parameters = self.simulator.named(hypothesis, coordinates)
-        key, known = tuple(parameters.items()), self.calls(problem.case).known
-        if key not in known:
-            known[key] = self._run_all(problem, parameters)
-            # The oldest goes: every part that is held back begins where the others did.
-            if len(known) > KNOWN:
-                del known[next(iter(known))]
-        raw = known[key]
+        key, calls = tuple(parameters.items()), self.calls(problem.case)
+        if key not in calls.known:
+            answers = (self._predicted(run, parameters) for run in runs_of(problem.case))
+            calls.store(key, self._stacked(problem, answers))
+        raw = calls.known[key]
         added = [e for e in hypothesis.effects if e.id not in self.simulator.candidate_ids]
         terms = [(cast(TermStep, e.step).term, e.id) for e in added]
         if not terms or not np.all(np.isfinite(raw)):
@@ -283,21 +305,32 @@ class SimulatorModel(Model):
                 out[places[term.place]] += sizes[i] * term.values(problem.case.runs[run].t_s, columns)
         return out
 
-    def _run_all(self, problem: Problem, parameters: Mapping[str, float]) -> Array:
-        out = np.empty(len(problem.measured))
-        last, channels, calls = -1, {}, self.calls(problem.case)
+    def prepare(self, problem: Problem, places: Sequence[tuple[Hypothesis, Array]]) -> None:
+        if self.simulator.run_many is None or problem.case.is_planned:
+            return
+        calls, runs = self.calls(problem.case), runs_of(problem.case)
+        every = (self.simulator.named(hypothesis, coordinates) for hypothesis, coordinates in places)
+        new = {key: place for place in every if (key := tuple(place.items())) not in calls.known}
+        for key, answers in zip(new, self.simulator.predict_many(runs, list(new.values())), strict=True):
+            calls.store(key, self._stacked(problem, answers))
+
+    def _predicted(self, run: SimulatorRun, parameters: Mapping[str, float]) -> Columns | SimulatorFailed:
+        try:
+            return self.simulator.predict(run, parameters)
+        except SimulatorFailed as error:
+            return error
+
+    def _stacked(self, problem: Problem, answers: Iterable[Columns | SimulatorFailed]) -> Array:
+        """Return (samples,) answers of all runs, NaN where one fails."""
+        out, calls = np.empty(len(problem.measured)), self.calls(problem.case)
         calls.of += 1
-        for block in problem.blocks:
-            if block.run != last:
-                last = block.run
-                inputs = {name: problem.recorded(last, name) for name in ("t_s", *self.simulator.inputs)}
-                try:
-                    channels = dict(self.simulator(inputs, parameters, problem.case.runs[last].name))
-                except SimulatorFailed as error:
-                    calls.count += 1
-                    calls.first = calls.first or str(error)
-                    return np.full(len(out), np.nan)
-            out[block.place] = channels[block.channel]
+        for k, found in enumerate(answers):
+            if isinstance(found, SimulatorFailed):
+                calls.count += 1
+                calls.first = calls.first or str(found)
+                return np.full(len(out), np.nan)
+            for block in (b for b in problem.blocks if b.run == k):
+                out[block.place] = found[block.channel]
         return out
 
     def with_unknown(self, problem: Problem, predicted: Array) -> Array:
@@ -376,7 +409,12 @@ class SimulatorModel(Model):
     def mistakes_by_base(self, base: Fit) -> tuple[tuple[DataMistake, ...], tuple[DataMistake, ...]]:
         if broken := find_strays(self, base):
             return broken, ()
-        questions = (*cut_off(self.simulator, base.problem.case, self.method.mistake), *find_repeats(base))
+        cut = cut_off(self.simulator, base.problem.case, self.method.mistake)
+        questions = (
+            *cut,
+            *find_repeats(base),
+            *louder_than_stated(self.simulator, scatter_of(base), self.method.mistake),
+        )
         if (test := against_others(self, base)) is None:
             return (), questions
         return ((test.mistake,), ()) if test.is_claim else ((), (test.mistake, *questions))
@@ -460,6 +498,7 @@ class SimulatorModel(Model):
             out["residual"] = described.record() | {"added": added, "parameters": self._parameters(described.fit)}
         return out | {
             "simulator": self.simulator.name,
+            "calls": self.calls(diagnosis.case).of * len(diagnosis.case.runs),
             "failed": self.calls(diagnosis.case).record(),
             "offsets": [
                 {"run": found.problem.case.runs[run].name, "channel": channel, kind: float(size)}
@@ -468,7 +507,14 @@ class SimulatorModel(Model):
             ],
             "parameters": self._parameters(found),
             "base": self._parameters(diagnosis.base),
+            "priors": self.stated_and_fitted(found),
         }
+
+    def stated_and_fitted(self, found: Fit) -> dict[str, dict[str, float]]:
+        """Return by parameter of the base with a prior its mean and standard deviation, and what was fitted."""
+        values = self.simulator.named(found.hypothesis, found.coordinates)
+        pairs = [(p.name, self.simulator.prior_of(p)) for p in self.base]
+        return {n: {"mean": one[0], "sd": one[1], "fitted": values[n]} for n, one in pairs if one is not None}
 
     def _parameters(self, found: Fit) -> dict[str, float | None]:
         values = self.simulator.named(found.hypothesis, found.coordinates)

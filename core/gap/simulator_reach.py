@@ -7,7 +7,7 @@ is held against what all others say of it, and against the same run repaired.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -168,8 +168,11 @@ def with_terms(simulator: Simulator, terms: Sequence[SimulatorTerm]) -> Simulato
     def run(inputs: Columns, parameters: Mapping[str, float]) -> Columns:
         given = dict(simulator.run(inputs, parameters))
         out = {name: np.array(values, dtype=np.float64) for name, values in given.items()}
+        # What is not compared was not described.
+        on = slice(simulator.first_compared(np.asarray(inputs["t_s"])), None)
+        columns = {name: np.asarray(values)[on] for name, values in {**inputs, **given}.items()}
         for term in terms:
-            out[term.place] += term.coefficient * term.values(inputs["t_s"], {**inputs, **given})
+            out[term.place][on] += term.coefficient * term.values(columns["t_s"], columns)
         return out
 
     return replace(simulator, run=run)
@@ -334,6 +337,21 @@ def cut_off(simulator: Simulator, case: Case, config: MistakeConfig) -> tuple[Da
     return tuple(found)
 
 
+def louder_than_stated(
+    simulator: Simulator, scatter_of: Mapping[str, float], config: MistakeConfig
+) -> tuple[DataMistake, ...]:
+    """Return channels that scatter far more than the noise that is stated of them: questions."""
+    found = []
+    for channel, scatter in scatter_of.items():
+        stated = simulator.noise.get(channel, np.inf)
+        if scatter > config.louder * stated:
+            evidence = reason("data.louder", channel=channel, scatter=scatter, stated=stated)
+            found.append(
+                DataMistake("noise", channel, (), None, evidence, reason("data.repair.louder", channel=channel))
+            )
+    return tuple(found)
+
+
 @dataclass(frozen=True)
 class MistakeTest:
     """A mistake that the simulator points at, and how well it stands against what else could be.
@@ -391,7 +409,7 @@ def _with_causes(found: Fit, causes: Sequence[Effect], steps: int) -> Fit:
 def _exchanged(model: "SimulatorModel", case: Case) -> tuple[DataMistake, float] | None:
     """Return columns that agree with the base once they are exchanged in all runs, and what it leaves then."""
     for pair in combinations((*model.simulator.inputs, *model.simulator.channels), 2):
-        runs = [replace(run, columns=_swapped(run.columns, *pair)) for run in runs_of(case)]
+        runs = [run.changed(partial(_swapped, one=pair[0], other=pair[1])) for run in runs_of(case)]
         if (share := _agreement(model.rough_fit(Case(case.serial, tuple(runs))))) > model.method.mistake.good:
             return _of_exchange(*pair, ()), 1.0 - share
     return None
@@ -415,12 +433,12 @@ def _of_one_run(model: "SimulatorModel", case: Case) -> tuple[DataMistake, float
     tried: list[tuple[float, DataMistake | None, float, float]] = []
     for k, run in enumerate(runs) if len(runs) >= config.fewest_runs else ():
         others = model.rough_fit(Case(case.serial, tuple(runs[:k] + runs[k + 1 :])))
-        if _left_of_run(model, others, run, run.columns) <= config.stands_out * (1.0 - _agreement(others)):
+        if _left_of_run(model, others, run) <= config.stands_out * (1.0 - _agreement(others)):
             continue
         for found in (others, _with_causes(others, model.candidates, config.steps)):
-            as_it_is, of_others = _left_of_run(model, found, run, run.columns), 1.0 - _agreement(found)
-            for mistake, columns in _repairs(model, found, run, number[k]) if of_others < config.agreeing else ():
-                left = of_others if columns is None else _left_of_run(model, found, run, columns)
+            as_it_is, of_others = _left_of_run(model, found, run), 1.0 - _agreement(found)
+            for mistake, repaired in _repairs(model, found, run, number[k]) if of_others < config.agreeing else ():
+                left = of_others if repaired is None else _left_of_run(model, found, repaired)
                 # A gain fits anything a little better: all of the run must agree then.
                 is_free = mistake.what == "gain"
                 if left <= max(1.0 - config.good, 0.0 if is_free else config.stands_out * of_others):
@@ -429,11 +447,11 @@ def _of_one_run(model: "SimulatorModel", case: Case) -> tuple[DataMistake, float
     return (best, rest, whole) if best is not None and share <= config.asked else None
 
 
-def _left_of_run(model: "SimulatorModel", others: Fit, run: SimulatorRun, columns: Columns) -> float:
-    """Return which share of the worst channel's spread over all runs the others leave of a run with these columns."""
-    said, left = model.simulator.named(others.hypothesis, others.coordinates), 0.0
+def _left_of_run(model: "SimulatorModel", others: Fit, run: SimulatorRun) -> float:
+    """Return which share of the worst channel's spread over all runs the others leave of a run."""
+    columns, left = run.columns, 0.0
     try:
-        gives = model.simulator(columns, said, run.name)
+        gives = model.simulator.predict(run, model.simulator.named(others.hypothesis, others.coordinates))
     except SimulatorFailed:
         return np.inf
     for channel, values in gives.items():
@@ -451,23 +469,21 @@ def _agreement(found: Fit) -> float:
 
 def _repairs(
     model: "SimulatorModel", others: Fit, run: SimulatorRun, number: int
-) -> Iterator[tuple[DataMistake, Columns | None]]:
-    """Yield what may be wrong with a run and its columns repaired; None where nothing can be."""
+) -> Iterator[tuple[DataMistake, SimulatorRun | None]]:
+    """Yield what may be wrong with a run and the run repaired; None where nothing can be."""
     simulator, config, columns = model.simulator, model.method.mistake, run.columns
     try:
-        gives = simulator(columns, simulator.named(others.hypothesis, others.coordinates), run.name)
+        gives = simulator.predict(run, simulator.named(others.hypothesis, others.coordinates))
     except SimulatorFailed:
         gives = {}
     for channel, said in gives.items():
-        yield _of_factor(channel, number, -1.0, config.same_factor), {**columns, channel: -columns[channel]}
+        yield _of_factor(channel, number, -1.0, config.same_factor), _scaled(run, channel, -1.0)
         slope = float(np.polyfit(said, columns[channel], 1)[0]) if np.ptp(said) > 0.0 else 0.0
         if slope != 0.0 and abs(np.log(abs(slope))) > np.log(config.apart):
-            repaired = {**columns, channel: columns[channel] / slope}
-            yield _of_factor(channel, number, 1.0 / slope, config.same_factor), repaired
+            yield _of_factor(channel, number, 1.0 / slope, config.same_factor), _scaled(run, channel, 1.0 / slope)
     for name in simulator.inputs:
         for factor in (-1.0, *FACTORS.values()):
-            repaired = {**columns, name: factor * columns[name]}
-            yield _of_factor(name, number, factor, config.same_factor), repaired
+            yield _of_factor(name, number, factor, config.same_factor), _scaled(run, name, factor)
         if np.ptp(columns[name]) == 0.0 and any(np.ptp(one.columns[name]) for one in runs_of(others.problem.case)):
             dead = reason("data.dead", channel=name)
             yield DataMistake("constant", name, (number,), None, dead, Reason("data.repair.dead")), None
@@ -475,9 +491,13 @@ def _repairs(
     for name in every:
         for unit, (factor, offset) in SHIFTED.items():
             mistake = of_shifted(name, (number,), unit, factor, offset, reason("data.run.shifted", channel=name))
-            yield mistake, {**columns, name: factor * columns[name] + offset}
+            yield mistake, _scaled(run, name, factor, offset)
     for pair in combinations(every, 2):
-        yield _of_exchange(*pair, (number,)), _swapped(columns, *pair)
+        yield _of_exchange(*pair, (number,)), run.changed(partial(_swapped, one=pair[0], other=pair[1]))
+
+
+def _scaled(run: SimulatorRun, name: str, factor: float, offset: float = 0.0) -> SimulatorRun:
+    return run.changed(lambda columns: {**columns, name: factor * columns[name] + offset})
 
 
 def _of_factor(name: str, number: int, factor: float, same: float) -> DataMistake:

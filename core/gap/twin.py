@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,7 +26,6 @@ from softcal.core.gap.twin_reach import (
     first_noise,
     is_told,
     known_by_chain,
-    mean_code_V,
     menu,
     offset_rows,
     predict_run,
@@ -36,8 +35,9 @@ from softcal.core.gap.twin_reach import (
 )
 from softcal.core.messages.reason import Reason, reason, several
 from softcal.core.recording import Array
-from softcal.core.twin.catalogue import BUILTIN_EFFECTS, EFFECTS, FORMS
-from softcal.core.twin.effects import Alias, Effect, Form
+from softcal.core.twin.catalogue import BUILTIN_EFFECTS, EFFECTS
+from softcal.core.twin.effects import Alias, Effect
+from softcal.core.twin.electronics import mean_code_V
 from softcal.core.twin.empirical_terms import EmpiricalTerm
 from softcal.core.twin.mechanics import elastic_force_at
 from softcal.core.twin.parameters import BaseParameters
@@ -69,7 +69,7 @@ class TwinModel(Model):
     method: GapMethod = METHOD
 
     base = BASE
-    forms: ClassVar[Mapping[str, Sequence[Form]]] = FORMS
+    priors = ()
     offset_names = ("zero of force_N", "unloaded resistance", "height of the surface")
     smooth_order = 1
     hands_on_closest = False
@@ -102,8 +102,9 @@ class TwinModel(Model):
         # Where the stage stands on a rigid block is none.
         return [c for c in ("output_V", "force_N") if any(b.channel == c for b in problem.blocks)]
 
-    def least_noise(self, problem: Problem, channel: str) -> float:
-        return 0.1 * problem.case.readout.step_V if channel == "output_V" else QUIETEST * problem.scale.factor("N")
+    def noise_range(self, problem: Problem, channel: str) -> tuple[float, float]:
+        least = 0.1 * problem.case.readout.step_V if channel == "output_V" else QUIETEST * problem.scale.factor("N")
+        return least, np.inf
 
     def times_slower(self, case: Case) -> float:
         return 1.0

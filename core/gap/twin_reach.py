@@ -2,21 +2,16 @@
 
 Departures that no effect of the catalogue covers: a signal may have a gain or an offset that follows time or
 temperature, the load cell a delay or a share of the position. Where one wins, the report says `unknown`.
-
-The mean of the codes of an ADC that is coarse against its noise is a soft staircase of the clean output. With noise σ
-before a rounding to steps q, E[round(V + n)] = V + Σ (−1)ᵏ·q/(πk)·sin(2πkV/q)·exp(−2(πkσ/q)²), and the variance around
-that mean, averaged over V, is σ² + q²/12 − Σ q²/(2π²k²)·exp(−(2πkσ/q)²) (Widrow and Kollár, Quantization Noise, 2008).
-From σ = 0.45 q on the stairs are below 1 % of a step.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import lru_cache, partial
+from functools import partial
 from itertools import product
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-from scipy.optimize import brentq, nnls
+from scipy.optimize import nnls
 
 from softcal.core import profiles
 from softcal.core.gap.case import Case, MenuEntry, Run, RunKind
@@ -27,6 +22,7 @@ from softcal.core.profiles import Profile
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Alias, ChainStage, Effect, Flow, Hook, Memory, Parameter, Step
+from softcal.core.twin.electronics import dither_V
 from softcal.core.twin.empirical_terms import PLACES, VARIABLES, EmpiricalTerm
 from softcal.core.twin.mechanics import elastic_force
 from softcal.core.twin.parameters import BaseParameters
@@ -333,52 +329,11 @@ def _rigid_block(run: Run, flow: Flow, chain: Chain, values: Values) -> Predicti
     return {"stage_mm": np.where(is_touched, level_mm + bent_mm, flow.stage_mm)}
 
 
-SMOOTH = 0.45
-"""Noise, in steps, from which the staircase is a straight line."""
-
-SHARPEST = 0.05
-"""Least noise, in steps, that is told apart: sharper stairs than that have no slope to fit by."""
-
-HARMONICS = 12
-
-
-@lru_cache(maxsize=256)
-def dither_V(sigma_V: float, step_V: float) -> float | None:
-    """Return the noise before the ADC from that of its codes, None where the stairs are smooth."""
-    target = (sigma_V / step_V) ** 2
-    if target >= _variance(SMOOTH):
-        return None
-    if target <= _variance(SHARPEST):
-        return SHARPEST * step_V
-    return step_V * float(brentq(lambda noise: _variance(noise) - target, SHARPEST, SMOOTH))
-
-
 def dither_of(problem: "Problem") -> float | None:
     """Return the noise before an ADC that is coarse against it; None where its stairs do not show."""
     if "output_V" not in problem.sigma:
         return None
     return dither_V(problem.floor("output_V"), problem.case.readout.step_V)
-
-
-def _variance(noise: float) -> float:
-    """Return the variance of the codes in steps², for noise in steps."""
-    k = np.arange(1, 40)
-    return float(noise**2 + 1 / 12 - np.sum(np.exp(-((2 * np.pi * k * noise) ** 2)) / (2 * np.pi**2 * k**2)))
-
-
-@compiled
-def mean_code_V(clean_V: Array, noise_V: float, step_V: float) -> Array:
-    """Return the mean of the codes, (n,) V, for a clean output and noise before the ADC."""
-    out = clean_V.copy()
-    for k in range(1, HARMONICS + 1):
-        height = step_V / (np.pi * k) * np.exp(-2.0 * (np.pi * k * noise_V / step_V) ** 2)
-        # Higher harmonics die out faster than exponentially: the rest is still smaller.
-        if height < 1e-4 * step_V:
-            break
-        height = -height if k % 2 else height
-        for i in range(len(out)):
-            out[i] += height * np.sin(2.0 * np.pi * k * clean_V[i] / step_V)
-    return out
 
 
 def bases_of(base: BaseParameters, sizes: Mapping[int, Array]) -> dict[int, BaseParameters]:

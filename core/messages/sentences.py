@@ -329,6 +329,9 @@ data.run.other_unit: this run looks as if another unit was pressed (stiffness {s
 data.cut_off: {channel} stands still at {level:.4g}; it may be cut off there (samples: {count})
 data.repair.range: if the readout cuts {channel} off, widen its range; the diagnosis holds either
   way
+data.louder: the scatter of {channel} from sample to sample is {scatter:.3g}, far more than its stated
+  noise ({stated:.3g})
+data.repair.louder: state the noise of {channel} anew, or leave it out: it is then read off the runs
 data.dead: nothing changes in {channel}
 data.repair.dead: check the cable and the logger, then record the run again
 data.swapped: the simulator agrees with the recordings once {one} and {other} are exchanged, and not

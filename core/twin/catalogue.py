@@ -6,7 +6,7 @@ from types import MappingProxyType
 from softcal.core.errors import InputError
 from softcal.core.plugins import PluginKind
 from softcal.core.twin import acquisition, electronics, load_cell, mechanics, transduction
-from softcal.core.twin.effects import Effect, Form
+from softcal.core.twin.effects import Effect
 
 BUILTIN_EFFECTS: Mapping[str, Effect] = MappingProxyType(
     {
@@ -24,9 +24,6 @@ PLUGINS = PluginKind[Effect](
 
 EFFECTS: Mapping[str, Effect] = MappingProxyType(PLUGINS.beside(BUILTIN_EFFECTS))
 """Every effect that a diagnosis can name, by identifier."""
-
-FORMS: Mapping[str, tuple[Form, ...]] = MappingProxyType({e.id: e.forms for e in EFFECTS.values() if e.forms})
-"""Other realisations of causes: what a rig may show instead of the catalogue's equation."""
 
 
 def effect(effect_id: str) -> Effect:

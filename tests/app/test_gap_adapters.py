@@ -98,6 +98,25 @@ def test_a_command_gets_inputs_and_parameters_and_gives_channels(tmp_path: Path)
         line(inputs, {"slope": 95.0, "bend.size": 0.0})
 
 
+def test_a_command_is_diagnosed_from_its_files(tmp_path: Path):
+    """The rig is computed here, by another formula than the program's."""
+    program = tmp_path / "model.py"
+    program.write_text(PROGRAM)
+    line = Simulator(
+        "line",
+        run_command([sys.executable, "-S", "-E", str(program)], ("y",)),
+        ("x",),
+        ("y",),
+        (Parameter("slope", "", -80.0, 80.0, 1.0),),
+        (candidate("bend", "line", Parameter("size", "", -5.0, 5.0, 0.2, neutral=0.0)),),
+    )
+    x = np.linspace(-1.0, 2.0, 90)
+    y = np.polyval([0.4, 1.7, 0.0], x) + np.random.default_rng(1).normal(0.0, 0.01, len(x))
+    found = diagnose_simulator(line, [recorded(line, "1", {"t_s": np.arange(90.0), "x": x, "y": y})])
+    assert (found.verdict, found.best.ids) == ("explained", ("bend",))
+    assert found.report()["parameters"]["bend.size"] == pytest.approx(0.4, abs=0.01)
+
+
 def stub_of_fmpy(variables):
     """A module that takes what fmpy takes: a unit that turns its input into gain times it, one row a step."""
 
@@ -131,5 +150,5 @@ def test_a_unit_without_a_variable_and_a_missing_package_are_told_in_one_line(mo
     with pytest.raises(InputError, match="has no variable mass.s; it has drive.f"):
         run_fmu("unit.fmu", {"place": "mass.s"}, {"push": "drive.f"})
     monkeypatch.setitem(sys.modules, "fmpy", None)
-    with pytest.raises(InputError, match="pip install fmpy"):
+    with pytest.raises(InputError, match=r"pip install 'softcal\[fmu\]'"):
         run_fmu("unit.fmu", {"place": "mass.s"})

@@ -201,3 +201,40 @@ def test_a_plain_table_without_its_electronics_is_refused(case, options, capsys)
     assert main(["gap", "diagnose", str(case / "runs/2/recording.csv"), *options]) == 2
     error = capsys.readouterr().err.replace("-", "_")
     assert all(name in error for name in ("vref_V", "adc_bits", "rate_Hz"))
+
+
+def test_what_the_gap_costs_a_calibration_is_printed_reported_and_drawn(case, tmp_path, capsys):
+    report, page = tmp_path / "g.json", tmp_path / "g.html"
+    write_run(case / "runs/3", profiles.ramps([2.0, 3.0, 2.5], 3.0), (LAG,), 3)
+    assert main(["gap", "diagnose", str(case), "--calibration", "--json", str(report), "--page", str(page)]) == 0
+    errors = json.loads(report.read_text())["calibration"]
+    assert errors["run"] == "3"
+    # What a lag of 0.1 s costs is nearly all gone once the twin has it.
+    assert abs(errors["repaired"] - errors["rig"]) < 0.3 * (errors["base"] - errors["rig"])
+    said = f"base twin {errors['base']:.3g} N, repaired twin {errors['repaired']:.3g} N, rig {errors['rig']:.3g} N"
+    printed = capsys.readouterr().out
+    assert f"trained on: {said.split(', rig')[0]}" in printed.replace("\n", " ") and said in printed
+    assert f"<b>{errors['repaired']:.3g} N</b> on the repaired twin" in page.read_text()
+
+
+def test_a_calibration_needs_another_run_and_a_force(case, capsys):
+    assert main(["gap", "diagnose", str(case / "runs/2"), "--calibration"]) == 2
+    assert "one run is pressed" in capsys.readouterr().err
+    assert main(["gap", "diagnose", str(case), "--calibration", "--simulator", "nowhere:NOTHING"]) == 2
+    assert "leave --calibration out" in capsys.readouterr().err
+
+
+def test_a_cause_that_is_named_is_not_said_to_show_nothing(case, tmp_path):
+    """A small level cuts off where the usual one would not: what was found shows."""
+    out = tmp_path / "g.json"
+    cut = EffectSetting("adc_saturation", {"V_max": 1.15})
+    for number, speed in (("1", 0.8), ("2", 4.0)):
+        shutil.rmtree(case / "runs" / number)
+        write_run(case / "runs" / number, profiles.ramps([3.0] * 3, speed), (cut,), int(number))
+    assert main(["gap", "diagnose", str(case), "--json", str(out)]) == 0
+    content = json.loads(out.read_text())
+    named = [cause["effect"] for cause in content["causes"] if cause["probability"] > 0.5]
+    assert named == ["adc_saturation"]
+    told = content["identifiability"]
+    assert told["causes"]["adc_saturation"]["is_told"]
+    assert not any("adc_saturation" in json.dumps(line) and "alike" not in json.dumps(line) for line in told["untold"])

@@ -40,7 +40,7 @@ from softcal.core.gap.twin_reach import UNMODELLED_EFFECTS, WARM_DIVIDER, SET_UP
 from softcal.core.messages.gap_sentences import GAP_SENTENCES
 from softcal.core.messages.reason import Reason
 from softcal.core.orders import RunState
-from softcal.core.twin.catalogue import BUILTIN_EFFECTS, FORMS
+from softcal.core.twin.catalogue import BUILTIN_EFFECTS
 from softcal.core.twin.effects import Alias
 from softcal.core.twin.empirical_terms import VARIABLES
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
@@ -218,7 +218,7 @@ def test_every_effect_has_its_names(english_in: English) -> None:
         cause = {"effect": effect.id, "stage": effect.stage, "probability": 1.0, "shrink": 1.0, "parameters": fitted}
         (row,) = cause_rows({"causes": [cause]}, KOREAN)
         assert english_in(" ".join(row.values())) == []
-        forms = [text("ko", f"gap.form.{form.effect.equation}") for form in FORMS.get(effect.id, ())]
+        forms = [text("ko", f"gap.form.{form.effect.equation}") for form in effect.forms]
         assert english_in(" ".join(forms)) == []
 
 

@@ -78,12 +78,14 @@ def assert_provenance(content: dict[str, Any], case: Path, module: Path) -> None
 
 
 ROWS = {"two_tanks": 160, "mass_spring_damper": 200, "motor_drive": 200, "heat_exchanger": 250, "cubic_oscillator": 300}
+ROWS |= {"mujoco_finger": 200}
 HIDDEN = {
     "two_tanks": "leak",
     "mass_spring_damper": "dry_friction",
     "motor_drive": "dry_friction",
     "heat_exchanger": "curved_cooling",
     "cubic_oscillator": "cubic_spring",
+    "mujoco_finger": "dry_joint",
 }
 
 

@@ -11,11 +11,14 @@ from softcal.app.cli.main import main
 PAGE = Path(__file__).parents[2] / "docs" / "own-simulator.md"
 
 
+@pytest.mark.parametrize("count", [1, 2])
 @pytest.mark.parametrize(("creep", "bend", "expected"), [(0.012, 0.0, "creep"), (0.0, 0.004, "bottoming")])
-def test_the_page_is_what_runs(creep: float, bend: float, expected: str, tmp_path: Path, monkeypatch) -> None:
-    code = PAGE.read_text().split("```python\n")[1].split("```")[0]
-    name = f"my_rig_{expected}"
-    (tmp_path / f"{name}.py").write_text(code)
+def test_the_page_is_what_runs(
+    creep: float, bend: float, expected: str, count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blocks = [block.split("```")[0] for block in PAGE.read_text().split("```python\n")[1:]]
+    name = f"my_rig_{expected}_{count}"
+    (tmp_path / f"{name}.py").write_text("\n".join(blocks[:count]))
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(3)
     for number, speed in ((1, 0.5), (2, 1.3)):
@@ -31,3 +34,4 @@ def test_the_page_is_what_runs(creep: float, bend: float, expected: str, tmp_pat
     report = json.loads((tmp_path / "r.json").read_text())
     assert (report["verdict"], report["causes"][0]["effect"]) == ("explained", expected)
     assert report["simulator"] == "rubber foot" and report["shrink"]["held_out"] > 0.9
+    assert set(report["priors"]) == ({"softness"} if count == 2 else set())

@@ -16,7 +16,7 @@ from softcal.core.gap.linear import start_coordinates
 from softcal.core.gap.places import explained_twin, in_catalogue_form, with_constants
 from softcal.core.gap.problem import Hypothesis
 from softcal.core.gap.twin import TWIN
-from softcal.core.twin.catalogue import EFFECTS, FORMS
+from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate, twin_from_record, twin_record
 
@@ -396,7 +396,7 @@ def test_the_explained_twin_foretells_an_unseen_profile():
 
 def test_a_cause_fitted_in_another_form_is_reported_by_the_catalogues_equation():
     base = TWIN.base_fit(make_case(("loadcell_nonlinearity", {"lambda": 0.05}, ())))
-    form = FORMS["loadcell_nonlinearity"][0]
+    form = EFFECTS["loadcell_nonlinearity"].forms[0]
     start = np.append(base.coordinates, start_coordinates([form.effect], [form.start([0.01, 10.0])]))
     found = fit(base.problem, Hypothesis((form.effect,)), start, steps=40)
     assert found.effect_values[0][0] != pytest.approx(0.05, abs=0.005)
@@ -407,7 +407,7 @@ def test_a_cause_fitted_in_another_form_is_reported_by_the_catalogues_equation()
     assert twin.parameters.k1_N_mm * (1 + size) == pytest.approx(BASE.k1_N_mm * 1.05, rel=0.01)
 
 
-@pytest.mark.parametrize("form", [f for forms in FORMS.values() for f in forms], ids=lambda f: f.effect.equation)
+@pytest.mark.parametrize("form", [f for e in EFFECTS.values() for f in e.forms], ids=lambda f: f.effect.equation)
 def test_a_cause_enters_the_twin_by_the_form_it_was_fitted_in(form):
     base = TWIN.base_fit(make_case())
     # Size and shapes as usual on a rig; a level that the output does reach.

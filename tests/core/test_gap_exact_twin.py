@@ -33,7 +33,6 @@ from softcal.core.gap.twin_reach import (
     bases_of,
     changing,
     dither_of,
-    dither_V,
     extent_of,
     is_told,
     known_by_chain,
@@ -45,6 +44,7 @@ from softcal.core.gap.twin_reach import (
 from softcal.core.messages.reason import Reason
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Flow
+from softcal.core.twin.electronics import dither_V
 from softcal.core.twin.empirical_terms import VARIABLES, EmpiricalTerm
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.probes import ExcitationRange
@@ -428,8 +428,8 @@ def test_extents_are_read_off_the_case():
 
 
 def test_noise_that_is_believed_has_a_least():
-    assert PROBLEM.least_noise("output_V") == pytest.approx(0.1 * READOUT.step_V)
-    assert PROBLEM.least_noise("force_N") == pytest.approx(1e-6 * PROBLEM.scale.factor("N"))
+    assert PROBLEM.noise_range("output_V") == (pytest.approx(0.1 * READOUT.step_V), np.inf)
+    assert PROBLEM.noise_range("force_N") == (pytest.approx(1e-6 * PROBLEM.scale.factor("N")), np.inf)
     assert PROBLEM.scored_channels == ["output_V", "force_N"] and TWIN.smooth_order == 1
     assert dither_of(PROBLEM) is None
     coarse = Problem(TWIN, case_of(run_of(readout=replace(READOUT, adc_bits=8))), {"force_N": 0.01, "output_V": 0.004})

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softcal.core.gap.twin_reach import SMOOTH, dither_V, mean_code_V
+from softcal.core.twin.electronics import SMOOTH, dither_V, mean_code_V
 
 STEP_V = 0.005
 

@@ -267,3 +267,76 @@ def test_a_simulator_that_gives_its_first_answer_for_ever_is_refused() -> None:
 
     with pytest.raises(InputError, match="no parameter changes a channel"):
         diagnose_simulator(replace(FOOT, run=stale), runs_of())
+
+
+@pytest.mark.parametrize("decimals", [1, 2, 3])
+def test_a_channel_on_a_grid_is_refused_however_far_it_moves(decimals: int) -> None:
+    """A small step moves most samples by more than the grid: differences alone would look sound."""
+    far = lambda inputs, p: {"sunk_mm": np.round(1e3 * press(inputs, p)["sunk_mm"], decimals)}  # noqa: E731
+    with pytest.raises(InputError, match="it rounds sunk_mm"):
+        check_calls(replace(FOOT, run=far), runs_of())
+    fine = lambda inputs, p: {"sunk_mm": np.round(press(inputs, p)["sunk_mm"], 9)}  # noqa: E731
+    check_calls(replace(FOOT, run=fine), runs_of())
+
+
+def test_inputs_on_a_grid_make_no_grid_of_channels() -> None:
+    run = runs_of()[0]
+    whole = replace(run, columns=run.columns | {"load_N": np.round(run.columns["load_N"])})
+    check_calls(FOOT, [whole])
+
+
+def ball(inputs: Columns, p: Mapping[str, float]) -> dict[str, np.ndarray]:
+    """A ball that is dropped and bounces, each fall in closed form; the camera may be tilted."""
+    out = []
+    for left in inputs["t_s"]:
+        height, speed = p["height"], 0.0
+        while (lands := (speed + np.sqrt(speed**2 + 2.0 * p["g"] * height)) / p["g"]) < left and lands > 1e-3:
+            left, speed, height = left - lands, p["bounce"] * (p["g"] * lands - speed), 0.0
+        out.append(height + speed * left - 0.5 * p["g"] * left**2)
+    return {"y_m": np.array(out) + p["tilt.rate"] * inputs["t_s"]}
+
+
+BALL = Simulator(
+    "ball",
+    ball,
+    (),
+    ("y_m",),
+    (
+        Parameter("g", "m/s²", 1.0, 20.0, 9.8),
+        Parameter("height", "m", 0.1, 3.0, 1.0),
+        Parameter("bounce", "", 0.3, 0.9, 0.7),
+    ),
+    (candidate("tilt", "camera", Parameter("rate", "m/s", -1.0, 1.0, 0.05, neutral=0.0)),),
+)
+
+
+def test_a_ball_that_bounces_is_accepted_and_diagnosed() -> None:
+    rng, t_s, runs = np.random.default_rng(1), np.arange(0.0, 2.0, 0.02), []
+    for name, height in (("1", 1.2), ("2", 0.8)):
+        y = ball({"t_s": t_s}, {"g": 9.8, "height": height, "bounce": 0.75, "tilt.rate": 0.08})["y_m"]
+        runs.append(recorded(BALL, name, {"t_s": t_s, "y_m": y + rng.normal(0.0, 0.003, len(t_s))}))
+    dropped = replace(BALL, base=(BALL.base[0], BALL.base[2]), run_parameters=(BALL.base[1],))
+    found = diagnose_simulator(dropped, runs)
+    assert (found.verdict, found.best.ids) == ("explained", ("tilt",))
+    assert found.report()["parameters"]["height@2"] == pytest.approx(0.8, abs=0.01)
+
+
+def test_an_oscillator_of_many_periods_is_smooth() -> None:
+    """A step of a hundredth turns its phase round: longer steps than those of a fit say nothing of smoothness."""
+    swing = lambda inputs, p: {"y_m": np.sin(p["w"] * inputs["t_s"]) + p["tilt.rate"] * inputs["t_s"]}  # noqa: E731
+    simulator = replace(BALL, run=swing, base=(Parameter("w", "1/s", 1.0, 100.0, 50.0),))
+    t_s = np.arange(0.0, 30.0, 0.01)
+    check_calls(simulator, [recorded(simulator, "1", {"t_s": t_s, "y_m": np.sin(48.0 * t_s)})])
+
+
+def test_an_event_that_jumps_from_step_to_step_is_refused() -> None:
+    """A switch that acts at the next of its own steps: its time moves in jumps."""
+
+    def late(inputs: Columns, p: Mapping[str, float]) -> dict[str, np.ndarray]:
+        phase = np.floor(p["w"] * inputs["t_s"] * 3e3) / 3e3
+        return {"y_m": np.sin(phase) + p["tilt.rate"] * 1e-9}
+
+    simulator = replace(BALL, run=late, base=(Parameter("w", "1/s", 1.0, 100.0, 1.0),))
+    t_s = np.arange(0.0, 2.0, 0.01)
+    with pytest.raises(InputError, match="place an event between two steps"):
+        check_calls(simulator, [recorded(simulator, "1", {"t_s": t_s, "y_m": np.sin(t_s)})])

@@ -44,13 +44,21 @@ NO_DECISION = {
     "core/gap/problem.py": {"PASSES", "STRAIGHT_SIGMA", "BASE"},  # of a solver, and the base's bounds
     "core/gap/residual.py": {"TRIMMED"},  # of an estimator
     "core/gap/search.py": {"KEPT_PART", "GENTLER"},  # where a fit begins
-    "core/gap/simulator.py": {"REPEATABLE", "LONG_STEP", "MOVED", "ROUNDED", "PROBED"},  # what is refused
+    "core/gap/simulator.py": {
+        "REPEATABLE",
+        "MOVED",
+        "UNEQUAL",
+        "SMOOTH",
+        "FEWEST_STEPS",
+        "OFF_GRID",
+        "PROBED",
+    },  # what is refused
     "core/gap/simulator_model.py": {"KNOWN", "DRAWS", "FIRST_STEPS"},  # a cache, and where a fit begins
     "core/gap/simulator_reach.py": {"FACTORS", "BLUNT", "MEMORIES", "STANDS_OUT"},  # units, parts of stored terms
     "core/gap/twin.py": {"QUIETEST"},  # a guard
     # equations, numbers of a solver, and runs that may be proposed
     "core/gap/twin_reach.py": {"WARM_DIVIDER", "UNMODELLED_EFFECTS", "LEVELS", "REST_s", "SET_UP_min", "TOUCHING_share"}
-    | {"INVERSE_STEPS", "SHARPEST", "RETRACTED_mm", "HARMONICS", "SMOOTH"},
+    | {"INVERSE_STEPS", "RETRACTED_mm"},
     "core/lot_diagnosis.py": {"FEWEST_UNITS"},  # what is refused
     "core/transfer.py": {"NETWORK"},  # the same network for rig and twins
     "core/operation/cycles.py": {"MAX_SAMPLES"},  # samples of a buffer; a longer cycle is thinned
