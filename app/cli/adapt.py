@@ -73,8 +73,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 MODE_HELP = (
     "improved (default): compare with the calibration and with uses learnt since. "
     "none: leave the map as it is. ot: the method of Kim et al. (2020). A queue of windows is mapped onto those of the "
-    "source by optimal transport; its map holds once the next queue is full. ot-improved: the same, and each queue "
-    "with its best estimates is the source of the next. Both take a change of use for drift"
+    "source by the exact plan of optimal transport; its map holds once the next queue is full. ot-improved: the same, "
+    "and each queue with its best estimates is the source of the next. Both take a change of use for drift"
 )
 
 

@@ -111,7 +111,8 @@ def command_parser(loaded: Collection[str] = COMMANDS) -> argparse.ArgumentParse
     """Return the parser of all commands; of those in `loaded` the options are there, of others once they are called."""
     parser = Parser(
         prog="softcal",
-        description="Calibrate soft sensors: one shared network, one optimal-transport map per unit.",
+        description="Calibrate soft sensors: one shared network, and one map per unit: from pairs, equal quantiles, "
+        "or the exact plan of optimal transport.",
         epilog="Start with: softcal demo",
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show program's version number and exit")

@@ -44,8 +44,9 @@ def choose_map(problem: FitProblem) -> ChosenMap:
 
     Order of trust: pairs under one load at equal time, then pairs at equal stage position, then pairs of an opening
     that both share, then matched distributions. Of these: quantiles where the units spend their time alike; rest and
-    hardest presses alone where the unit swings like noise, or known loads show a straight source; else half way between
-    the two. The identity is taken where no difference from the source can be shown.
+    hardest presses alone where the unit swings like noise, or known loads show a straight source; else the mean of the
+    two, by how well the hardest presses are known. The identity is taken where no difference from the source can be
+    shown.
 
     Raises:
         UnitRefused: the recording allows no map; the message says why.
@@ -168,8 +169,8 @@ def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple
         why = "known loads give gain and level, and the source is straight between them: so is the unit, of its kind"
         return TWO_POINT, numbers | {"source_bend": bend, "decision": why}
     why = (
-        f"{dwell:.0%} of the time is spent at other loads, or the unit is bent otherwise: half way between rest and "
-        "hardest presses, and sample quantiles"
+        f"{dwell:.0%} of the time is spent at other loads, or the unit is bent otherwise: mean of sample quantiles and "
+        f"of rest and hardest presses, whose gain is uncertain by {match.gain_error:.1%}"
     )
     return AVERAGED, numbers | {"decision": why}
 

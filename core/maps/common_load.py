@@ -12,7 +12,7 @@ from softcal.core.maps.choose import ChosenMap, choose_map
 from softcal.core.maps.config import MapConfig, SharedLoadConfig
 from softcal.core.maps.crossing import swings
 from softcal.core.maps.interface import FitProblem, UnitMap
-from softcal.core.maps.monotone import AVERAGED, MONOTONE
+from softcal.core.maps.monotone import AVERAGED, MONOTONE, weigh_line
 from softcal.core.maps.paired import SHARED_LOAD, STAGE_MATCHED, SYNCHRONOUS, fit_pairs
 from softcal.core.maps.synchrony import NONE, Synchrony, find_synchrony, paired_rows
 from softcal.core.messages.reason import Reason, reason
@@ -32,7 +32,9 @@ class LotUnit:
         weight: in the common load of its group, as a share.
         moved_rmse: RMS by which its estimates differ from the common load of the others before it was paired with that,
             in the reference unit: its own map's error, as the others see it.
-        unit_rmse: the same after: standard uncertainty of the unit's own part.
+        unit_rmse: standard uncertainty of the unit's own part: the same after, and by how much it is bent otherwise
+            than the others. Outputs do not tell a bend, which pairing takes out, from a press of another depth, which
+            it does not see.
         reason: why it stands alone; None for a member.
     """
 
@@ -56,7 +58,8 @@ class LoadGroup:
         load: (n,) common load in the reference unit.
         shape_rmse: standard uncertainty of the course of the common load: by how the members differ from each other, as
             the source then does from them, and by what lines and curves differ beyond that.
-        gain_rmse: that of its gain: members that miss the hardest presses of the source miss them together.
+        gain_rmse: that of its gain: members that miss the hardest presses of the source miss them together. A load by
+            curves of equal quantiles has none: they know no hardest press.
     """
 
     members: tuple[str, ...]
@@ -171,7 +174,7 @@ class SharedLoad:
         Returns:
             (units,) weights in the common load.
         """
-        undecided = [one for one in self._members if one.is_undecided]
+        undecided, names = [one for one in self._members if one.is_undecided], [one.serial for one in self._members]
         loads = []
         for share in (0.0, 1.0):
             for one in undecided:
@@ -179,6 +182,8 @@ class SharedLoad:
             estimates = self._estimates()
             weights = self._weighed(estimates)
             loads.append(_mean(estimates, weights))
+        # A unit that is bent otherwise than the others by its line may as well have been pressed otherwise.
+        self._bent = dict(zip(names, np.sqrt(_mean_square(estimates - loads[1])).tolist(), strict=True))
         if not undecided:
             self._shape_rmse = float(np.sqrt(weights**2 @ _mean_square(estimates - loads[1])))
             self._gain_rmse = 0.0
@@ -187,16 +192,16 @@ class SharedLoad:
         span = float(np.ptp(np.quantile(first.source.reference, first.config.curve.shares)))
         spread, apart = (float(np.nanmean(of**2)) / span**2 for of in (estimates - loads[1], loads[1] - loads[0]))
         bend = source_bend(first.source, first.config)
-        share, error = weigh_line(spread, bend, apart, len(self._members), self._config)
+        # Units that miss the hardest presses of the source miss them together: that error is one for all.
+        gain_error = float(np.median([float(one.alone.evidence["gain_error"]) for one in undecided]))
+        low = first.config.crossing.robust_range[0]
+        gain = gain_error * rms(loads[1] - np.quantile(loads[1], low)) / span
+        share, shape_error = weigh_lines(spread, bend, apart, gain, len(self._members), first.config)
         for one in undecided:
             one.line_share = share
         estimates = self._estimates()
         weights = self._weighed(estimates)
-        load = _mean(estimates, weights)
-        # Units that miss the hardest presses of the source miss them together: that error is one for all.
-        gain = float(np.median([float(one.alone.evidence["gain_error"]) for one in undecided]))
-        self._gain_rmse = gain * rms(load - np.quantile(load, first.config.crossing.robust_range[0]))
-        self._shape_rmse = span * error
+        self._gain_rmse, self._shape_rmse = span * share * gain, span * shape_error
         return weights
 
     def _estimates(self) -> Array:
@@ -298,10 +303,14 @@ class SharedLoad:
         """Return the units whose maps are paired with the common load."""
         by_serial = {one.serial: (one, float(w)) for one, w in zip(self._members, self._weights, strict=True)}
         return {
-            serial: LotUnit(by_serial[serial][0].alone, unit_map, group, by_serial[serial][1], *self._apart[serial])
+            serial: LotUnit(by_serial[serial][0].alone, unit_map, group, by_serial[serial][1], *self._parts(serial))
             for serial, unit_map in self._maps.items()
             if serial not in self.left
         }
+
+    def _parts(self, serial: str) -> tuple[float, float]:
+        before, after = self._apart[serial]
+        return before, float(np.hypot(after, self._bent[serial]))
 
     @property
     def summary(self) -> LoadGroup:
@@ -312,16 +321,18 @@ class SharedLoad:
         return LoadGroup(tuple(self._inside), self._first.t_s[at], load, self._shape_rmse, self._gain_rmse)
 
 
-def weigh_line(spread: float, bend: float, apart: float, units: int, config: SharedLoadConfig) -> tuple[float, float]:
+def weigh_lines(
+    spread: float, bend: float, apart: float, gain: float, units: int, config: MapConfig
+) -> tuple[float, float]:
     """Return how far lines through rest and peak are believed beside curves of equal quantiles, and what is left.
 
-    A line errs where the units are bent otherwise than the source, a curve where their time is spent otherwise: both
-    alike for all units. The variances V_l and V_c of these two errors give the weights (Bates and Granger 1969): lines
-    count V_c / (V_l + V_c).
+    A line errs where the units are bent otherwise than the source, or where they were pressed less hard; a curve where
+    their time is spent otherwise: all alike for all units. The variances V_l and V_c of these two errors give the
+    weights (`weigh_line`).
 
     V_l: the source's bend b is measured, that of a unit is drawn about the mean of its kind with the variance s^2 of
     the lines over the units. With a normal prior of that mean, of standard deviation M about a straight line, the error
-    has mean r b and variance r M^2 + s^2 / n, where r = s^2 / (s^2 + M^2).
+    has mean r b and variance r M^2 + s^2 / n, where r = s^2 / (s^2 + M^2). The uncertainty of the gain comes on top.
     V_c: of the mean square D^2 between the common loads by lines and by curves it is what V_l leaves. It counts as one
     observation, and its prior as another.
 
@@ -329,16 +340,18 @@ def weigh_line(spread: float, bend: float, apart: float, units: int, config: Sha
         spread: s^2, as all else as a share of the source's range.
         bend: b.
         apart: D^2.
+        gain: standard uncertainty of what the hardest presses of the units fall short of the source's.
         units: n.
 
     Returns:
-        The share of the lines, and the standard uncertainty of the common load by both.
+        The share of the lines, and the standard uncertainty of the common load by both, without that of its gain.
     """
-    drawn = spread / (spread + config.mean_bend**2)
-    of_lines = (drawn * bend) ** 2 + drawn * config.mean_bend**2 + spread / units
-    of_curves = 0.5 * (max(apart - of_lines, 0.0) + config.dwell**2)
-    share = of_curves / (of_lines + of_curves)
-    return share, float(np.hypot(share * of_lines**0.5, (1.0 - share) * of_curves**0.5))
+    shared = config.shared_load
+    drawn = spread / (spread + shared.mean_bend**2)
+    of_lines = (drawn * bend) ** 2 + drawn * shared.mean_bend**2 + spread / units + gain**2
+    of_curves = 0.5 * (max(apart - of_lines, 0.0) + shared.dwell**2)
+    share, error = weigh_line(of_lines**0.5, of_curves**0.5, config.curve)
+    return share, float(np.sqrt(max(error**2 - (share * gain) ** 2, 0.0)))
 
 
 def _mean_square(apart: Array) -> Array:

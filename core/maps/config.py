@@ -10,8 +10,11 @@ DEFAULT = "auto"
 PAIRS_CHOSEN = "benchmarks/maps_pairs.py: insole's calibration file, stretches 0, 1 and 3 of every four"
 """Origin of what was chosen on measured pairs; docs/results.md tests stretch 2 of every four, behind other sources."""
 
+MATCH_CHOSEN = "benchmarks/maps_other.py: eGaIn pair, skin, every fourth taxel behind five sources, both ways"
+"""Origin of what weighs a line and a curve; simulated lots test it (benchmarks/verdict.py)."""
+
 LINE_CHOSEN = (
-    "insole, every second taxel behind five sources; simulated lots 100-105; tested on the lots of maps_lot.py"
+    "insole, every third taxel behind five sources, both ways; simulated lots 100-105; tested on those of maps_lot.py"
 )
 """Origin of the two priors of `SharedLoad`."""
 
@@ -67,11 +70,16 @@ class CurveConfig:
             The slope of a curve changes as freely over a range that was not seen.
         knots: of a curve between two distributions.
         shares: quantiles between which two outputs, their uses, or a source and a straight line are compared.
+        match_error: standard uncertainty of a curve of equal quantiles, whose time may be spent otherwise, and of a
+            line through rest and peak, whose unit may be bent otherwise: as a share of the source's range.
+        match_correlation: of both errors. They share the recordings.
     """
 
     gain_prior: float = setting(0.5)
     knots: int = setting(33)
     shares: tuple[float, float] = setting((0.02, 0.98))
+    match_error: float = setting(0.04, MATCH_CHOSEN)
+    match_correlation: float = setting(0.5, MATCH_CHOSEN)
 
 
 @dataclass(frozen=True)
@@ -205,7 +213,7 @@ class SharedLoadConfig:
     bands: int = setting(8)
     max_growth: float = setting(0.03)
     mean_bend: float = setting(0.04, LINE_CHOSEN)
-    dwell: float = setting(0.06, LINE_CHOSEN)
+    dwell: float = setting(0.05, LINE_CHOSEN)
     source_apart: float = setting(1.64, f"{SET}: 95 % of a normal distribution, one-sided")
 
 

@@ -5,12 +5,13 @@ from functools import lru_cache
 import numpy as np
 
 from softcal.core.errors import UnitRefused
-from softcal.core.maps.config import MapConfig
+from softcal.core.maps.config import CurveConfig, MapConfig
 from softcal.core.maps.crossing import CACHED, robust_range
 from softcal.core.maps.curve import CurveMap, continued
 from softcal.core.maps.ends import match_ends
 from softcal.core.maps.interface import FitProblem
 from softcal.core.messages.reason import reason
+from softcal.core.metrics import rms
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 
 MONOTONE, AVERAGED = "monotone", "averaged"
@@ -40,13 +41,35 @@ def fit_averaged(problem: FitProblem) -> CurveMap:
     """Average the curve of equal quantiles with the line through rest and peak.
 
     The line takes a unit to be bent exactly as its source. The curve takes its time to be spent exactly as the
-    source's. From outputs alone a bend and a dwell look alike, so neither can be shown to be right. Their errors have
-    different causes. The mean of two estimates whose errors are not alike errs less than either (Bates and Granger
-    1969). The weights are equal, since nothing tells which is better.
+    source's. From outputs alone a bend and a dwell look alike, so neither can be shown to be right: each errs by as
+    much. The line errs by the uncertainty of its gain beside (`EndMatch.gain_error`): recordings of few presses do not
+    show how hard the hardest is.
     """
-    match, curve = problem.ends, fit_monotone(problem)
+    match, curve, config = problem.ends, fit_monotone(problem), problem.config
     line = match.offset + match.gain * curve.knots
-    return CurveMap(curve.knots, 0.5 * curve.values + 0.5 * line, AVERAGED)
+    output = match.offset + match.gain * problem.target.output
+    rest = np.quantile(output, config.crossing.robust_range[0 if problem.source.direction > 0 else 1])
+    gain = match.gain_error * rms(output - rest) / robust_range(problem.source.unlabelled.output, config.crossing)
+    error = config.curve.match_error
+    share, _ = weigh_line(float(np.hypot(error, gain)), error, config.curve)
+    return CurveMap(curve.knots, (1.0 - share) * curve.values + share * line, AVERAGED)
+
+
+def weigh_line(line_error: float, curve_error: float, config: CurveConfig) -> tuple[float, float]:
+    """Weigh a line beside a curve so that their mean errs least (Bates and Granger 1969).
+
+    Args:
+        line_error, curve_error: standard uncertainties of both, in one unit.
+
+    Returns:
+        The weight of the line, and the standard uncertainty of the mean.
+    """
+    common = config.match_correlation * line_error * curve_error
+    share = (curve_error**2 - common) / (line_error**2 + curve_error**2 - 2.0 * common)
+    share = float(np.clip(share, 0.0, 1.0))
+    rest = 1.0 - share
+    variance = (share * line_error) ** 2 + (rest * curve_error) ** 2 + 2.0 * share * rest * common
+    return share, float(np.sqrt(variance))
 
 
 @lru_cache(maxsize=CACHED)

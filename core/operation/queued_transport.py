@@ -1,4 +1,4 @@
-"""The paper's online method for long use: queues of windows mapped anew by optimal transport (Kim et al. 2020, Fig. 5).
+"""The paper's online method for long use: queues of windows mapped anew by an exact plan (Kim et al. 2020, Fig. 5).
 
 A queue fills with the unlabelled windows of the stream. When it is full, the exact plan between its windows and those
 of the source is solved, while the next queue fills. The rule for the swap: the map fitted on queue k is in force from

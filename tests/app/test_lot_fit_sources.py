@@ -59,6 +59,17 @@ def test_the_bad_source_is_said_after_the_first_lot(made, capsys):
 
 
 @pytest.mark.long
+def test_the_bad_source_stands_on_the_page_of_the_lot(made, open_page):
+    def page() -> None:
+        from softcal.app.ui.tabs.lot_overview import draw_overview
+
+        draw_overview("tuesday")
+
+    screen = open_page(f"sqlite:///{made / 'r.db'}", page)
+    assert any("source S3: its network reads this lot" in one.value for one in screen.warning)
+
+
+@pytest.mark.long
 def test_all_units_show_the_load_and_each_is_mapped_by_its_own_network(made):
     with open_registry(f"sqlite:///{made / 'r.db'}") as registry:
         states = {serial: registry.calibrations.get(serial, lot_id="tuesday").state for serial in UNITS}

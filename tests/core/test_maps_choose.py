@@ -12,8 +12,9 @@ from softcal.core.errors import UnitRefused
 from softcal.core.maps.anchors import AnchoredMap
 from softcal.core.maps.catalogue import map_from_arrays
 from softcal.core.maps.choose import choose_map
-from softcal.core.maps.config import MapConfig
+from softcal.core.maps.config import CurveConfig, MapConfig
 from softcal.core.maps.interface import Anchors, FitProblem
+from softcal.core.maps.monotone import fit_averaged, fit_monotone, weigh_line
 from softcal.core.maps.synchrony import find_synchrony
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
@@ -116,7 +117,7 @@ def test_stage_position_pairs_another_programme(make):
     assert after(problem, chosen)[0] < 0.5 * after(problem, choose_map(make(0.6 * presses(8, 2000))))[0]
 
 
-def test_other_dwell_is_seen_and_half_believed(make):
+def test_other_dwell_is_seen_and_believed_in_part(make):
     problem = make(presses(4, 5000, dwell=80.0))
     chosen = choose_map(problem)
     mapped, raw = after(problem, chosen)
@@ -127,7 +128,7 @@ def test_other_dwell_is_seen_and_half_believed(make):
 
 
 @pytest.mark.parametrize("dwell", [0.0, 15.0])
-def test_a_bent_unit_is_read_better_half_way_than_by_rest_and_peak(source, trained, dwell):
+def test_a_bent_unit_is_read_better_by_the_mean_than_by_rest_and_peak(source, trained, dwell):
     def bent(load_N: np.ndarray, seed: int) -> OutputRecording:
         level = load_N / 3.0
         output_V = 0.5 + 0.4 * level * (1.6 - 0.6 * level)
@@ -142,6 +143,25 @@ def test_a_bent_unit_is_read_better_half_way_than_by_rest_and_peak(source, train
         return rmse(problem.network.evaluate(chosen.unit_map.apply(test.windows)), test.window_reference)
 
     assert error("averaged") < 0.8 * error("two_point")
+
+
+@pytest.mark.parametrize(("gain_error", "share"), [(0.0, 0.5), (0.5, 0.0)])
+def test_a_line_counts_by_how_well_its_gain_is_known(make, gain_error, share):
+    problem = make(presses(4, 5000, dwell=80.0))
+    curve = fit_monotone(problem)
+    problem.__dict__["ends"] = match = replace(problem.ends, gain_error=gain_error)
+    line = match.offset + match.gain * curve.knots
+    assert fit_averaged(problem).values == pytest.approx((1 - share) * curve.values + share * line)
+
+
+def test_the_shares_of_line_and_curve_leave_the_least_error():
+    config = CurveConfig()
+    for line, curve in ((0.04, 0.04), (0.05, 0.04), (0.07, 0.04), (0.1, 0.04), (0.03, 0.09)):
+        rho, shares = config.match_correlation, np.linspace(0.0, 1.0, 1001)
+        variance = (shares * line) ** 2 + ((1 - shares) * curve) ** 2 + 2 * rho * shares * (1 - shares) * line * curve
+        share, error = weigh_line(line, curve, config)
+        assert share == pytest.approx(shares[np.argmin(variance)], abs=1e-3)
+        assert error == pytest.approx(np.sqrt(variance.min()), rel=1e-3)
 
 
 def test_unit_like_the_source_is_left_alone(make):

@@ -9,8 +9,8 @@ import pytest
 from softcal.core.maps import common_load
 from softcal.core.maps.catalogue import map_from_arrays
 from softcal.core.maps.choose import choose_map
-from softcal.core.maps.common_load import LoadGroup, weigh_line
-from softcal.core.maps.config import SharedLoadConfig
+from softcal.core.maps.common_load import LoadGroup, weigh_lines
+from softcal.core.maps.config import MapConfig, SharedLoadConfig
 from softcal.core.maps.interface import FitProblem, map_sha256
 from softcal.core.maps.shared_load import LotFit, fit_lot
 from softcal.core.maps.source_bias import compare_sources
@@ -214,10 +214,17 @@ def test_units_that_another_network_reads_show_the_load_and_get_no_map(source, n
     assert map_sha256(part.units["U2"].unit_map) == map_sha256(fit.units["U2"].unit_map)
 
 
-def line_share(spread: float = 0.07, bend: float = 0.02, apart: float = 0.08, units: int = 20) -> float:
-    share, error = weigh_line(spread**2, bend, apart**2, units, SharedLoadConfig())
-    assert 0.0 < share < 1.0 and error > 0.0
+def line_share(
+    spread: float = 0.07, bend: float = 0.02, apart: float = 0.08, gain: float = 0.02, units: int = 20
+) -> float:
+    share, error = weigh_lines(spread**2, bend, apart**2, gain, units, MapConfig())
+    assert 0.0 <= share <= 1.0 and error > 0.0
     return share
+
+
+def test_lines_through_peaks_that_are_hardly_known_take_no_part_in_the_common_load():
+    shares = [line_share(gain=gain) for gain in (0.0, 0.03, 0.06, 0.2)]
+    assert shares == sorted(shares, reverse=True) and shares[0] > 0.5 and shares[-1] == 0.0
 
 
 def test_a_source_that_is_bent_beyond_its_units_takes_weight_from_the_lines():

@@ -17,7 +17,7 @@ METHODS: Mapping[str, tuple[str, str]] = {
         "Equal quantiles of both outputs were matched (one-dimensional optimal transport)",
     ),
     "averaged": (
-        "half way between rest and peak, and equal quantiles",
+        "mean of rest and peak, and of equal quantiles",
         "The line through rest and peak of both outputs was averaged with the curve through their equal quantiles",
     ),
     "synchronous": (

@@ -4,6 +4,7 @@ from datetime import UTC, datetime
 
 import streamlit as st
 
+from softcal.app.calibration.lot_decision import decision_in_force
 from softcal.app.charts import lot as charts_lot
 from softcal.app.registry.same_recordings import same_recordings_of
 from softcal.app.ui.account import allows
@@ -27,7 +28,8 @@ def draw_overview(lot_id: str) -> None:
     _next(lot_id)
     if view.judged:
         found = alerts(registry(), view, datetime.now(UTC).astimezone(zone()))
-        remarks = [in_words(remark) for remark in same_recordings_of(registry(), lot_id)]
+        sources = decision_in_force(registry(), lot_id).fit.sources
+        remarks = [in_words(remark) for remark in (*same_recordings_of(registry(), lot_id), *sources)]
         urgent = [say(f"alert.{one.kind}", **one.values) for one in found if one.is_urgent]
         others = [say(f"alert.{one.kind}", **one.values) for one in found if not one.is_urgent] + remarks
         for lines, announce, icon in ((urgent, st.error, "report"), (others, st.warning, "notifications")):
