@@ -105,13 +105,21 @@ def times(name: str, values: Any) -> Array:
         return column(name, values)
     missing = np.flatnonzero(index.isna())
     if len(missing):
-        raise InputError(f"{name} is missing at sample {missing[0]}; every sample needs its time")
+        raise InputError(
+            f"{name} is missing at sample {missing[0]}; every sample needs its time: leave such rows out, as with "
+            f"table.dropna(subset=[{name!r}])"
+        )
     try:
         ticks = index.as_unit("ns").asi8
     except (ValueError, OverflowError) as error:
         raise InputError(f"{name} is too far from today to be counted in nanoseconds ({error})") from error
     start = ticks[0] if len(ticks) and isinstance(index, pd.DatetimeIndex) else 0
     return np.asarray((ticks - start) / NS_PER_S, dtype=np.float64)
+
+
+def has_dates(name: str, values: Any) -> bool:
+    """Whether time stamps are dates or durations, whose unit is certain, and no plain numbers."""
+    return _time_index(name, values) is not None
 
 
 def first_instant(name: str, values: Any) -> datetime | None:
@@ -226,10 +234,12 @@ def _time_index(name: str, values: Any) -> Any:
     is_mixture = kind.startswith("mixed") and any(isinstance(value, datetime | timedelta) for value in index)
     if not is_mixture and not kind.startswith(("date", "timedelta")):
         return None
-    has_zone = [getattr(value, "tzinfo", None) is not None for value in index]
+    has_zone = [getattr(value, "tzinfo", None) is not None for value in index if not pd.isna(value)]
     # Offsets that differ, as around the end of summer time, are one scale in UTC.
-    if kind.startswith("datetime") and all(has_zone):
-        return pd.to_datetime(list(index), utc=True)
+    if kind.startswith("datetime") and (all(has_zone) or not any(has_zone)):
+        return pd.to_datetime(list(index), utc=any(has_zone))
+    if kind.startswith("timedelta"):
+        return pd.to_timedelta(list(index))
     cure = "times with and without a zone are mixed" if any(has_zone) else f"its values are of the kind {kind}"
     raise InputError(f"{name} is no column of times: {cure}; one kind was expected")
 

@@ -16,6 +16,7 @@ from softcal.app.api.arguments import (
     file_path,
     first_instant,
     frame_column,
+    has_dates,
     number,
     shown,
     text,
@@ -24,6 +25,7 @@ from softcal.app.api.arguments import (
 )
 from softcal.app.api.display import html_table, plotting
 from softcal.app.files.measured_at import parse_instant
+from softcal.app.tables.time_unit import doubt_seconds
 from softcal.app.tables.timestamps import median_rate_Hz
 from softcal.core.errors import InputError
 from softcal.core.inspection.build import InspectedRecording, build_recording
@@ -39,6 +41,16 @@ if TYPE_CHECKING:
 
 COLUMNS = ("t_s", "output", "stage_mm", "reference")
 RATE = "a positive number of samples a second"
+
+
+def _rate_of(stamps: Any, t_s: Array) -> float:
+    """Return the sample rate that time stamps show, where they can be seconds."""
+    steps = np.diff(t_s)
+    if not np.any(steps > 0) or np.median(steps) < 0:
+        raise InputError("t_s goes back or stands still; sort the rows by it, or leave it out and give sample_rate_Hz")
+    if not has_dates("t_s", stamps) and (doubt := doubt_seconds(t_s, float(np.median(steps[steps > 0])))):
+        raise InputError(f"t_s {doubt}? give it in s, or confirm it with sample_rate_Hz={median_rate_Hz(t_s):g}")
+    return median_rate_Hz(t_s)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -100,8 +112,8 @@ class Recording:
         stamps = self.t_s if self.t_s is not None else times_of_index(self.output)
         if stamps is not None:
             typed["t_s"] = times("t_s", stamps)
-            if rate_Hz is None and np.isfinite(shown_Hz := median_rate_Hz(typed["t_s"])):
-                rate_Hz = shown_Hz
+            if rate_Hz is None:
+                rate_Hz = _rate_of(stamps, typed["t_s"])
         elif rate_Hz is not None:
             typed["t_s"] = np.arange(len(typed["output"])) / rate_Hz
         if isinstance(self.measured_at, str):

@@ -181,18 +181,23 @@ def _span(values: Sequence[Value]) -> object:
     inner = [value for value in values if isinstance(value, Reason)]
     if len(numbers) == len(values):
         return numbers[0] if min(numbers) == max(numbers) else _Range(min(numbers), max(numbers))
-    if len(inner) == len(values) and len({one.code for one in inner}) == 1:
-        return _shared(inner)
+    if len(inner) == len(values):
+        codes = dict.fromkeys(one.code for one in inner)
+        return ", ".join(_shared([one for one in inner if one.code == code]) for code in codes)
     return _names(dict.fromkeys(map(str, values)))
 
 
 def audit_lines(report: BatchReport) -> list[str]:
     """Return what audits say, a line each: units that are not as predicted, and the lot."""
-    lines = []
+    groups: dict[tuple[str, str], list[str]] = {}
     for unit in report.units:
         state = unit.state
         if state is not None and unit.is_audited and state.decision.predicted.verdict != unit.verdict:
-            lines.append(f"{unit.serial} audited: {unit.verdict}, was predicted {state.decision.predicted.verdict}")
+            groups.setdefault((unit.verdict, state.decision.predicted.verdict), []).append(unit.serial)
+    lines = [
+        f"{_names(serials)} audited: {verdict}, {'was' if len(serials) == 1 else 'were'} predicted {predicted}"
+        for (verdict, predicted), serials in groups.items()
+    ]
     if withdrawn := [f"{one.serial} of {one.lot_id}" for one in report.changes.withdrawn]:
         more = f" and {len(withdrawn) - MAX_NAMES} more" if len(withdrawn) > MAX_NAMES else ""
         lines.append(f"withdrawn: {', '.join(withdrawn[:MAX_NAMES])}{more}: released before, and no more")

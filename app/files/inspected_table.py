@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,8 @@ def inspect_file(path: Path, names: ColumnNames, reference: str | None) -> FileR
     Raises:
         InputError: it is no table, lacks a column, or its time goes back.
     """
-    has_reference = names.reference in read_table(path, names.table, is_requested=lambda _: False).names
+    is_requested = partial(names.is_requested, with_reference=True)
+    has_reference = names.reference in read_table(path, names.table, is_requested=is_requested).names
     if reference is not None:
         names = replace(names, reference=reference)
     with_reference = has_reference or reference is not None

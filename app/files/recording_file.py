@@ -20,9 +20,8 @@ from softcal.app.tables.time_column import (
     find_time_column,
     is_clock_heading,
     is_date_heading,
-    is_part_of_second,
     is_time_heading,
-    words_of,
+    parts_per_second,
 )
 from softcal.app.tables.timestamps import Clock, Start, median_rate_Hz
 from softcal.core.errors import InputError
@@ -195,13 +194,18 @@ def clock_of(table: Table, names: ColumnNames, rate_Hz: float | None) -> Clock |
         if name is None or _is_empty(table, name):
             return None
     others = [other for other in table.names if other != name and table.has(other)]
-    milliseconds, stamps = None, [other for other in others if is_time_heading(other)]
-    if len(stamps) == 1 and words_of(name) == ("ms",) and is_part_of_second(table.column(name)):
-        # The stamps count whole seconds, and the column beside them the rest of each.
-        name, milliseconds = stamps[0], name
+    stamps = [other for other in others if is_time_heading(other)]
+    parts = {one: per for one in (name, *stamps) if table.has(one) and (per := parts_per_second(table.column(one)))}
+    whole = [one for one in (name, *stamps) if one not in parts]
+    # The stamps count whole seconds, and the column beside them the rest of each.
+    rest = next(iter(parts.items())) if len(parts) == len(whole) == 1 else None
     dates = [other for other in others if is_date_heading(other)]
     return Clock(
-        name, names.table.time_format, rate_Hz, date=dates[0] if len(dates) == 1 else None, milliseconds=milliseconds
+        whole[0] if rest else name,
+        names.table.time_format,
+        rate_Hz,
+        date=dates[0] if len(dates) == 1 else None,
+        rest_of_second=rest,
     )
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from softcal.app.tables.headings import IsRequested, refuse_doubles
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.table import Column, Table
+from softcal.app.tables.time_column import is_clock_heading
 from softcal.core.errors import InputError
 
 MAX_ROUNDING = 0.01
@@ -50,7 +51,7 @@ def choose_group(
     is_requested: IsRequested,
     kind: str,
 ) -> str:
-    """Return the name of the group that is meant: the declared one, the only one, the only one with a requested name.
+    """Return the name of the group that is meant: the declared one, the only one, the one with all requested names.
 
     Args:
         kind: what the format calls a group, such as "group" or "variable".
@@ -66,8 +67,21 @@ def choose_group(
         return options.sheet
     if not groups:
         raise InputError(f"{path}: there is no {kind} with columns of numbers in it; export the samples again")
-    if is_requested is not None:
-        matches = [name for name, channels in groups.items() if any(is_requested(each.name) for each in channels)]
+    if is_requested is not None and len(groups) > 1:
+        requested = {
+            name: {each.name for each in channels if is_requested(each.name) and not is_clock_heading(each.name)}
+            for name, channels in groups.items()
+        }
+        every = set().union(*requested.values())
+        matches = [name for name, present in requested.items() if present == every]
+        if every and not matches:
+            where = ", ".join(
+                f"{', '.join(map(repr, sorted(each)))} in {name!r}" for name, each in requested.items() if each
+            )
+            raise InputError(
+                f"{path}: one recording is read from one {kind}, and the columns lie in several: {where}; write them "
+                "to one, with one clock"
+            )
         if len(matches) == 1:
             return matches[0]
     if len(groups) > 1:

@@ -11,7 +11,6 @@ from zipfile import ZipFile
 
 from softcal.app.tables import sheet_process
 from softcal.app.tables.arrays import refuse_large
-from softcal.app.tables.encoding import is_text
 from softcal.app.tables.grid import BYTES_PER_CELL, CELLS_SHARE, HEAD_ROWS, choose_sheet
 from softcal.app.tables.headings import IsRequested
 from softcal.app.tables.options import TableOptions
@@ -53,8 +52,6 @@ def _sheets(path: Path, content: bytes, max_cells: int) -> dict[str, list[list[A
     if done.returncode:
         if b"PasswordError" in done.stderr:
             raise InputError(f"{path}: it is protected by a password; save it without one")
-        if is_text(content):
-            raise InputError(f"{path}: a text file, whatever its name says; give it the suffix .txt")
         raise InputError(f"{path}: damaged, or not a workbook of its format; save it again as .xlsx or CSV")
     sheets = json.loads(done.stdout, object_hook=sheet_process.decode)
     if isinstance(sheets, int):

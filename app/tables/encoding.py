@@ -42,9 +42,8 @@ class Encoding:
         return {"utf-16": 2, "utf-16-le": 2, "utf-16-be": 2, "utf-32": 4}.get(self.name, 1)
 
 
-def is_text(content: bytes) -> bool:
-    """Whether a file of another format by its name is lines of plain text."""
-    head = content[:4096]
+def is_text(head: bytes) -> bool:
+    """Whether the beginning of a file is lines of plain text, whatever its name says."""
     return b"\n" in head and not head.lstrip().startswith(b"<") and head.isascii() and b"\0" not in head
 
 

@@ -8,7 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from softcal.app.tables.numbers import UNITS, Kind, cell_kind, unit_number
+from softcal.app.tables.numbers import MAX_SUMMARY_ROWS, UNITS, Kind, cell_kind, unit_number
 from softcal.core.errors import InputError
 
 IsRequested = Callable[[str], bool] | None
@@ -73,13 +73,25 @@ def data_rows(rows: Sequence[Sequence[Any]], decimal: str = ".") -> tuple[list[i
     counts = Counter(form for _, form in forms.values())
     usual_form = max(counts, key=lambda form: (counts[form], -len(form[0])))
     text = usual_form[0]
-    # A stamp that is missing makes another form of the same row.
-    same = {form for form in counts if form[0] == text and form[1] <= usual_form[1]}
-    widths = Counter(width for width, form in forms.values() if form in same)
+    usual_rows = [kinds_of[k] for k, (_, form) in forms.items() if form == usual_form]
+    filled = Counter(n for kinds in usual_rows for n, kind in enumerate(kinds) if kind is not Kind.EMPTY)
+    often = {n for n, count in filled.items() if count > len(usual_rows) / 2}
+
+    def is_usual(k: int, form: Form) -> bool:
+        # A stamp that is missing makes another form of the same row; so does a text where others have nothing.
+        if form[0] == text:
+            return form[1] <= usual_form[1]
+        kinds = dict(enumerate(kinds_of[k]))
+        return not (form[0] - text) & filled.keys() and all(
+            kinds.get(n) in (Kind.NUMBER, Kind.STAMP) for n in often - text
+        )
+
+    same = {k for k, (_, form) in forms.items() if is_usual(k, form)}
+    widths = Counter(forms[k][0] for k in same)
     # Empty cells at the end of a row do not count, so that the widest of the frequent ones is the table's.
     width = max(w for w, count in widths.items() if count > 0.02 * sum(widths.values()))
     usual = widths.most_common(1)[0][0]
-    data = [k for k, (w, form) in forms.items() if form in same and min(usual, width) <= w <= width]
+    data = [k for k, (w, _) in forms.items() if k in same and min(usual, width) <= w <= width]
     return data, frozenset(range(width)) if has_units else text, width
 
 
@@ -115,13 +127,23 @@ def find_heading(
 
 
 def _first_row(rows: Sequence[Sequence[Any]], data: Sequence[int]) -> int:
-    """Return the first row of data; one or two rows of numbers with lines of one text behind them are of a preamble."""
+    """Return the first row of data.
+
+    One or two rows of numbers with lines of one text behind them are of a preamble; so are a few with other names
+    behind them, which are those of a table of results.
+    """
     if not data:
         return len(rows)
-    first = 0
+    first, above = 0, {tuple(row) for row in rows[: data[0]]}
     for k, (row, after) in enumerate(pairwise(data), 1):
-        has_words = any(len([cell for cell in rows[n] if cell]) == 1 for n in range(row + 1, after))
-        if has_words and k - first <= 2 and len(data) - k > 5 and row < MAX_PREAMBLE:
+        between = [[cell for cell in rows[n] if cell] for n in range(row + 1, after)]
+        has_words = any(len(cells) == 1 for cells in between)
+        has_names = any(
+            len(cells) > 1 and {cell_kind(cell) for cell in cells} == {Kind.TEXT} and tuple(rows[n]) not in above
+            for n, cells in enumerate(between, row + 1)
+        )
+        is_short = (has_words and k - first <= 2) or (has_names and k <= MAX_SUMMARY_ROWS and len(data) > 3 * k)
+        if is_short and len(data) - k > 5 and row < MAX_PREAMBLE:
             first = k
     return data[first]
 
@@ -246,4 +268,7 @@ def refuse_doubles(names: Sequence[str], path: Path, is_requested: IsRequested =
     """Refuse a requested name that stands twice: nobody can say which column is meant."""
     for name, count in Counter(names).items():
         if count > 1 and name and (is_requested is None or is_requested(name)):
-            raise InputError(f"{path}: more than one column is named {name!r}; rename or remove one")
+            raise InputError(
+                f"{path}: more than one column is named {name!r}; rename one, or name another line "
+                "of names with --header-row"
+            )

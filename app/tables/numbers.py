@@ -47,9 +47,10 @@ UNITS = frozenset(
 """Texts that a row of units is made of, in small letters."""
 
 UNIT_NUMBER = re.compile(
-    r"(?P<number>[^\sA-Za-zµμ°Ω%][^\sA-Za-zµμ°Ω%]*(?:[eE][+-]?\d+)?)\s*(?P<unit>[A-Za-zµμ°Ω%][A-Za-zµμ°Ω%/]*)"
+    r"(?P<number>[^\sA-Za-zµμ°Ω%][^\sA-Za-zµμ°Ω%]*(?:[eE][+-]?\d+)?)\s*"
+    r"(?P<unit>[A-Za-zµμ°Ω%][A-Za-zµμ°Ω%/]*?)(?: ?[AD]C)?"
 )
-"""A number with its unit behind it."""
+"""A number with its unit behind it, such as `0.52 V` or `0.52 V DC`."""
 
 HEXADECIMAL = re.compile(r"0[xX][0-9A-Fa-f]{1,8}")
 MAX_SUMMARY_ROWS = 12
@@ -277,6 +278,8 @@ def number_cure(cell: object, decimal: str = ".") -> str:
         )
     if NUMBER[other].fullmatch(text) and not isinstance(cell, bool):
         return f"write it with a decimal {'point' if decimal == '.' else 'comma'} as the other numbers of its column"
+    if unit_number(text, decimal):
+        return "write all numbers of its column in one unit, which its heading may state"
     if THOUSANDS.fullmatch(text):
         return "write numbers without marks between thousands, or state the decimal mark with --decimal"
     return f"correct it, leave it empty, or give --missing {text[:40]!r} if it stands for a missing sample"

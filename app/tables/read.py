@@ -10,6 +10,7 @@ from typing import BinaryIO
 from softcal.app.extras import missing_extra
 from softcal.app.tables.calamine import read_calamine
 from softcal.app.tables.columnar import read_arrow, read_parquet
+from softcal.app.tables.encoding import is_text
 from softcal.app.tables.grid import grid_table
 from softcal.app.tables.hdf5 import read_hdf5
 from softcal.app.tables.headings import IsRequested
@@ -25,7 +26,7 @@ from softcal.core.errors import InputError, SoftcalError
 Reader = Callable[[BinaryIO, Path, TableOptions, IsRequested], Grid | Table]
 """Reads a file that is open at its beginning; where requested columns are named, others need not be read."""
 
-TEXT = (".csv", ".txt", ".tsv", ".lvm", ".dat", ".asc")
+TEXT = (".csv", ".txt", ".tsv", ".lvm", ".dat", ".asc", ".log", ".prn", ".tra")
 PARQUET = (".parquet", ".pq")
 READERS: dict[str, Reader] = {
     **dict.fromkeys(TEXT, read_text),
@@ -38,6 +39,10 @@ READERS: dict[str, Reader] = {
     ".tdms": read_tdms,
 }
 """Suffix of a file → what reads it."""
+
+COMPRESSED = (".zip", ".gz", ".7z", ".rar", ".bz2", ".xz", ".tgz")
+HEAD_BYTES = 4096
+MISNAMED = "a text file, whatever its name says; it was read as one"
 
 
 def read_table(
@@ -57,10 +62,13 @@ def read_table(
         InputError: the file is missing, empty, too large, not a table of its format, or has two possible readings.
     """
     with _refusing(path, content), path.open("rb") if content is None else BytesIO(content) as file:
-        read = READERS[path.suffix.lower()](file, path, options, is_requested)
+        reader = _reader(file, path)
+        read = reader(file, path, options, is_requested)
     table = grid_table(read, path, options, is_requested) if isinstance(read, Grid) else read
     if not len(table):
         raise InputError(f"{path}: there is no row of data below the header")
+    if reader is read_text and READERS.get(path.suffix.lower(), read_text) is not read_text:
+        table = replace(table, remarks=(*table.remarks, MISNAMED))
     return _typed(table, options)
 
 
@@ -75,25 +83,34 @@ def table_pieces(path: Path, options: TableOptions, is_requested: IsRequested, r
     Raises:
         InputError: as `read_table`, for a row that cannot be read once its piece is reached.
     """
-    if path.suffix.lower() not in TEXT:
-        yield read_table(path, options, is_requested=is_requested)
-        return
     with _refusing(path, None), path.open("rb") as file:
-        for table in text_pieces(file, path, options, is_requested, rows):
-            yield _typed(table, options)
+        if _reader(file, path) is read_text:
+            for table in text_pieces(file, path, options, is_requested, rows):
+                yield _typed(table, options)
+            return
+    yield read_table(path, options, is_requested=is_requested)
+
+
+def _reader(file: BinaryIO, path: Path) -> Reader:
+    """Return what reads a file that is open at its beginning: by its suffix, and as text what is text."""
+    head, suffix = file.read(HEAD_BYTES), path.suffix.lower()
+    file.seek(0)
+    if is_text(head):
+        return read_text
+    if suffix not in READERS:
+        kinds = ", ".join(sorted({*READERS} - {*TEXT}))
+        cure = "unpack it" if suffix in COMPRESSED else f"text such as CSV, or one of {kinds} is read"
+        raise InputError(f"{path}: no table by its suffix, and no plain text; {cure}")
+    return READERS[suffix]
 
 
 @contextmanager
 def _refusing(path: Path, content: bytes | None) -> Iterator[None]:
     """Refuse what is no table, and turn what a reader raises for a damaged file into one line."""
-    suffix = path.suffix.lower()
-    if suffix not in READERS:
-        raise InputError(
-            f"{path}: {suffix or 'no'} suffix; one of {', '.join(sorted(READERS))} was expected; give a text file "
-            "the suffix .txt"
-        )
     if content is None and not path.is_file():
-        raise InputError(f"{path}: there is no such file")
+        raise InputError(
+            f"{path}: {'a folder where a file was expected' if path.is_dir() else 'there is no such file'}"
+        )
     if (path.stat().st_size if content is None else len(content)) == 0:
         raise InputError(f"{path}: the file is empty")
     try:
@@ -107,7 +124,9 @@ def _refusing(path: Path, content: bytes | None) -> Iterator[None]:
     # The readers raise many kinds for a damaged file; whatever it was, this file is no such table.
     except Exception as error:
         what = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
-        raise InputError(f"{path}: cannot be read as a {suffix[1:]} table: {what}") from error
+        raise InputError(
+            f"{path}: damaged, cut off or no {path.suffix.lower()} file ({what}); export or copy it again"
+        ) from error
 
 
 def _typed(table: Table, options: TableOptions) -> Table:

@@ -46,7 +46,13 @@ HALVES = {"오전": "AM", "오후": "PM", "上午": "AM", "下午": "PM", "午�
 """Halves of a day, which stand before the hour."""
 
 HALF = re.compile(rf"(?P<half>{'|'.join(HALVES)}) ?(?P<clock>\d{{1,2}}:[\d:.,]+)")
-DOTTED = re.compile(r"(\d{4})\. ?(\d{1,2})\. ?(\d{1,2})\.?(?= |$)")
+POINTED_HALF = re.compile(r"([AaPp])\.[ \u00a0]?[Mm]\.$")
+"""`p.m.`, `p. m.`"""
+
+DOTTED = re.compile(r"(\d{4})(?:\.|년|年) ?(\d{1,2})(?:\.|월|月) ?(\d{1,2})(?:\.|일|日)?(?= |$)")
+SHORT_PART = re.compile(r":(\d)(?!\d)")
+"""A minute or a second below ten of which the zero is not written."""
+
 TIME_SPAN = re.compile(r"(\d+)\.(\d{2}:\d{2}:\d{2}(?:\.\d+)?)")
 YEAR_AND_HALF = re.compile(r"(?P<date>\d{4}\S+ +)(?P<hour>\d{1,2})(?P<rest>:[\d:.,]+) ?(?P<half>[AaPp])[Mm]")
 
@@ -58,6 +64,7 @@ def plain_stamp(text: str) -> str:
         days, hours, minutes, seconds, fraction = (part or "0" for part in match.groups())
         count = (int(hours) * 60 + int(minutes)) * 60 + int(seconds)
         return f"{days} days {count // 3600}:{count // 60 % 60:02}:{count % 60:02}.{fraction}"
+    text = SHORT_PART.sub(r":0\1", POINTED_HALF.sub(r"\1M", text))
     if text[:1].isdigit() and (match := NAMED_ZONE.fullmatch(text)):
         text = f"{match['stamp']}{match['offset'] or _offset(match) or ' ' + match['zone']}"
     if text[:1] in "[(" and text[-1:] in "])":

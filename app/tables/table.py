@@ -105,9 +105,12 @@ class Table:
         else:
             bad = list(range(len(cells)))
         cell, more = cells[bad[0]], f" ({len(bad)} such rows)" if len(bad) > 1 else ""
+        cure = number_cure(cell, self.decimal)
+        if len(bad) > len(cells) / 2 and "--missing" in cure:
+            cure = "write plain numbers in it, or name another column"
         raise InputError(
             f"{self.path}: line {self.lines[bad[0]]}, column {name!r}: {shown(cell)} where a number was "
-            f"expected{more}; {number_cure(cell, self.decimal)}"
+            f"expected{more}; {cure}"
         )
 
     def finite_numbers(self, name: str, cure: str = "") -> Array:

@@ -14,6 +14,7 @@ from softcal.app.tables.arrays import Channel, choose_group, read_channels, refu
 from softcal.app.tables.headings import IsRequested
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.table import Table
+from softcal.core.errors import InputError
 
 TORN = "the file is damaged or ends early; what it holds up to there was read"
 TIME = "t_s"
@@ -35,7 +36,12 @@ def read_tdms(file: BinaryIO, path: Path, options: TableOptions, is_requested: I
             if channels:
                 groups[group.name] = channels + _time(path, group.channels())
         name = choose_group(path, groups, options, is_requested, "group")
-        table = read_channels(path, groups[name], options, is_requested, f"group {name!r}")
+        try:
+            table = read_channels(path, groups[name], options, is_requested, f"group {name!r}")
+        except InputError as error:
+            raise InputError(
+                f"{error}; the file is damaged or ends early: copy it again" if warnings else str(error)
+            ) from error
     return replace(table, remarks=(*table.remarks, TORN)) if warnings else table
 
 

@@ -1,7 +1,6 @@
 """Text files into tables: rows of data under a detected layout, read whole or piece by piece."""
 
 import io
-import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -17,14 +16,13 @@ from softcal.app.tables.headings import Heading, IsRequested
 from softcal.app.tables.numbers import missing_words_remark, texts_to_numbers, to_numbers
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.table import Column, Table
+from softcal.app.tables.terminal_text import TerminalLines, find_terminal_lines
 from softcal.app.tables.text_layout import BLANKS, HEAD_LINES, TextLayout, detect_layout
 from softcal.app.tables.text_rows import TextRows, data_of
 from softcal.core.errors import InputError
 
 MAX_BYTES_PER_CELL = 25
 """More bytes no number takes as text, with what parts it from the next one."""
-
-ARROW = re.compile(r"(\d{1,2}:\d{2}:\d{2}[.,]\d+) -> ?(.*)")
 
 
 def read_text(file: BinaryIO, path: Path, options: TableOptions, is_requested: IsRequested) -> Table:
@@ -46,13 +44,13 @@ def read_text(file: BinaryIO, path: Path, options: TableOptions, is_requested: I
 
 def _laid_out(
     lines: list[str], path: Path, encoding: Encoding, options: TableOptions, is_requested: IsRequested
-) -> tuple[list[str], TextLayout, str]:
-    """Return lines without zero bytes and arrows, their layout, and what stands in place of an arrow."""
+) -> tuple[list[str], TextLayout, TerminalLines]:
+    """Return rows without zero bytes, their layout, and what a terminal added to each of them."""
     lines, remarks = _without_zeros(lines, path)
-    arrow = _arrow_mark(lines)
-    lines = _without_arrows(lines, arrow)
-    layout = detect_layout(lines, path, encoding, options, is_requested)
-    return lines, replace(layout, remarks=(*layout.remarks, *remarks)), arrow
+    terminal = find_terminal_lines(lines)
+    rows = terminal.to_rows(lines)
+    layout = terminal.to_layout(detect_layout(rows, path, encoding, options, is_requested))
+    return rows, replace(layout, remarks=(*layout.remarks, *remarks)), terminal
 
 
 @contextmanager
@@ -62,22 +60,6 @@ def _decoded(file: BinaryIO, encoding: Encoding) -> Iterator[io.TextIOWrapper]:
         yield text
     finally:
         text.detach()
-
-
-def _arrow_mark(lines: Sequence[str]) -> str:
-    """Return what stands between cells behind `10:00:00.020 -> `, as Arduino's serial monitor writes; "" elsewhere."""
-    head = [line for line in lines[:HEAD_LINES] if line.strip()]
-    behind = [match[2] for line in head if (match := ARROW.fullmatch(line))]
-    if len(behind) <= len(head) / 2:
-        return ""
-    return next((mark for mark in "\t;," if mark in behind[-1]), ",")
-
-
-def _without_arrows(lines: list[str], mark: str) -> list[str]:
-    """Return lines with the time before an arrow as their first cell."""
-    if not mark:
-        return lines
-    return [f"{match[1]}{mark}{match[2]}" if (match := ARROW.fullmatch(line)) else line for line in lines]
 
 
 def _without_zeros(lines: list[str], path: Path) -> tuple[list[str], list[str]]:
@@ -171,7 +153,7 @@ def text_pieces(
     with _decoded(file, encoding) as text:
         head = list(islice(text, max(HEAD_LINES, rows)))
         is_open = bool(head) and not head[-1].endswith("\n")
-        head, layout, arrow = _laid_out([line.rstrip("\n") for line in head], path, encoding, options, is_requested)
+        head, layout, terminal = _laid_out([line.rstrip("\n") for line in head], path, encoding, options, is_requested)
         offset, pending = layout.start, head[layout.start :]
         while True:
             more = list(islice(text, rows))
@@ -187,5 +169,5 @@ def text_pieces(
                     yield _table(piece, layout, path, options, is_requested)
             if is_last:
                 return
-            following = _without_arrows([line.rstrip("\n") for line in more], arrow)
+            following = terminal.to_rows([line.rstrip("\n") for line in more])
             offset, pending = offset + cut, [*pending[cut:], *following]

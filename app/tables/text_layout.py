@@ -10,6 +10,7 @@ from softcal.app.tables.encoding import Encoding
 from softcal.app.tables.headings import Heading, IsRequested, data_rows, find_heading, refuse_doubles
 from softcal.app.tables.numbers import THOUSANDS, Kind, cell_kind, shown, unit_number
 from softcal.app.tables.options import TableOptions
+from softcal.app.tables.time_column import is_clock_heading
 from softcal.core.errors import InputError
 
 HEAD_LINES = 600
@@ -26,8 +27,8 @@ COMMENT = re.compile(r"[# ]*(?:% +)?")
 """How lines begin that name columns in a comment, as numpy and MATLAB write them."""
 
 LVM_HEADER_END = "***End_of_Header***"
-LVM_SEGMENT, LVM_TIME = "Channels", "X_Value"
-"""How the header of a segment of LabVIEW begins, and how each of its columns of time is named."""
+LVM_TIME = "X_Value"
+"""How LabVIEW names each column of time."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ class TextLayout:
         skipped: lines before the one that `heading` counts from.
         start: index of the first line of data in the file, counted from 0.
         text_columns: columns that hold text in most rows.
+        labels: texts that lines above the data begin with.
     """
 
     encoding: Encoding
@@ -47,6 +49,7 @@ class TextLayout:
     heading: Heading
     start: int
     text_columns: frozenset[int]
+    labels: frozenset[str]
     description: str
     remarks: tuple[str, ...]
 
@@ -65,7 +68,7 @@ def detect_layout(
     # Rows with commas further down tell the decimal mark where the first ones hold whole numbers.
     more = [line for line in lines[HEAD_LINES:] if "," in line][:200] if len(lines) > HEAD_LINES else []
     texts = [line for _, line in head]
-    delimiter, decimal = _marks(texts, more, path, declared)
+    delimiter, decimal = _marks(texts, more, path, declared, is_requested)
     rows = [split(line, delimiter) for line in texts]
     if delimiter == BLANKS:
         # Names of several words stand two blanks apart.
@@ -93,7 +96,10 @@ def detect_layout(
     parts += heading.describe(numbers)
     remarks = (encoding.remark,) if encoding.remark else ()
     start = head[heading.first][0]
-    return TextLayout(encoding, delimiter, decimal, heading, start, text_columns, "; ".join(parts), remarks)
+    first_cells = [split(line, delimiter)[0] for line in lines[:start] if line.strip()]
+    labels = frozenset(cell for cell in first_cells if cell_kind(cell, decimal) is Kind.TEXT)
+    description = "; ".join(parts)
+    return TextLayout(encoding, delimiter, decimal, heading, start, text_columns, labels, description, remarks)
 
 
 def _numbered(names: Sequence[str], repeated: str) -> tuple[str, ...]:
@@ -160,8 +166,10 @@ def split(line: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
 
 
-def _marks(texts: Sequence[str], more: Sequence[str], path: Path, options: TableOptions) -> tuple[str, str]:
-    """Return delimiter and decimal mark: those that make the most cells numbers."""
+def _marks(
+    texts: Sequence[str], more: Sequence[str], path: Path, options: TableOptions, is_requested: IsRequested
+) -> tuple[str, str]:
+    """Return delimiter and decimal mark: those that make the most cells numbers, and requested names cells."""
     scores: dict[tuple[str, str], float] = {}
     candidates: Sequence[str] = CANDIDATES if options.delimiter is None else (options.delimiter,)
     if options.delimiter is None and options.decimal == "," and not any('"' in line for line in texts):
@@ -175,6 +183,13 @@ def _marks(texts: Sequence[str], more: Sequence[str], path: Path, options: Table
             continue
         for decimal in (".", ",") if options.decimal is None else (options.decimal,):
             scores[delimiter, decimal] = _score(rows, decimal, delimiter)
+    if is_requested is not None:
+        # A clock's name may stand in any preamble.
+        cells = {mark: [cell for line in texts for cell in split(line, mark)] for mark, _ in scores}
+        named = {
+            mark for mark in cells if any(is_requested(cell) and not is_clock_heading(cell) for cell in cells[mark])
+        }
+        scores = {marks: score for marks, score in scores.items() if marks[0] in named and score > 0} or scores
     best = max(scores.values(), default=0.0)
     if best <= 0:
         return options.delimiter or ",", options.decimal or "."

@@ -11,7 +11,7 @@ import numpy as np
 from softcal.app.tables.arrays import refuse_large
 from softcal.app.tables.numbers import MAX_SUMMARY_ROWS, Kind, cell_kind, is_summary
 from softcal.app.tables.options import TableOptions
-from softcal.app.tables.text_layout import BLANKS, LVM_HEADER_END, LVM_SEGMENT, REMARKS, TextLayout, split
+from softcal.app.tables.text_layout import BLANKS, REMARKS, TextLayout, split
 from softcal.core.errors import InputError
 from softcal.core.recording import Indices
 
@@ -50,14 +50,13 @@ def data_of(
     delimiter, width = layout.delimiter, len(layout.heading.names)
     whole = "\n".join(texts)
     remarks = _drop_comments(texts, numbers, layout) if "#" in whole or "%" in whole else []
-    remarks += _drop_segments(texts, numbers)
-    remarks += _drop_headers(texts, numbers, layout)
+    remarks += _drop_repeats(texts, numbers, layout)
     cells = None
     if '"' in whole:
         cells = [_unquoted(text, delimiter, number, path) for text, number in zip(texts, numbers, strict=True)]
         widths = list(map(len, cells))
     elif delimiter == BLANKS:
-        texts = ["\t".join(text.split()) for text in texts]
+        texts = ["\t".join(_words(text, width, layout.decimal)) for text in texts]
         widths = [text.count("\t") + 1 for text in texts]
     else:
         widths = [1] * len(texts) if delimiter == "" else [text.count(delimiter) + 1 for text in texts]
@@ -84,6 +83,22 @@ def data_of(
     return TextRows(texts, cells, np.array(numbers, dtype=np.int64), tuple(remarks))
 
 
+def _words(text: str, width: int, decimal: str) -> list[str]:
+    """Return the cells of a line with blanks between them; words of one cell stand together, such as `no signal`."""
+    words = text.split()
+    if len(words) <= width:
+        return words
+    cells: list[str] = []
+    is_text = False
+    for word in words:
+        was_text, is_text = is_text, cell_kind(word, decimal) is Kind.TEXT
+        if was_text and is_text:
+            cells[-1] += f" {word}"
+        else:
+            cells.append(word)
+    return cells if len(cells) == width else words
+
+
 def _filled(lines: Sequence[str], offset: int) -> tuple[list[str], list[int]]:
     """Return the lines that are not empty, and their numbers."""
     filled = [k for k, line in enumerate(lines) if line and not line.isspace()]
@@ -103,23 +118,27 @@ def _drop_comments(texts: list[str], numbers: list[int], layout: TextLayout) -> 
     return [f"{len(comments)} lines that begin with {marks} are comments"] if comments else []
 
 
-def _drop_segments(texts: list[str], numbers: list[int]) -> list[str]:
-    """Take out what LabVIEW writes above the names of each later segment of a file, and return a remark on each."""
-    remarks = []
-    for end in [k for k, text in enumerate(texts) if text.startswith(LVM_HEADER_END)][::-1]:
-        begin = max((k for k in range(end) if texts[k].startswith(LVM_SEGMENT)), default=0)
-        remarks.append(f"lines {numbers[begin]} to {numbers[end]}: the header of another segment, left out")
-        del texts[begin : end + 1], numbers[begin : end + 1]
-    return remarks[::-1]
+def _drop_repeats(texts: list[str], numbers: list[int], layout: TextLayout) -> list[str]:
+    """Take lines out that repeat what stands above the samples, and return a remark on each block of them.
 
-
-def _drop_headers(texts: list[str], numbers: list[int], layout: TextLayout) -> list[str]:
-    """Take lines that repeat the header out, and return a remark on each."""
-    names, at = layout.heading.names, layout.delimiter
-    if layout.heading.row is None or len(names) < 2:
+    A header that comes again, that of another block or segment: their first cells are the same texts.
+    """
+    at, labels, whole = layout.delimiter, layout.labels, "\n".join(texts)
+    if not any(label in whole for label in labels):
         return []
-    again = [k for k, text in enumerate(texts) if names[0] in text and tuple(split(text, at)) == names]
-    remarks = [f"line {numbers[k]} repeats the header and is left out" for k in again]
+    again = [k for k, text in enumerate(texts) if (cells := split(text, at)) and cells[0] in labels]
+    if 0 in layout.text_columns:
+        again = [k for k in again if tuple(split(texts[k], at)) == layout.heading.names]
+    blocks = [[k] for k in again if k - 1 not in again]
+    for block in blocks:
+        while block[-1] + 1 in again:
+            block.append(block[-1] + 1)
+    remarks = [
+        f"line {numbers[block[0]]} repeats what stands above the samples and is left out"
+        if len(block) == 1
+        else f"lines {numbers[block[0]]} to {numbers[block[-1]]} repeat what stands above the samples and are left out"
+        for block in blocks
+    ]
     for k in reversed(again):
         del texts[k], numbers[k]
     return remarks

@@ -30,9 +30,9 @@ TIME_WORDS = {
     ("t",), ("time",), ("timestamp",), ("timestamps",), ("time", "stamp"), ("stamp",), ("datetime",), ("date", "time"),
     ("elapsed",), ("clock",), ("utc",), ("elapsedtime",), ("testtime",),
     ("elapsed", "time"), ("time", "elapsed"), ("test", "time"), ("run", "time"), ("relative", "time"), ("x", "value"),
-    ("time", "of", "day"), ("local", "time"),
+    ("time", "of", "day"), ("fractional",), ("local", "time"),
     ("zeit",), ("uhrzeit",), ("zeitstempel",), ("temps",), ("heure",), ("tiempo",), ("hora",), ("시간",), ("시각",),
-    ("時間",), ("時刻",), ("时间",),
+    ("時間",), ("時刻",), ("时间",), ("日時",), ("일시",),
 }  # fmt: skip
 """Headings of a column of time, without its unit."""
 
@@ -172,14 +172,17 @@ def _rising(column: Column) -> Array | None:
     return values if values is not None and len(values) > 2 and bool(np.all(np.diff(values) > 0)) else None
 
 
-def is_part_of_second(column: Column) -> bool:
-    """Whether a column holds whole numbers below 1000 that begin again, as the ms beside a clock of seconds do."""
-    values = to_numbers(column.cells)
-    return (
-        values is not None
-        and bool(np.all((values >= 0) & (values < 1000) & (values % 1 == 0)))
-        and bool(np.any(np.diff(values) < 0))
-    )
+def parts_per_second(column: Column) -> float | None:
+    """Return how many parts a second has in a column that counts them beside a clock of whole seconds; None elsewhere.
+
+    Whole numbers of ms below 1000, or fractional seconds below 1, which begin again.
+    """
+    values, words = to_numbers(column.cells), words_of(column.name)
+    parts = {("ms",): 1000.0, ("fractional", "seconds"): 1.0}.get(words)
+    if values is None or parts is None or not np.any(np.diff(values) < 0):
+        return None
+    is_part = (values >= 0) & (values < parts) & ((values % 1 == 0) | (parts == 1))
+    return parts if np.all(is_part) else None
 
 
 def _is_even(values: Array) -> bool:

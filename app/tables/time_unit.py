@@ -75,13 +75,16 @@ def _unit_by_rate(step: float, rate_Hz: float) -> str:
 
 def _check_seconds(path: Path, name: str, present: Array, step: float, declared_Hz: float | None) -> None:
     """Refuse numbers that no sensor's seconds can be, unless the declared rate is theirs."""
+    agrees = declared_Hz is not None and abs(1 / step / declared_Hz - 1) <= RATE_TOLERANCE
+    if not agrees and (doubt := doubt_seconds(present, step)):
+        raise InputError(f"{path}: column {name!r} {doubt}? {CURE}")
+
+
+def doubt_seconds(present: Array, step: float) -> str:
+    """Return why numbers are no seconds of a sensor's samples, and what they may be; "" where they can be."""
     rate_Hz, is_whole = 1 / step, bool(np.all(present == np.round(present)))
-    agrees = declared_Hz is not None and abs(rate_Hz / declared_Hz - 1) <= RATE_TOLERANCE
-    if agrees or not (rate_Hz < MIN_RATE_HZ or rate_Hz > MAX_RATE_HZ or (is_whole and rate_Hz <= 1)):
-        return
+    if not (rate_Hz < MIN_RATE_HZ or rate_Hz > MAX_RATE_HZ or (is_whole and rate_Hz <= 1)):
+        return ""
     likely = [unit for unit, per in PER_SECOND.items() if MIN_RATE_HZ <= per / step <= MAX_RATE_HZ]
     guess = "excel" if rate_Hz > MAX_RATE_HZ else " or ".join(likely[:2]) or "another unit"
-    raise InputError(
-        f"{path}: column {name!r} ({present[0]:.12g}, {present[1]:.12g}, ...) shows {rate_Hz:g} Hz if it is in s; is "
-        f"it in {guess}? {CURE}"
-    )
+    return f"({present[0]:.12g}, {present[1]:.12g}, ...) shows {rate_Hz:g} Hz if it is in s; is it in {guess}"

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softcal.app.tables.numbers import Kind, cell_kind, shown
+from softcal.app.tables.numbers import THOUSANDS, Kind, cell_kind, number_cure, shown
 from softcal.app.tables.stamp_text import (
     CLOCK_TIME,
     DAY_MONTH,
@@ -28,6 +28,9 @@ from softcal.core.recording import Array
 
 EXCEL_ZERO_S, TICKS_ZERO_S = -25_569 * 86400, -11_644_473_600
 """Where the days of a spreadsheet and the ticks of Windows begin: 1899-12-30 and 1601, in s since 1970."""
+
+LABVIEW_ZERO_S, LABVIEW_AHEAD_S = -2_082_844_800, 30 * 365.25 * 86400
+"""Where LabVIEW's seconds begin, 1904; taken from 1970 they are so far ahead of today at least."""
 
 UTC_WORDS = frozenset({"utc", "gmt"})
 """Words of a heading, or a unit, that state the zone of a column's stamps."""
@@ -72,7 +75,7 @@ class Clock:
         rate_Hz: declared rate: of units that nobody states it tells the right one.
         is_absolute: keeps dates as seconds since 1970 instead of since the first sample.
         date: heading of the column of dates beside times of day.
-        milliseconds: heading of the column of ms beside stamps of whole seconds.
+        rest_of_second: heading of the column that holds the rest of each whole second, and its parts a second.
         start: when the first sample was taken, once that was read; None where stamps are not absolute.
     """
 
@@ -81,7 +84,7 @@ class Clock:
     rate_Hz: float | None = None
     is_absolute: bool = False
     date: str | None = None
-    milliseconds: str | None = None
+    rest_of_second: tuple[str, float] | None = None
     remarks: list[str] = field(default_factory=list)
     start: Start | None = None
     _unit: str | None = None
@@ -192,7 +195,10 @@ class Clock:
         present = values[np.isfinite(values)]
         if self._unit != SAMPLES and len(present):
             zero_s = TICKS_ZERO_S if self._unit == "ticks" else 0
-            self._start_at(float(present[0]) / per_second + zero_s, has_zone=True)
+            start_s = float(present[0]) / per_second + zero_s
+            # LabVIEW counts from 1904; nobody measures in the 2080s yet.
+            is_ahead = start_s > datetime.now(UTC).timestamp() + LABVIEW_AHEAD_S
+            self._start_at(start_s + LABVIEW_ZERO_S * is_ahead, has_zone=True)
         wraps = tuple(counter / per_second for counter in COUNTERS) if self._unit in ("ms", "us") else ()
         return values / per_second, wraps
 
@@ -312,18 +318,20 @@ class Clock:
 
     def _no_stamp(self, table: Table, row: int, cell: object) -> InputError:
         zone = zone_of(str(cell))
+        usual = number_cure(cell, table.decimal) if THOUSANDS.fullmatch(str(cell)) else f"it is no time; {CURE}"
         cure = (
             f"the zone {zone} has several meanings or is not known: write the offset from UTC, such as +09:00, or give "
             f"--time-format with it, such as '%Y-%m-%d %H:%M:%S.%f {zone}'"
             if zone
-            else f"it is no time; {CURE}"
+            else usual
         )
         return InputError(f"{table.path}: line {table.lines[row]}, column {self.name!r}: {shown(cell)}: {cure}")
 
     def _forward(self, table: Table, values: Array, wraps: Sequence[float]) -> Array:
         """Return times that go forward: counters and days that begin again go on, anything else is refused."""
-        if self.milliseconds is not None:
-            values = values + table.numbers(self.milliseconds) / PER_SECOND["ms"]
+        if self.rest_of_second is not None:
+            name, parts = self.rest_of_second
+            values = values + table.numbers(name) / parts
         raw, values = values, values + self._added
         rows = np.flatnonzero(np.isfinite(values))
         if not len(rows):

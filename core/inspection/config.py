@@ -66,6 +66,8 @@ class InspectionConfig:
         held_rows: a reference that changes only every so many rows was sampled slower than the output.
         stuck_s, stuck_factor: a reading between its ends that stands still for less, or for less than so many times
             the next longest stillness, is not stuck.
+        stuck_share: a reference is, where it stands still while the output goes through more than this share of its
+            range; beside measured ones it goes through 0.4 % of it.
         flat_runs, flat_band, flat_factor: an end of the output's range is flat where it stands still there so often,
             and is there so many times as often as within this share of the range beside it.
         pause_s, pause_rows, rest_band: a gap is a pause where it is as long, and so many samples before and after it
@@ -108,3 +110,4 @@ class InspectionConfig:
     wrap_share: float = setting(0.9)
     stuck_s: float = setting(2.0)
     stuck_factor: float = setting(10.0)
+    stuck_share: float = setting(0.5)

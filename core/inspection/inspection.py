@@ -4,6 +4,9 @@ from dataclasses import dataclass, field
 
 from softcal.core.recording import MaskedSamples
 
+MAX_TIMES = 1e300
+"""A value so many ranges away is told as that: reports hold no infinity."""
+
 
 @dataclass(frozen=True)
 class InspectionFinding:

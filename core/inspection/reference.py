@@ -24,6 +24,8 @@ def reference_findings(
     """Return what a reference without outliers shows beside its output."""
     if np.ptp(reference) == 0:
         return [InspectionFinding("constant", "reference", 0, len(t_s), float(t_s[0]), float(reference[0]), 0.0)]
+    if stuck := _stuck(t_s, output, reference, sample_rate_Hz, config):
+        return stuck
     # Beside a lag, levels do not belong together: a tare would be found that is none.
     return [
         *_sign(t_s, reference),
@@ -32,6 +34,20 @@ def reference_findings(
             or [*_slower_reference(t_s, reference, config), *_tares(t_s, output, reference, config)]
         ),
     ]
+
+
+def _stuck(
+    t_s: Array, output: Array, reference: Array, sample_rate_Hz: float, config: InspectionConfig
+) -> list[InspectionFinding]:
+    """Return where a reference stands still while the output is pressed: its channel was dead or at its end."""
+    span = column_scale(output).span
+    for start, length in zip(*equal_runs(reference), strict=True):
+        if length < config.stuck_s * sample_rate_Hz:
+            continue
+        if np.ptp(np.quantile(output[start : start + length], (0.05, 0.95))) > config.stuck_share * span:
+            rows, value = (int(start), int(start + length)), float(reference[start])
+            return [InspectionFinding("stuck", "reference", *rows, float(t_s[start]), value, length / sample_rate_Hz)]
+    return []
 
 
 def _sign(t_s: Array, reference: Array) -> list[InspectionFinding]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from softcal.core.inspection.config import InspectionConfig
 from softcal.core.inspection.dropouts import find_dropouts
-from softcal.core.inspection.inspection import Inspection, InspectionFinding
+from softcal.core.inspection.inspection import MAX_TIMES, Inspection, InspectionFinding
 from softcal.core.inspection.levels import level_findings
 from softcal.core.inspection.outliers import column_scale, fill, find_overflows, find_spikes
 from softcal.core.inspection.reference import reference_findings
@@ -97,6 +97,6 @@ def _outlier_findings(kind: str, column: str, t_s: Array, values: Array, is_inva
     for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         run = values[start:stop]
         value = float("nan") if kind == "missing" else float(run[np.argmax(np.abs(run - middle))])
-        times = abs(value - middle) / scale.span if scale.span > 0 else float("inf")
+        times = min(abs(value - middle) / scale.span, MAX_TIMES) if scale.span > 0 else MAX_TIMES
         findings.append(InspectionFinding(kind, column, start, stop, float(t_s[start]), value, times))
     return findings

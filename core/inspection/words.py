@@ -26,6 +26,7 @@ CURES = {
     "held": Reason("part.cure_held"),
     "lag": Reason("part.cure_lag"),
     "constant": Reason("part.cure_constant"),
+    "stuck": Reason("part.cure_constant"),
 }
 """Kinds of findings with which a reference labels nothing, and what to do."""
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from softcal.core.errors import UnitRefused
 from softcal.core.inspection.config import InspectionConfig
-from softcal.core.inspection.inspection import InspectionFinding
+from softcal.core.inspection.inspection import MAX_TIMES, InspectionFinding
 from softcal.core.inspection.levels import level_findings
 from softcal.core.inspection.timing import timing_findings, window_share
 from softcal.core.maps.crossing import CACHED
@@ -175,4 +175,4 @@ def _times_the_range(recording: OutputRecording, masked: MaskedSamples) -> float
     """Return how far the furthest overflow lies from the output, in ranges of it."""
     span, values = float(np.ptp(recording.output)), masked.of_kind("overflow").values
     furthest = float(np.max(np.abs(values - np.median(recording.output))))
-    return furthest / span if span > 0 else float("inf")
+    return min(furthest / span, MAX_TIMES) if span > 0 else MAX_TIMES

@@ -251,6 +251,7 @@ def write_corpus(folder: Path) -> None:
         folder / "labview_wave.tdms", {"Run": channels}, wf_increment=1 / RATE_HZ, wf_start_offset=0.0, wf_samples=ROWS
     )
     write_tdms(folder / "labview_two_groups.tdms", {"Run 1": COLUMNS, "Run 2": other})
+    write_tdms(folder / "labview_settings_group.tdms", {"Settings": {"gain": [1.0, 2.0]}, "Run": COLUMNS})
 
 
 STATED = {
@@ -289,6 +290,7 @@ BINARY_FILES = [
         "h5py.h5": {},
         "h5py_two_runs.h5": {"refused": "'run1', 'run2'.*--sheet"},
         "labview_wave.tdms": {},
+        "labview_settings_group.tdms": {},
         "labview_two_groups.tdms": {"refused": "'Run 1', 'Run 2'.*--sheet"},
     }.items()
 ]

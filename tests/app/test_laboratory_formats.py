@@ -119,11 +119,31 @@ def test_a_damaged_file_is_one_line_or_still_a_table(suffix, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
-def test_a_file_of_another_format_is_one_line(suffix, tmp_path):
+def test_a_text_with_the_suffix_of_another_format_is_read_as_text(suffix, tmp_path):
     path = tmp_path / f"S1{suffix}"
-    path.write_bytes(b"t_s,output\n0,1\n0.02,2\n" * 40)
-    with pytest.raises(InputError, match=r"S1\."):
+    path.write_bytes(b"t_s,output\n0,1\n0.02,2\n0.04,3\n")
+    table = read_table(path)
+    assert table.numbers("output").tolist() == [1, 2, 3]
+    assert any("text file, whatever its name says" in remark for remark in table.remarks)
+
+
+@pytest.mark.parametrize("suffix", [*FORMATS, ".csv", ".jpg", ".zip", ""])
+@pytest.mark.parametrize("content", ["zip", "JPEG", "noise", "nothing"])
+def test_a_file_of_another_format_is_one_line(content, suffix, tmp_path):
+    path, draw = tmp_path / f"S1{suffix}", random.Random(f"{content} {suffix}")
+    noise = draw.randbytes(5000)
+    begin = {"zip": b"PK\x03\x04", "JPEG": b"\xff\xd8\xff\xe0\x00\x10JFIF\x00", "noise": b"", "nothing": b""}[content]
+    path.write_bytes(begin + noise if content != "nothing" else b"")
+    with pytest.raises(InputError, match=r"S1.*(export|copy|save|suffix|unpack|is read|empty)") as refusal:
         read_table(path)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("suffix", [".log", ".trc", ""])
+def test_a_text_of_any_name_is_read(suffix, tmp_path):
+    path = tmp_path / f"S1{suffix}"
+    path.write_text("t_s,output\n0,1\n0.02,2\n0.04,3\n")
+    assert read_table(path).numbers("output").tolist() == [1, 2, 3]
 
 
 # Parquet, Feather, Arrow
@@ -463,3 +483,16 @@ def test_an_ods_whose_cells_stand_far_out_or_repeat_is_refused(row, tmp_path):
     path = written.write_ods(tmp_path / "bomb.ods", {"run": TABLE}, row.format(cell=cell))
     with pytest.raises(InputError, match=LARGE):
         read_table(path)
+
+
+def test_output_and_reference_in_two_groups_are_said_to_be(tmp_path):
+    path = write_tdms(tmp_path / "S1.tdms", ("Sensor", "output", OUTPUT), ("Load cell", "force", FORCE))
+    with pytest.raises(InputError, match="'output' in 'Sensor'.*'force' in 'Load cell'|'force'.*'output' in 'Sensor'"):
+        read_table(path, is_requested={"output", "force"}.__contains__)
+    assert len(read_table(path, is_requested={"output"}.__contains__)) == len(OUTPUT)
+
+
+def test_a_group_is_read_that_alone_has_all_requested_columns(tmp_path):
+    parts = [("Run", "t_s", T_S), ("Run", "output", OUTPUT), ("Room", "t_s", T_S), ("Room", "temperature", FORCE)]
+    path = write_tdms(tmp_path / "S1.tdms", *parts)
+    assert len(read_table(path, is_requested={"t_s", "output"}.__contains__)) == len(OUTPUT)

@@ -4,11 +4,12 @@ import io
 import re
 import unicodedata
 from collections.abc import Sequence
+from types import SimpleNamespace
 
 import pytest
 
 from softcal.app import output
-from softcal.app.batch.report import TABLE_HEADER, reasons_by_verdict, table_row
+from softcal.app.batch.report import TABLE_HEADER, audit_lines, reasons_by_verdict, table_row
 from softcal.app.calibration.unit_result import UnitResult
 from softcal.app.cli.main import main
 from softcal.app.output import ProgressLine, print_reasons, print_table
@@ -144,6 +145,25 @@ def test_a_reason_whose_numbers_differ_is_said_once_with_their_range() -> None:
     units = [unit(f"A{count}", "retest", dead(count)) for count in (3, 88, 7)]
     ((_, (line,)),) = listed(units)
     assert "rows: 3 to 88, in all: 1500" in line
+
+
+def test_reasons_inside_a_reason_are_grouped_by_their_kind() -> None:
+    units = [unit(f"A{k}", "retest", reason("inspect.of_unit", serial="S", what=dead(k))) for k in (3, 5)]
+    other = reason("inspect.of_unit", serial="S", what=Reason("forecast_only"))
+    ((_, (line,)),) = listed([*units, unit("A7", "retest", other)])
+    assert "rows: 3 to 5, in all: 1500" in line and line.count("1500") == 1 and str(Reason("forecast_only")) in line
+
+
+def test_audited_units_with_equal_verdicts_are_one_line() -> None:
+    decision = SimpleNamespace(predicted=SimpleNamespace(verdict="conditional"))
+    units = [
+        SimpleNamespace(serial=f"A{k:02}", verdict="pass", is_audited=True, state=SimpleNamespace(decision=decision))
+        for k in range(10)
+    ]
+    changes = SimpleNamespace(withdrawn=())
+    report = SimpleNamespace(units=units, changes=changes, lot_fit=None, decided=None, audit=None)
+    (line,) = audit_lines(report)
+    assert line.startswith("A00, A01, ") and line.endswith(" and 2 more audited: pass, were predicted conditional")
 
 
 def test_intervals_that_differ_are_one_that_holds_them_all() -> None:

@@ -656,3 +656,27 @@ def test_a_file_that_was_read_is_typed_like_a_table(table, tmp_path):
         recording.labelled.sha256
         == softcal.Recording.from_frame(pd.read_csv(tmp_path / "S2.csv"), serial="S2").labelled.sha256
     )
+
+
+@pytest.mark.parametrize("step", [1, 2, 4])
+def test_whole_numbers_of_ms_are_no_seconds_in_python_either(step: int) -> None:
+    output = 0.5 + 0.1 * np.sin(np.arange(200) / 9)
+    with pytest.raises(softcal.InputError, match=r"t_s \(0, .*is it in .*ms.*sample_rate_Hz="):
+        softcal.Recording(output, t_s=np.arange(200) * step)
+    confirmed = softcal.Recording(output, t_s=np.arange(200) * step, sample_rate_Hz=1 / step)
+    assert confirmed.t_s[-1] == 199 * step
+    by_date = softcal.Recording(output, t_s=pd.date_range("2026-03-01", periods=200, freq=f"{step}s"))
+    assert by_date.sample_rate_Hz == pytest.approx(1 / step)
+
+
+def test_columns_of_objects_are_times_too() -> None:
+    output, stamps = 0.5 + 0.1 * np.sin(np.arange(200) / 9), pd.date_range("2026-03-01", periods=200, freq="20ms")
+    dates = pd.Series(stamps.to_pydatetime().tolist(), dtype=object)
+    spans = pd.Series((stamps - stamps[0]).to_pytimedelta().tolist(), dtype=object)
+    for times in (dates, spans, dates.tolist(), spans.tolist()):
+        assert softcal.Recording(output, t_s=times).t_s.tolist() == pytest.approx((np.arange(200) / 50).tolist())
+
+
+def test_a_time_that_goes_back_all_along_is_said_to() -> None:
+    with pytest.raises(softcal.InputError, match="t_s goes back"):
+        softcal.Recording(np.linspace(0, 1, 200), t_s=pd.date_range("2026-03-01", periods=200, freq="20ms")[::-1])

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from softcal.app.files.recording_file import inspect_recording
 from softcal.app.tables.read import read_table
 from softcal.app.tables.time_column import find_time_column
 from softcal.app.tables.timestamps import Clock
@@ -195,3 +196,12 @@ def test_a_column_of_time_is_found_by_its_heading(names: list[str], found: str |
 def test_two_columns_of_time_are_asked_about() -> None:
     with pytest.raises(InputError, match="--time-column"):
         find_time_column(["Timestamp", "Elapsed time (s)", "output"])
+
+
+def test_seconds_since_1904_are_labview_s(tmp_path: Path) -> None:
+    path = tmp_path / "S1.csv"
+    rows = [f"{3_798_525_599.64 + k / 50:.3f},{0.5 + 0.1 * (k % 40):.3f}" for k in range(60)]
+    path.write_text("Time,output\n" + "\n".join(rows) + "\n")
+    file = inspect_recording(path, "S1", None)
+    assert file.recording.sample_rate_Hz == pytest.approx(50)
+    assert file.start is not None and file.start.at.isoformat(timespec="seconds") == "2024-05-14T09:59:59+00:00"

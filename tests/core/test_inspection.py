@@ -153,6 +153,13 @@ def test_values_that_loggers_write_instead_of_a_sample_are_masked(
     assert {one.value for one in result.inspection.of_kind("overflow")} == {code}
 
 
+def test_a_code_beyond_all_ranges_leaves_finite_numbers(press_unit: PressUnit) -> None:
+    output = press_unit(1500, 1.0, 0.5, 3)["output"].to_numpy(copy=True)
+    output[700] = np.finfo(float).max
+    (overflow,) = inspected(output).inspection.of_kind("overflow")
+    assert overflow.start == 700 and np.isfinite(overflow.amount)
+
+
 def test_a_recording_of_every_programme_without_noise_is_left_as_it_is() -> None:
     t_s = np.arange(3000) / RATE_HZ
     square, taps = (t_s % 4 < 2).astype(float), (t_s % 1 < 0.1).astype(float)
@@ -323,6 +330,24 @@ def test_a_reading_that_stands_still_in_a_press_is_found(press_unit: PressUnit) 
     output[middle : middle + 250] = output[middle]
     (stuck,) = inspected(output).inspection.of_kind("stuck")
     assert (stuck.start, stuck.stop) == (middle, middle + 250)
+
+
+@pytest.mark.parametrize("seconds", [3.0, 9.0, None])
+@pytest.mark.parametrize("part", [0.2, 0.5])
+def test_a_reference_that_stands_still_while_the_output_is_pressed_is_named(
+    part: float, seconds: float | None, measured_data: Path
+) -> None:
+    for name, output, force_N in labelled_pairs(measured_data):
+        row, still = int(part * len(output)), force_N.copy()
+        stop = len(output) if seconds is None else row + round(seconds * RATE_HZ)
+        still[row:stop] = still[row]
+        found = inspected(output, still).inspection.of_kind("stuck")
+        pressed = np.ptp(np.quantile(output[row:stop], (0.05, 0.95))) / np.ptp(np.quantile(output, (0.01, 0.99)))
+        if pressed > 0.6:
+            assert [(one.start, one.stop, one.column) for one in found] == [(row, stop, "reference")], name
+            with pytest.raises(InputError, match=f"line {row + 2} .*reference: it stands still.*channel"):
+                check_reference(inspected(output, still).inspection, np.arange(len(output)) + 2)
+        assert inspected(output, force_N).inspection.of_kind("stuck") == (), name
 
 
 def test_a_load_cell_that_counts_compression_negative_is_named_and_not_corrected(press_unit: PressUnit) -> None:
