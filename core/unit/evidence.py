@@ -155,8 +155,10 @@ def _refitted(fit: FitProblem, chosen: ChosenMap, method: Method) -> list[UnitMa
     """Fit the chosen family again with one share of the recording left out at a time."""
     parts, target, refits = method.forecast.parts, fit.target, []
     # Each share is made of many stretches, so that what is left still covers the whole programme.
-    length = max(len(target) // (parts * method.forecast.stretches), TAPS)
-    part_of = np.arange(len(target)) // length % parts
+    # Bridged, a few lost samples move no stretch.
+    whole_s = target.bridged.t_s
+    length = max(len(whole_s) // (parts * method.forecast.stretches), TAPS)
+    part_of = np.searchsorted(whole_s, target.t_s) // length % parts
     for is_used in (part_of != part for part in range(parts)):
         stage_mm = None if target.stage_mm is None else target.stage_mm[is_used]
         rest = replace(target, t_s=target.t_s[is_used], output=target.output[is_used], stage_mm=stage_mm)

@@ -255,7 +255,8 @@ def test_one_labelled_recording_of_the_sitting_gives_the_loads_of_all_and_is_no_
 def test_a_golden_run_whose_reference_is_not_its_own_is_refused_in_one_line(lot, run, capsys):
     (lot / "lot/golden").mkdir()
     golden = recorded(TOGETHER_N, 3)
-    golden["reference"] = golden["reference"].to_numpy()[::-1]
+    noise_N = np.random.default_rng(3).normal(0, 0.002, len(golden))
+    golden["reference"] = golden["reference"].to_numpy()[::-1] + noise_N
     golden.to_csv(lot / "lot/golden/U3.csv", index=False)
     assert run("batch", str(lot / "lot"), *NETWORK) == 2
     assert "U3" in (said := capsys.readouterr().err) and "does not follow its reference" in said
