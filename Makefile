@@ -62,7 +62,7 @@ $(VENV)/.made:
 	touch $@
 
 $(DEMO): $(VENV)/.made pyproject.toml uv.lock
-	@echo 'Installing what softcal needs to run: about 0.45 GB to download, 1.8 GB in $(VENV).'
+	@echo 'Installing what softcal needs to run: about 0.45 GB to download, 1.9 GB in $(VENV).'
 	$(call install,--extra station --extra train --extra twin)
 	touch $@
 

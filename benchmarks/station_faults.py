@@ -49,8 +49,8 @@ def main() -> None:
     print_table(head, map(_row, outcomes))
 
 
-FIRST_SEED = 3000
-"""No number of the method was chosen on these seeds."""
+FIRST_SEED = 6000
+"""No number of the method was chosen on these seeds. Two were on the 500 good rigs from 3000 on."""
 
 
 def _draw(rounds: int, good: int, kept: Kept, end_s: float) -> None:

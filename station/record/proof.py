@@ -80,8 +80,8 @@ class PressLaw:
     def check_slip(self) -> None:
         """Raise `BadReply` when the stage lost steps: from one moment on it is higher than it counts.
 
-        That leaves less of what the law of the depth leaves than any change of the cell, and the sensor agrees with the
-        cell.
+        That leaves less of what the law of the depth leaves than any change of the cell, and than a unit that softens
+        where it was pressed (Mullins); and the sensor agrees with the cell.
         """
         t_s, grid_s, config = self._t_s, self._basis.grid_s, self._method.slip
         by_cell = float(np.max(self._in_force))
@@ -100,7 +100,9 @@ class PressLaw:
         # A law that bends fits better from another zero, from the first press on: then nothing was lost.
         before = min(misfit((at_s, 0.0)), misfit((-np.inf, lost_mm)))
         left = misfit((at_s, lost_mm)) / max(before, 1e-300)
-        if abs(lost_mm) >= config.least_mm and left < min(config.left, config.clear * (1.0 - by_cell)):
+        softened = _misfit(self._basis.softening(np.maximum(0.0, self._depth_mm)), self._force_N) / max(before, 1e-300)
+        least = min(config.left, config.clear * (1.0 - by_cell), config.beside_softening * softened)
+        if abs(lost_mm) >= config.least_mm and left < least:
             raise BadReply(reason("rig.slipped", at_s=float(at_s - t_s[0]), lost_mm=float(lost_mm)))
 
     def name_cause(self, error: BadReply) -> BadReply:
@@ -200,6 +202,15 @@ class LawBasis:
         relaxation_s = [time_s for time_s in self._law.every_relaxation_s if time_s < t_s[-1] - t_s[0]]
         before = [np.ones_like(t_s), *(np.exp((t_s[0] - t_s) / time_s) for time_s in relaxation_s)]
         return self._columns(before, value, relaxation_s, largest)
+
+    def softening(self, depth_mm: Array) -> Array:
+        """Return the law of a depth beside that of a unit which is softer where it was pressed deeper before."""
+        share = depth_mm / max(float(np.max(depth_mm)), 1e-9)
+        deepest = np.maximum.accumulate(share)
+        virgin = [share**power * (1.0 - deepest) ** order for power in (1, 2) for order in (1, 2)]
+        again = [share**power * (share < 0.999 * deepest) for power in (1, 2)]
+        columns = [np.interp(self._t_s, self.grid_s, column) for column in (*virgin, *again)]
+        return np.column_stack([self.whole(depth_mm), *columns])
 
     def _columns(
         self, before: list[Array], value: Array, relaxation_s: Sequence[float], largest: float | None = None
