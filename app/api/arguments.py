@@ -102,6 +102,7 @@ def times(name: str, values: Any) -> Array:
 
     index = _time_index(name, values)
     if index is None:
+        _refuse_text(name, values)
         return column(name, values)
     missing = np.flatnonzero(index.isna())
     if len(missing):
@@ -145,9 +146,13 @@ def is_times(values: Any) -> bool:
 
 
 def times_of_index(values: Any) -> Any:
-    """Return the index of a pandas Series or DataFrame where it is one of dates or durations, else None."""
+    """Return the index of a pandas Series or DataFrame where it is one of dates or durations, else None.
+
+    Raises:
+        InputError: it is one of periods, or of a mixture of times.
+    """
     index = getattr(values, "index", None)
-    return index if hasattr(index, "dtype") and is_times(index) else None
+    return index if hasattr(index, "dtype") and index.nlevels == 1 and _time_index("t_s", index) is not None else None
 
 
 def check_indexes(columns: dict[str, Any]) -> None:
@@ -226,11 +231,8 @@ def _time_index(name: str, values: Any) -> Any:
         is_arrow = isinstance(index.dtype, pd.ArrowDtype)
         return pd.Index(index.to_numpy(dtype=object, na_value=pd.NaT)) if is_arrow else index
     kind = pd.api.types.infer_dtype(index)
-    if kind in ("string", "bytes"):
-        raise InputError(
-            f"{name} holds the text {shown(index[0])}; seconds or times were expected: pandas.to_datetime or "
-            "pandas.to_timedelta makes times of text"
-        )
+    if kind == "period":
+        raise InputError(f"{name} holds periods such as {index[0]}, no instants; .to_timestamp() gives their start")
     is_mixture = kind.startswith("mixed") and any(isinstance(value, datetime | timedelta) for value in index)
     if not is_mixture and not kind.startswith(("date", "timedelta")):
         return None
@@ -242,6 +244,17 @@ def _time_index(name: str, values: Any) -> Any:
         return pd.to_timedelta(list(index))
     cure = "times with and without a zone are mixed" if any(has_zone) else f"its values are of the kind {kind}"
     raise InputError(f"{name} is no column of times: {cure}; one kind was expected")
+
+
+def _refuse_text(name: str, values: Any) -> None:
+    import pandas as pd
+
+    if getattr(values, "ndim", 1) == 1 and pd.api.types.infer_dtype(values) in ("string", "bytes"):
+        first = pd.Index(values)[0]
+        raise InputError(
+            f"{name} holds the text {shown(first)}; seconds or times were expected: pandas.to_datetime or "
+            "pandas.to_timedelta makes times of text"
+        )
 
 
 def _element(name: str, sample: int, value: Any) -> float:

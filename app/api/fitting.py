@@ -9,7 +9,7 @@ import numpy as np
 from softcal.app.api.arguments import column, expect, number, shown, text
 from softcal.app.api.given import labelled_of, recording_of, recording_with
 from softcal.app.api.network import SourceNetwork
-from softcal.app.api.recording import COLUMNS, Recording
+from softcal.app.api.recording import COLUMNS, Recording, check_rate
 from softcal.app.api.unit import Unit, unit_frame, unit_row
 from softcal.app.calibration.unit_calibration import LotContext, UnitInputs
 from softcal.core.errors import InputError, UnitRefused
@@ -162,7 +162,7 @@ def fit_map(
         return fit.fit_unit(recording_with(target, "target", facts, fit.rate_Hz, **fit.units), anchors, audit)
     if "serial" in recording:
         raise InputError("serial= belongs to one unit; a dict {serial: recording} names many")
-    serials, given = _named(target)
+    serials, given = _named(target, facts)
     loads, audits = _by_serial("anchors", anchors, serials), _by_serial("audit", audit, serials)
     rows: list[Unit | RefusedUnit] = []
     for serial, (name, one) in zip(serials, given, strict=True):
@@ -185,7 +185,7 @@ def named_recordings(network: SourceNetwork, units: Any, facts: Mapping[str, Any
     if not _is_many(units):
         raise InputError(f"units is {shown(units)}; a dict {{serial: recording}} or a list of recordings was expected")
     fit = _MapFit.prepare(network, DEFAULT, None)
-    serials, given = _named(units)
+    serials, given = _named(units, facts)
     return [
         _recording_of_unit(one, name, serial, serials.count(serial), fit, facts)
         for serial, (name, one) in zip(serials, given, strict=True)
@@ -250,11 +250,24 @@ def _is_many(target: Any) -> bool:
     return is_many
 
 
-def _named(units: Any) -> tuple[list[str], list[tuple[Any, Any]]]:
-    """Return the serials of many units, and each with the name that a dict gives it."""
+def _named(units: Any, facts: Mapping[str, Any]) -> tuple[list[str], list[tuple[Any, Any]]]:
+    """Return the serials of many units, and each with the name that a dict gives it.
+
+    Raises:
+        InputError: an option of the call that no unit can have, or that one which is a `Recording` takes no more.
+    """
+    if facts.get("sample_rate_Hz") is not None:
+        check_rate(facts["sample_rate_Hz"])
+    for name in ("output_unit", "reference_unit"):
+        if facts.get(name) is not None:
+            text(name, facts[name])
     given = [*units.items()] if isinstance(units, dict) else [(None, one) for one in units]
     usual = [one.serial if isinstance(one, Recording) else f"unit-{k}" for k, (_, one) in enumerate(given, 1)]
-    return [other if name is None else str(name) for (name, _), other in zip(given, usual, strict=True)], given
+    serials = [other if name is None else str(name) for (name, _), other in zip(given, usual, strict=True)]
+    for serial, (_, one) in zip(serials, given, strict=True):
+        if isinstance(one, Recording):
+            recording_with(one, serial, facts)
+    return serials, given
 
 
 def _recording_of_unit(

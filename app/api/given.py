@@ -65,5 +65,9 @@ def recording_with(
     """
     extra = {fact: value for fact, value in facts.items() if value is not None}
     if isinstance(given, Recording) and extra:
-        raise InputError(f"{name} is a Recording already: {'=, '.join(extra)}= belongs to softcal.Recording(...)")
+        options = "=, ".join(extra)
+        raise InputError(
+            f"{name} is a Recording already: leave {options}= out of this call; arrays take that in "
+            f"softcal.Recording(..., {options}=...)"
+        )
     return recording_of(given, name, rate_Hz, **usual | extra)

@@ -43,6 +43,14 @@ COLUMNS = ("t_s", "output", "stage_mm", "reference")
 RATE = "a positive number of samples a second"
 
 
+def check_rate(sample_rate_Hz: Any) -> float:
+    """Return a sample rate as a float, `InputError` where it is no positive number."""
+    rate_Hz = number("sample_rate_Hz", sample_rate_Hz, RATE)
+    if rate_Hz <= 0:
+        raise InputError(f"sample_rate_Hz is {shown(sample_rate_Hz)}; {RATE} was expected")
+    return rate_Hz
+
+
 def _rate_of(stamps: Any, t_s: Array) -> float:
     """Return the sample rate that time stamps show, where they can be seconds."""
     steps = np.diff(t_s)
@@ -106,9 +114,7 @@ class Recording:
         for name in _BESIDE:
             if (values := getattr(self, name)) is not None:
                 typed[name] = column(name, values)
-        rate_Hz = None if self.sample_rate_Hz is None else number("sample_rate_Hz", self.sample_rate_Hz, RATE)
-        if rate_Hz is not None and rate_Hz <= 0:
-            raise InputError(f"sample_rate_Hz is {shown(self.sample_rate_Hz)}; {RATE} was expected")
+        rate_Hz = None if self.sample_rate_Hz is None else check_rate(self.sample_rate_Hz)
         stamps = self.t_s if self.t_s is not None else times_of_index(self.output)
         if stamps is not None:
             typed["t_s"] = times("t_s", stamps)

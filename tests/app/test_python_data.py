@@ -354,6 +354,30 @@ def broken_times() -> dict[str, object]:
     }
 
 
+def test_periods_are_no_instants_and_the_line_has_what_makes_them_such(network, table):
+    periods = pd.period_range("2026-03-01", periods=N, freq="20ms")
+    indexed = table[["output"]].set_index(periods)
+    calls = [
+        lambda: softcal.Recording(table["output"].to_numpy(), t_s=periods),
+        lambda: softcal.Recording(table["output"].to_numpy(), t_s=pd.Series(periods)),
+        lambda: softcal.Recording(table["output"].to_numpy(), t_s=list(periods)),
+        lambda: softcal.Recording(indexed["output"], sample_rate_Hz=50),
+        lambda: softcal.fit_map(network, indexed),
+        lambda: softcal.fit_map(network, indexed.set_index(periods.astype(object))),
+    ]
+    for call in calls:
+        with pytest.raises(softcal.InputError, match=r"t_s.*periods.*to_timestamp\(\)"):
+            call()
+    by_start = softcal.Recording.from_frame(indexed.to_timestamp())
+    assert by_start.sample_rate_Hz == 50
+
+
+def test_an_index_of_objects_that_are_times_is_the_time(table):
+    stamps = pd.date_range("2026-03-01", periods=N, freq="20ms")
+    indexed = table[["output"]].set_index(pd.Index(list(stamps), dtype=object))
+    assert softcal.Recording.from_frame(indexed).t_s.tolist() == (np.arange(N) / 50).tolist()
+
+
 @pytest.mark.parametrize("kind", broken_times())
 def test_times_that_are_none_end_in_one_clear_line(table, kind):
     with pytest.raises(softcal.InputError, match="t_s") as refused:
@@ -559,6 +583,23 @@ def test_a_wrong_argument_of_the_call_is_refused_before_any_unit(network, units)
     for wrong in ({"family": "affin"}, {"limit_rmse": "2"}, {"limit_rmse": -1}, {"serial": "S2"}):
         with pytest.raises(softcal.InputError):
             softcal.fit_map(network, units, **wrong)
+
+
+@pytest.mark.parametrize("facts", [{"sample_rate_Hz": 50}, {"output_unit": "V"}, {"sample_rate_Hz": 50, "stage_mm": 1}])
+def test_a_recording_among_units_takes_no_option_of_the_call(network, units, facts):
+    recording = plain(units["S2"])
+    for given in ({"A": recording}, {"B": units["S3"]["output"], "A": recording}, [units["S3"]["output"], recording]):
+        with pytest.raises(softcal.InputError, match=r"a Recording already.*softcal\.Recording\(") as refused:
+            softcal.fit_map(network, given, **facts)
+        assert str(refused.value).startswith("unit " if isinstance(given, list) else "A ")
+        assert all(f"{name}=" in str(refused.value) for name in facts) and "\n" not in str(refused.value)
+    softcal.fit_map(network, {"A": recording, "B": units["S3"]["output"]})
+
+
+@pytest.mark.parametrize("facts", [{"sample_rate_Hz": -50}, {"sample_rate_Hz": "fast"}, {"output_unit": 5}])
+def test_an_option_that_no_unit_can_have_is_refused_before_any_unit(network, units, facts):
+    with pytest.raises(softcal.InputError, match=next(iter(facts))):
+        softcal.fit_map(network, {"A": units["S2"]["output"].to_numpy()}, **facts)
 
 
 # Slices, tables, figures
