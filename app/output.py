@@ -72,11 +72,14 @@ def answering(json_target: str | None, csv_target: str | None) -> Iterator[None]
         _ANSWER.reset(token)
 
 
-def print_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+def print_table(header: Sequence[str], rows: Iterable[Sequence[object]], columns: int | None = None) -> None:
     """Print a table; floats with four significant digits, None as a dash. With `--csv` it is written as CSV instead.
 
     Columns that have no room in a terminal, or in COLUMNS, stand below their row. On a terminal verdicts have their
     colour unless NO_COLOR is set.
+
+    Args:
+        columns: so many are printed, None prints all; CSV always has all.
     """
     table, answer = [list(row) for row in rows], _ANSWER.get()
     if answer.csv == "-" and answer.stdout is not None:
@@ -86,7 +89,7 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None
         write_table(Path(answer.csv), header, table)
     if answer.stdout is not None:
         return
-    _print_rows(header, [[_cell(value) for value in row] for row in table], _width())
+    _print_rows(header[:columns], [[_cell(value) for value in row[:columns]] for row in table], _width())
 
 
 def _width() -> int | None:

@@ -1,21 +1,22 @@
-"""What a few lost samples change: forecast, estimates and map of a unit with planted bad samples, beside those without.
+"""What a few lost or bad samples change: forecast, estimates and map of a unit with them, beside those without.
 
     python benchmarks/lost_samples.py [--seeds N] [--sets eGaIn skin ...]
 
-Measured recordings lose samples as a mask takes them out: 5 at random places, 5 in a row, 20 at random places. The
-source stays whole.
+Measured recordings lose samples: 5 at random places, 5 in a row, 20 at random places. Or 5 samples at random places
+hold a bad value, which the look has to find: 0, half of the output, the rail (the highest output and half of its range)
+or a logger's 9.9E37. Every recording is looked at before it is fitted, the one without as well. The source stays whole.
 """
 
 import argparse
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 
 import numpy as np
 from common.map_methods import DATA, NETWORK, egain, insole, skin, taxel
 from common.tables import print_table
 
+from softcal.core.inspection.build import build_recording
 from softcal.core.network.training import fit_network
-from softcal.core.recording import LabelledRecording, Mask, OutputRecording, Rng
+from softcal.core.recording import Array, Indices, LabelledRecording, OutputRecording, Rng
 from softcal.core.unit.calibrate import fit_unit
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel, make_source_model
@@ -50,31 +51,52 @@ def pairs(sets: list[str]) -> Iterator[tuple[str, LabelledRecording, list[Labell
         yield "nylon", nylon("sin_20"), [nylon("tri_30"), nylon("mixed_10_20")]
 
 
-def scattered(count: int) -> Callable[[int, Rng], Mask]:
-    """Return what loses so many samples at random places."""
-
-    def lose(samples: int, rng: Rng) -> Mask:
-        is_left = np.ones(samples, dtype=bool)
-        is_left[rng.choice(samples - 60, count, replace=False) + 30] = False
-        return is_left
-
-    return lose
+Damage = Callable[[Array, Rng], tuple[Array, Indices]]
+"""Changes an output (n,); returns it, NaN where a sample is lost, and which rows it changed."""
 
 
-def in_a_row(samples: int, rng: Rng) -> Mask:
+def anywhere(count: int, bad: Callable[[Array], Array | float]) -> Damage:
+    """Return what puts bad values at so many random places."""
+
+    def damage(output: Array, rng: Rng) -> tuple[Array, Indices]:
+        rows = rng.choice(len(output) - 60, count, replace=False) + 30
+        damaged = output.copy()
+        damaged[rows] = np.broadcast_to(bad(output), output.shape)[rows]
+        return damaged, rows
+
+    return damage
+
+
+def in_a_row(output: Array, rng: Rng) -> tuple[Array, Indices]:
     """Lose five samples in a row."""
-    is_left = np.ones(samples, dtype=bool)
-    start = int(rng.integers(30, samples - 35))
-    is_left[start : start + 5] = False
-    return is_left
+    start = int(rng.integers(30, len(output) - 35))
+    rows, damaged = np.arange(start, start + 5), output.copy()
+    damaged[rows] = np.nan
+    return damaged, rows
 
 
-LOSSES = {"5 anywhere": scattered(5), "5 in a row": in_a_row, "20 anywhere": scattered(20)}
+DAMAGES: dict[str, Damage] = {
+    "5 lost": anywhere(5, lambda output: np.nan),
+    "5 lost in a row": in_a_row,
+    "20 lost": anywhere(20, lambda output: np.nan),
+    "5 of 0": anywhere(5, lambda output: 0.0),
+    "5 halved": anywhere(5, lambda output: output / 2),
+    "5 at the rail": anywhere(5, lambda output: output.max() + np.ptp(output) / 2),
+    "5 of 9.9E37": anywhere(5, lambda output: 9.9e37),
+}
 
 
-def without(recording: OutputRecording, is_left: Mask) -> OutputRecording:
-    """Return a recording of the samples that are left."""
-    return replace(recording, t_s=recording.t_s[is_left], output=recording.output[is_left])
+def looked_at(recording: OutputRecording, output: Array) -> tuple[OutputRecording, Indices]:
+    """Return a recording with another output as the look leaves it, and the rows that it takes out."""
+    inspected = build_recording(
+        recording.serial,
+        recording.t_s,
+        output,
+        sample_rate_Hz=recording.sample_rate_Hz,
+        output_unit=recording.output_unit,
+        config=Method().inspection,
+    )
+    return inspected.recording, np.setdiff1d(np.arange(len(output)), inspected.rows)
 
 
 def main() -> None:
@@ -88,22 +110,30 @@ def main() -> None:
         model = make_source_model(source, trained.network, trained.validation_rows, method=Method())
         for unit in units:
             rows += ratios(name, model, unit, options.seeds)
-    print_table(("set", "unit", "family", "lost", "least", "median", "largest", "true error, largest"), rows)
+    header = ("set", "unit", "family", "damage", "left out", "good left out", "least", "median", "largest")
+    print_table((*header, "true error, largest"), rows)
 
 
 def ratios(name: str, model: SourceModel, unit: LabelledRecording, seeds: int) -> Iterator[list[object]]:
-    """Yield rows of a table: ratios of forecast and of true error with and without a loss, over seeds."""
-    whole, _ = fit_unit(UnitProblem(model, unit.unlabelled))
+    """Yield rows of a table: ratios of forecast and of true error with and without a damage, over seeds."""
+    raw = unit.unlabelled
+    recording, usual = looked_at(raw, raw.output)
+    whole, _ = fit_unit(UnitProblem(model, recording))
     error = true_error(model, unit, whole.fitted.unit_map)
-    for loss, lose in LOSSES.items():
-        forecasts, errors = [], []
+    for damage, apply in DAMAGES.items():
+        forecasts, errors, found, planted, good = [], [], 0, 0, 0
         for seed in range(seeds):
-            part = without(unit.unlabelled, lose(len(unit), np.random.default_rng(seed)))
+            output, rows = apply(raw.output, np.random.default_rng(seed))
+            part, left_out = looked_at(raw, output)
             fit, _ = fit_unit(UnitProblem(model, part))
             forecasts.append(fit.forecast.rmse / whole.forecast.rmse)
             errors.append(true_error(model, unit, fit.fitted.unit_map) / error)
+            planted += len(rows)
+            found += len(np.intersect1d(rows, left_out))
+            good += len(np.setdiff1d(left_out, [*rows, *usual]))
         spread = [f"{value:.3f}" for value in (min(forecasts), np.median(forecasts), max(forecasts), max(errors))]
-        yield [name, f"{model.source.serial} to {unit.serial}", whole.family, loss, *spread]
+        unit_name = f"{model.source.serial} to {unit.serial}"
+        yield [name, unit_name, whole.family, damage, f"{found} of {planted}", good, *spread]
 
 
 def true_error(model: SourceModel, unit: LabelledRecording, unit_map) -> float:

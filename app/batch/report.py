@@ -1,6 +1,6 @@
 """What a batch says when it is done: a row per unit, for people and as JSON for programs."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -10,7 +10,8 @@ from softcal.app.calibration.changes import Changes
 from softcal.app.calibration.lot_fit import LotFitPlan
 from softcal.app.calibration.unit_result import UnitResult
 from softcal.app.files.not_used import NotUsed
-from softcal.core.messages.reason import DOUBT, ENGLISH, PLAIN, Reason, Value, filled
+from softcal.app.texts.reason_groups import MAX_NAMES, name_serials
+from softcal.core.messages.reason import DOUBT, Reason
 from softcal.core.quality.lot_release import LotRelease
 from softcal.core.unit.verdict import VERDICTS, Release, Verdict, worst_of
 
@@ -18,8 +19,6 @@ OWN_RATIO = "after/own, test rows"
 """Heading of the one ratio whose errors are of other rows than `after`: those the own calibration was tested on."""
 
 TABLE_HEADER = ("serial", "verdict", "predicted", "before", "after", "own", OWN_RATIO, "fit_s", "map")
-MAX_NAMES = 8
-"""So many units are named where a reason is of many; the table and the JSON have all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,68 +124,6 @@ def table_row(unit: UnitResult) -> list[object]:
     return [unit.serial, unit.verdict, *unit.errors.values(), ratio, state.fit.fit_s, state.fit.family]
 
 
-@dataclass(frozen=True)
-class _Range:
-    """A number of a sentence that differs from unit to unit."""
-
-    low: float
-    high: float
-
-    def __format__(self, spec: str) -> str:
-        low, high = f"{self.low:{spec}}", f"{self.high:{spec}}"
-        return low if low == high else f"{low} to {high}"
-
-
-def reasons_by_verdict(units: Sequence[UnitResult]) -> list[tuple[str, list[str]]]:
-    """Return for each verdict but pass its units and, each once, their reasons: those of most units first.
-
-    Units to press again come first, then those that fail, then those to measure. A number that differs within a
-    reason's units is given as its range.
-    """
-    listed = []
-    for verdict in reversed(VERDICTS[1:]):
-        concerned = [unit for unit in units if unit.verdict == verdict]
-        groups: dict[str, list[tuple[str, Reason, int]]] = {}
-        for unit in concerned:
-            for rank, why in enumerate(unit.reasons):
-                groups.setdefault(str(why) if why.code == PLAIN else why.code, []).append((unit.serial, why, rank))
-        by_weight = sorted(groups.values(), key=lambda group: (min(rank for *_, rank in group), -len(group)))
-        lines = []
-        for group in by_weight:
-            names = dict.fromkeys(serial for serial, *_ in group)
-            of = "" if len(names) == len(concerned) else f"{_names(names)}: "
-            lines.append(f"{of}{_shared([why for _, why, _ in group])}")
-        if concerned:
-            count = "" if len(concerned) == 1 else f"{len(concerned)} units {verdict}: "
-            end = f" {verdict}" if len(concerned) == 1 else ""
-            listed.append((f"{count}{_names([unit.serial for unit in concerned])}{end}", lines))
-    return listed
-
-
-def _names(serials: Collection[str]) -> str:
-    more = f" and {len(serials) - MAX_NAMES} more" if len(serials) > MAX_NAMES else ""
-    return ", ".join(list(serials)[:MAX_NAMES]) + more
-
-
-def _shared(alike: Sequence[Reason]) -> str:
-    """Return one sentence for reasons of one code; of their intervals the one that holds all."""
-    values = {name: _span([one.values[name] for one in alike]) for name in alike[0].values}
-    for name, end in (("lower", "low"), ("upper", "high")):
-        values |= {name: getattr(values[name], end)} if isinstance(values.get(name), _Range) else {}
-    return filled(ENGLISH[alike[0].code], values)
-
-
-def _span(values: Sequence[Value]) -> object:
-    numbers = [value for value in values if isinstance(value, int | float)]
-    inner = [value for value in values if isinstance(value, Reason)]
-    if len(numbers) == len(values):
-        return numbers[0] if min(numbers) == max(numbers) else _Range(min(numbers), max(numbers))
-    if len(inner) == len(values):
-        codes = dict.fromkeys(one.code for one in inner)
-        return ", ".join(_shared([one for one in inner if one.code == code]) for code in codes)
-    return _names(dict.fromkeys(map(str, values)))
-
-
 def audit_lines(report: BatchReport) -> list[str]:
     """Return what audits say, a line each: units that are not as predicted, and the lot."""
     groups: dict[tuple[str, str], list[str]] = {}
@@ -195,7 +132,7 @@ def audit_lines(report: BatchReport) -> list[str]:
         if state is not None and unit.is_audited and state.decision.predicted.verdict != unit.verdict:
             groups.setdefault((unit.verdict, state.decision.predicted.verdict), []).append(unit.serial)
     lines = [
-        f"{_names(serials)} audited: {verdict}, {'was' if len(serials) == 1 else 'were'} predicted {predicted}"
+        f"{name_serials(serials)} audited: {verdict}, {'was' if len(serials) == 1 else 'were'} predicted {predicted}"
         for (verdict, predicted), serials in groups.items()
     ]
     if withdrawn := [f"{one.serial} of {one.lot_id}" for one in report.changes.withdrawn]:

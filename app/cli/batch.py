@@ -83,12 +83,13 @@ def run(options: argparse.Namespace) -> int:
     from softcal.app.batch.batch import run_batch
     from softcal.app.batch.engine import EngineChoice
     from softcal.app.batch.lot_work import BatchConfig
-    from softcal.app.batch.report import TABLE_HEADER, audit_lines, reasons_by_verdict, report_json, table_row
+    from softcal.app.batch.report import TABLE_HEADER, audit_lines, report_json, table_row
     from softcal.app.extras import lacking
     from softcal.app.files.anchors import read_anchors
     from softcal.app.files.lot_folder import open_lot_folder
+    from softcal.app.texts.reason_groups import reasons_by_verdict
     from softcal.core.maps.catalogue import check_family
-    from softcal.core.unit.verdict import Release
+    from softcal.core.unit.verdict import VERDICTS, Release
 
     folder = open_lot_folder(options.lot)
     for remark in folder.remarks:
@@ -124,7 +125,7 @@ def run(options: argparse.Namespace) -> int:
             say(f"{options.plots}: figures of {len(mapped)} units")
     say_layouts(report.layouts)
     print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
-    for subject, reasons in reasons_by_verdict(report.units):
+    for subject, reasons in reasons_by_verdict(report.units, reversed(VERDICTS[1:])):
         print_reasons(subject, reasons)
     for line in audit_lines(report):
         print_sentence(line)

@@ -7,7 +7,7 @@ from functools import partial
 from softcal.app.bootstrap import registry_url
 from softcal.app.cli.confirm import NOT_CONFIRMED, RECALL_HEADER, may_do, withdraw_files
 from softcal.app.cli.options import FILE, actions_of, add_shared, answer, registry_of, say_unused, say_written
-from softcal.app.output import print_table, say, shown
+from softcal.app.output import print_reasons, print_table, say, shown
 from softcal.core.errors import RegistryError
 
 EXAMPLES = """examples:
@@ -31,6 +31,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     action = actions_of(parser, shared=("registry", "json"), is_described=True)
     listing = action("list", "units with their newest verdict", _list)
     listing.add_argument("--lot", metavar="ID", help="only this lot")
+    listing.add_argument("--verbose", action="store_true", help="all reasons of every unit; by default the first one")
     add_shared(listing, "csv")
     history = action("history", "every revision of a unit's map", _history)
     history.add_argument("--serial", required=True)
@@ -73,7 +74,7 @@ def _done(options: argparse.Namespace, action: str, line: str, **facts: object) 
 
 
 def _list(options: argparse.Namespace) -> None:
-    from softcal.app.registry.listing import UNIT_HEADER, unit_json, unit_row
+    from softcal.app.registry.listing import UNIT_HEADER, first_reasons, unit_json, unit_row
     from softcal.app.registry.same_recordings import same_recordings_of
 
     with registry_of(options) as registry:
@@ -81,7 +82,10 @@ def _list(options: argparse.Namespace) -> None:
         remarks = same_recordings_of(registry, options.lot)
     facts = {"units": [unit_json(unit) for unit in units], "remarks": [str(remark) for remark in remarks]}
     answer(options, "registry.list/1", facts)
-    print_table(UNIT_HEADER, [unit_row(unit) for unit in units])
+    print_table(UNIT_HEADER, [unit_row(unit) for unit in units], len(UNIT_HEADER) - (not options.verbose))
+    if not options.verbose and "-" not in (options.json, options.csv):
+        for subject, reasons in first_reasons(units):
+            print_reasons(subject, reasons)
     say_unused((), remarks)
 
 

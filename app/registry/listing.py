@@ -1,22 +1,45 @@
 """Units and revisions of the registry as rows of a table and as JSON values."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from softcal.app.texts.catalogue import here
+from softcal.app.texts.reason_groups import reasons_by_verdict
+from softcal.core.messages.reason import Reason, plain
 from softcal.db.entries import StoredCalibration, UnitEntry
 
 UNIT_HEADER = tuple("lot serial role verdict rev map predicted before after own made reason".split())
 HISTORY_HEADER = ("rev", "registry", "in use", "made", "by", "lot", "verdict", "map", "predicted", "after", "remark")
 
+VERDICTS, NO_VERDICT = ("retest", "fail", "conditional", "pass"), "without verdict"
+"""Worst first. `softcal.core.unit.verdict` has them as well, but loads NumPy, which no list needs."""
+
 
 def unit_row(unit: UnitEntry) -> list[object]:
     """Return one row of the table under `UNIT_HEADER`."""
-    conflict = "two registries put different maps into use; see history" if unit.is_conflict else ""
-    stale = "stale: made with another method than this version's; run the batch again" if unit.is_stale else ""
-    reason = "; ".join(filter(None, (conflict, stale, *map(str, unit.reasons))))
+    reason = "; ".join(map(str, _remarks(unit)))
     errors = [unit.predicted_rmse, unit.before_rmse, unit.after_rmse, unit.own_rmse]
     made = unit.made_at and here(unit.made_at)
     return [unit.lot_id, unit.serial, unit.role, unit.verdict, unit.revision, unit.family, *errors, made, reason]
+
+
+def first_reasons(units: Sequence[UnitEntry]) -> list[tuple[str, list[str]]]:
+    """Return for each verdict its units and, each once, the most important reason of each of them."""
+    lots = {unit.lot_id for unit in units}
+    firsts = [
+        replace(unit, serial=unit.serial if len(lots) == 1 else f"{unit.serial} of {unit.lot_id}", reasons=remarks[:1])
+        for unit in units
+        if (remarks := _remarks(unit))
+    ]
+    return reasons_by_verdict(firsts, VERDICTS) + reasons_by_verdict(
+        [replace(unit, verdict=NO_VERDICT) for unit in firsts if unit.verdict is None], (NO_VERDICT,)
+    )
+
+
+def _remarks(unit: UnitEntry) -> tuple[Reason, ...]:
+    conflict = plain("two registries put different maps into use; see history") if unit.is_conflict else None
+    stale = plain("stale: made with another method than this version's; run the batch again") if unit.is_stale else None
+    return tuple(filter(None, (conflict, stale, *unit.reasons)))
 
 
 def unit_json(unit: UnitEntry) -> dict[str, object]:

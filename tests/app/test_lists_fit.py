@@ -4,17 +4,23 @@ import io
 import re
 import unicodedata
 from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 
 from softcal.app import output
-from softcal.app.batch.report import TABLE_HEADER, audit_lines, reasons_by_verdict, table_row
+from softcal.app.batch.report import TABLE_HEADER, audit_lines, table_row
 from softcal.app.calibration.unit_result import UnitResult
 from softcal.app.cli.main import main
 from softcal.app.output import ProgressLine, print_reasons, print_table
-from softcal.app.registry.listing import HISTORY_HEADER, UNIT_HEADER
+from softcal.app.registry import listing
+from softcal.app.registry.listing import HISTORY_HEADER, UNIT_HEADER, first_reasons
+from softcal.app.texts.reason_groups import reasons_by_verdict
 from softcal.core.messages.reason import Reason, plain, reason
+from softcal.core.unit.verdict import VERDICTS
+from softcal.db.connection import open_registry
+from softcal.db.entries import UnitEntry
 
 LONG = (
     "its predicted error is within the limit (RMSE 0.0322 N, 95 %: 0.0227 to 0.0457, limit 0.0772 N, 3 x the source's "
@@ -130,7 +136,7 @@ def dead(samples: int) -> Reason:
 
 
 def listed(units: Sequence[UnitResult]) -> list[tuple[str, list[str]]]:
-    return reasons_by_verdict(units)
+    return reasons_by_verdict(units, reversed(VERDICTS[1:]))
 
 
 def test_equal_reasons_are_one_line_with_their_units() -> None:
@@ -210,6 +216,49 @@ def test_the_list_of_the_registry_fits(calibrated, monkeypatch, capsys) -> None:
         assert main(["registry", "list", "--registry", calibrated]) == 0
         assert main(["registry", "history", "--serial", "A1", "--registry", calibrated]) == 0
         assert max(map(places, capsys.readouterr().out.splitlines())) <= columns
+
+
+def entry(serial: str, verdict: str | None, *reasons: Reason, **facts: bool) -> UnitEntry:
+    return UnitEntry("lot-1", serial, "target", verdict, reasons, **facts)
+
+
+def test_a_list_has_the_first_reason_of_each_unit_and_equal_ones_once() -> None:
+    within, why = Reason("forecast_only"), plain("why the limit is what it is")
+    units = [entry(f"센서-{k:02}", "pass", within, why) for k in range(15)]
+    units += [entry("B1", "retest", dead(3), why), entry("B2", "retest", dead(9)), entry("B3", None, plain("no row"))]
+    units += [entry("C1", "pass", within, is_stale=True), entry("S", None)]
+    assert tuple(reversed(VERDICTS)) == listing.VERDICTS
+    (again, again_lines), (passed, passed_lines), (none, none_lines) = first_reasons(units)
+    assert again == "2 units retest: B1, B2" and len(again_lines) == 1 and "rows: 3 to 9" in again_lines[0]
+    assert passed.startswith("16 units pass: 센서-00, 센서-01, ") and len(passed_lines) == 2
+    assert passed_lines[0].endswith(str(within)) and passed_lines[1].startswith("C1: stale: ")
+    assert (none, none_lines) == ("B3 without verdict", ["no row"])
+    units.append(replace(units[0], lot_id="lot-2"))
+    assert "센서-00 of lot-1" in first_reasons(units)[1][0]
+
+
+@pytest.mark.parametrize("columns", [80, 120])
+def test_a_long_list_of_korean_units_has_a_line_or_two_a_unit(calibrated, monkeypatch, capsys, columns) -> None:
+    with open_registry(calibrated) as registry:
+        unit = next(unit for unit in registry.lots.units() if len(unit.reasons) > 1)
+        repository = type(registry.lots)
+    many = [replace(unit, serial=f"압력센서-{k:04}", lot_id="2026-48-압력") for k in range(40)]
+    monkeypatch.setattr(repository, "units", lambda *_: many)
+    monkeypatch.setenv("COLUMNS", str(columns))
+    assert main(["registry", "list", "--registry", calibrated]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(places, lines)) <= columns and len(lines) < 2 * len(many) + 10
+    assert main(["registry", "list", "--verbose", "--registry", calibrated]) == 0
+    verbose = squeezed(capsys.readouterr().out)
+    assert all(verbose.count(squeezed(str(why))) == len(many) for why in unit.reasons)
+
+
+def test_a_list_as_csv_has_every_reason(calibrated, tmp_path, capsys) -> None:
+    with open_registry(calibrated) as registry:
+        reasons = [str(why) for unit in registry.lots.units() for why in unit.reasons]
+    assert main(["registry", "list", "--registry", calibrated, "--csv", "-"]) == 0
+    written = capsys.readouterr().out
+    assert len(reasons) > 2 and all(why in written.replace('""', '"') for why in reasons)
 
 
 def test_the_table_of_a_batch_has_a_line_a_unit_at_80_columns(monkeypatch, capsys) -> None:

@@ -1,0 +1,85 @@
+"""Reasons of many units, each once with the units that it is of."""
+
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from softcal.core.messages.reason import ENGLISH, PLAIN, Reason, Value, filled
+
+MAX_NAMES = 8
+"""So many units are named where a reason is of many; the table and the JSON have all."""
+
+
+class HasReasons(Protocol):
+    """A unit with its verdict, and why."""
+
+    @property
+    def serial(self) -> str: ...
+
+    @property
+    def verdict(self) -> str | None: ...
+
+    @property
+    def reasons(self) -> Sequence[Reason]: ...
+
+
+@dataclass(frozen=True)
+class _Range:
+    """A number of a sentence that differs from unit to unit."""
+
+    low: float
+    high: float
+
+    def __format__(self, spec: str) -> str:
+        low, high = f"{self.low:{spec}}", f"{self.high:{spec}}"
+        return low if low == high else f"{low} to {high}"
+
+
+def reasons_by_verdict(units: Sequence[HasReasons], verdicts: Iterable[str]) -> list[tuple[str, list[str]]]:
+    """Return for each of the verdicts its units and, each once, their reasons: those of most units first.
+
+    A number that differs within a reason's units is given as its range.
+    """
+    listed = []
+    for verdict in verdicts:
+        concerned = [unit for unit in units if unit.verdict == verdict]
+        groups: dict[str, list[tuple[str, Reason, int]]] = {}
+        for unit in concerned:
+            for rank, why in enumerate(unit.reasons):
+                groups.setdefault(str(why) if why.code == PLAIN else why.code, []).append((unit.serial, why, rank))
+        by_weight = sorted(groups.values(), key=lambda group: (min(rank for *_, rank in group), -len(group)))
+        lines = []
+        for group in by_weight:
+            names = dict.fromkeys(serial for serial, *_ in group)
+            of = "" if len(names) == len(concerned) else f"{name_serials(names)}: "
+            lines.append(f"{of}{_shared([why for _, why, _ in group])}")
+        if concerned:
+            count = "" if len(concerned) == 1 else f"{len(concerned)} units {verdict}: "
+            end = f" {verdict}" if len(concerned) == 1 else ""
+            listed.append((f"{count}{name_serials([unit.serial for unit in concerned])}{end}", lines))
+    return listed
+
+
+def name_serials(serials: Collection[str]) -> str:
+    """Return the first serials of many, and how many more there are."""
+    more = f" and {len(serials) - MAX_NAMES} more" if len(serials) > MAX_NAMES else ""
+    return ", ".join(list(serials)[:MAX_NAMES]) + more
+
+
+def _shared(alike: Sequence[Reason]) -> str:
+    """Return one sentence for reasons of one code; of their intervals the one that holds all."""
+    values = {name: _span([one.values[name] for one in alike]) for name in alike[0].values}
+    for name, end in (("lower", "low"), ("upper", "high")):
+        values |= {name: getattr(values[name], end)} if isinstance(values.get(name), _Range) else {}
+    return filled(ENGLISH[alike[0].code], values)
+
+
+def _span(values: Sequence[Value]) -> object:
+    numbers = [value for value in values if isinstance(value, int | float)]
+    inner = [value for value in values if isinstance(value, Reason)]
+    if len(numbers) == len(values):
+        return numbers[0] if min(numbers) == max(numbers) else _Range(min(numbers), max(numbers))
+    if len(inner) == len(values):
+        codes = dict.fromkeys(one.code for one in inner)
+        return ", ".join(_shared([one for one in inner if one.code == code]) for code in codes)
+    return name_serials(dict.fromkeys(map(str, values)))
