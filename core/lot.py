@@ -42,6 +42,16 @@ def check_serial(serial: str) -> str:
     return serial
 
 
+def propose_serial(name: str) -> str | None:
+    """Return a serial like a name: `_` stands for what no serial has. None where that is no serial either."""
+    allowed = (c if _is_alphanumeric(c) or c in "._-" else "_" for c in unicodedata.normalize("NFC", name))
+    proposed = re.sub(r"_{2,}", "_", "".join(allowed)).strip("._-")
+    try:
+        return check_serial(proposed)
+    except InputError:
+        return None
+
+
 def _is_alphanumeric(character: str) -> bool:
     category = unicodedata.category(character) if character else ""
     return (category.startswith("L") or category == "Nd") and character not in INVISIBLE

@@ -1,6 +1,8 @@
 """`softcal import`: a lot folder out of the files that loggers and laboratories write."""
 
 import argparse
+import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,6 +27,10 @@ from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
     from softcal.app.files.importing import ImportedLot, ImportPlan
+    from softcal.app.files.not_used import NotUsed
+
+MAX_NAMES = 8
+"""So many new names are proposed."""
 
 EXAMPLES = """examples:
   one file per unit; S1 has a load cell; the others' forces are their audits:
@@ -100,7 +106,7 @@ def run(options: argparse.Namespace) -> None:
     columns = Columns(options.output_column, options.reference_column, options.time_column, options.stage_column)
     table = table_options(options)
     rate_Hz = options.sample_rate or shown_rate_Hz(files[0], columns, table)
-    first, *more = options.source
+    first, *more = map(_check_source, options.source)
     if len(set(options.source)) < len(options.source):
         raise InputError(f"--source {' --source '.join(options.source)}: give each source once")
     lot = Lot(
@@ -119,6 +125,18 @@ def run(options: argparse.Namespace) -> None:
     imported = import_lot(plan, options.out)
     _state_limit(options, lot.reference_unit, imported.reference_range)
     _report(options, plan, imported)
+
+
+def _check_source(name: str) -> str:
+    from softcal.core.lot import check_serial, propose_serial
+
+    try:
+        return check_serial(name)
+    except InputError as error:
+        if (proposed := propose_serial(name)) is None:
+            raise
+        option = shlex.quote(f"{name}={proposed}")
+        raise InputError(f"{error}: --source {proposed} --serial {option}") from error
 
 
 def _serials(given: list[str]) -> tuple[list[str] | None, dict[str, str]]:
@@ -142,11 +160,22 @@ def _report(options: argparse.Namespace, plan: "ImportPlan", imported: "Imported
         why = next((f"; {item.why}" for item in not_used if item.kind == "audit"), "")
         say(f"audits: {len(imported.audits)} of {len(imported.units)}{why}")
     say_unused(not_used, imported.remarks)
-    if any(item.why.code.startswith("name.") for item in imported.not_used):
-        say("note: --serial 'OLD=NEW' gives a file or a column another serial")
+    if unnamed := [item for item in imported.not_used if item.why.code.startswith("name.")]:
+        say(f"note: {_renaming(plan, unnamed)} gives a file or a column another serial")
     facts: dict[str, object] = {"lot": lot.id, "source": lot.source, "units": list(imported.units)}
     facts |= {"audits": list(imported.audits), "layouts": dict(imported.layouts)}
     answer(options, "import/1", facts | unused_json(not_used, imported.remarks))
+
+
+def _renaming(plan: "ImportPlan", unnamed: "Sequence[NotUsed]") -> str:
+    """Return the options that would give names which are no serials others."""
+    from softcal.core.lot import propose_serial
+
+    renamed = {*plan.renames, *plan.renames.values()}
+    names = [item.name if item.kind == "column" else Path(item.name).stem for item in unnamed]
+    proposed = {name: propose_serial(name) for name in names if name not in renamed and plan.serials is None}
+    options = [f"--serial {shlex.quote(f'{name}={new}')}" for name, new in proposed.items() if new not in (None, name)]
+    return " ".join([*options[:MAX_NAMES], *(["..."] if len(options) > MAX_NAMES else [])]) or "--serial 'OLD=NEW'"
 
 
 def _state_limit(options: argparse.Namespace, unit: str, full_range: float) -> None:

@@ -241,7 +241,10 @@ def _named_units(plan: ImportPlan) -> tuple[list[tuple[Path, str, ImportedUnit]]
                 raise InputError(problem)
             # Its file keeps a name that is no serial: the batch gives it a row that says why it is not calibrated.
             stem = file_stem(f"{serial} (file {number})" if problem.code == "name.twice" else serial)
-            unnamed.append(NotUsed("file", path.name, problem))
+            is_wide = plan.columns.is_wide
+            unnamed.append(
+                NotUsed("column", serial, problem, path.name) if is_wide else NotUsed("file", path.name, problem)
+            )
         tables.append((path, stem, unit))
     return tables, unnamed
 

@@ -2,6 +2,7 @@
 
 import io
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -237,7 +238,23 @@ def test_serials_are_given_by_the_names_of_files_and_columns(
     # A name that is no serial stops nothing: the batch gives its unit a row, and the import says what renames it.
     assert main(["import", str(wide), "--out", str(tmp_path / "x"), *options, *renames[:2]]) == 0
     err = capsys.readouterr().err
-    assert "pad 2" in err and "--serial 'OLD=NEW'" in err
+    assert "column pad 2 of wide.csv: " in err and "--serial 'pad 2=pad_2' gives" in err
+    # What the line names works as it stands, of a source and of a file too.
+    assert main(["import", str(wide), "--out", str(tmp_path / "y"), *options[:-1], "pad 1"]) == 2
+    refused = capsys.readouterr().err
+    (cure,) = [line.partition("another serial: ")[2] for line in refused.splitlines()]
+    assert cure == "--source pad_1 --serial 'pad 1=pad_1'"
+    again = ["import", str(wide), "--out", str(tmp_path / "y"), *options[:-2], *shlex.split(cure)]
+    assert main(again) == 0
+    cure = capsys.readouterr().err.partition("note: --serial")[2].partition(" gives")[0]
+    again[3] = str(tmp_path / "z")
+    assert main([*again, *shlex.split(f"--serial{cure}")]) == 0
+    assert (
+        list(open_lot_folder(tmp_path / "z").unit_paths) == ["pad_2"]
+        and "note: --serial" not in capsys.readouterr().err
+    )
+    assert _import(first, second, out=tmp_path / "v", extra=("--serial", "run 1=S1")) == 0
+    assert "--serial 'run 2=run_2' gives" in capsys.readouterr().err
 
 
 def test_an_option_reads_what_is_asked_about(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
