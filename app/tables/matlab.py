@@ -26,10 +26,12 @@ WORKSPACE = "workspace"
 HEADER_BYTES, COMPRESSED = 128, 15
 BYTES_AT_ONCE = 1 << 20
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-IS_OBJECT = (
-    "is an object of MATLAB (a timeseries, table or string), which only MATLAB can open; save its parts as vectors: "
-    "t = x.Time; y = x.Data; save('file.mat', 't', 'y')"
-)
+CURES = {
+    "timeseries": "t = {name}.Time; y = {name}.Data; save('{stem}_vectors.mat', 't', 'y')",
+    "table": "writetable({name}, '{stem}.csv')",
+    "timetable": "writetimetable({name}, '{stem}.csv')",
+}
+"""What makes a readable file of an object, in MATLAB, by its class."""
 
 Groups = dict[str, list[Channel]]
 
@@ -56,6 +58,12 @@ def read_matlab(file: BinaryIO, path: Path, options: TableOptions, is_requested:
 
 
 def _chosen(path: Path, groups: Groups, options: TableOptions, is_requested: IsRequested) -> Table:
+    channels = [channel for group in groups.values() for channel in group]
+    objects = [channel for channel in channels if not channel.rows]
+    for channel in objects:
+        # Nothing else is there, or it is what was asked for: reading it says why it cannot be read.
+        if len(objects) == len(channels) or channel.name == options.sheet:
+            channel.read()
     name = choose_group(path, groups, options, is_requested, "variable")
     layout = "" if name == WORKSPACE else f"variable {name!r}"
     return read_channels(path, groups[name], options, is_requested, layout)
@@ -86,8 +94,7 @@ def _groups_of_variables(path: Path, variables: Mapping[str, Any]) -> Groups:
     workspace: list[Channel] = []
     for name, value in variables.items():
         if type(value).__name__ == "MatlabOpaque":
-            stored = text(value["s0"].flat[0]) or name
-            groups[stored] = [_refused(path, stored)]
+            workspace.append(_object(path, text(value["s0"].flat[0]) or name, text(value["s2"].flat[0])))
         elif name.startswith("__") or type(value).__name__ == "MatlabFunction":
             continue
         elif issparse(value):
@@ -112,7 +119,7 @@ def _structs(path: Path, name: str, value: NDArray[Any]) -> Groups:
     groups: Groups = {}
     for key, part in fields.items():
         if type(part).__name__ == "MatlabOpaque":
-            columns.append(_refused(path, key))
+            columns.append(_object(path, f"{name}.{key}", text(part["s2"].flat[0])))
         elif part.dtype.names:
             groups |= {
                 f"{name}.{inner.partition('.')[2] or key}": got for inner, got in _structs(path, key, part).items()
@@ -146,8 +153,14 @@ def _simulink(fields: Mapping[str, NDArray[Any]]) -> list[Channel]:
     return columns
 
 
-def _refused(path: Path, name: str, problem: str = IS_OBJECT) -> Channel:
+def _refused(path: Path, name: str, problem: str) -> Channel:
     return refused_channel(name, f"{path}: {name!r} {problem}")
+
+
+def _object(path: Path, name: str, kind: str) -> Channel:
+    """Return a variable that only MATLAB can open, with what opens it there."""
+    cure = CURES.get(kind, "save('{stem}_vectors.mat', ...) of its parts as vectors").format(name=name, stem=path.stem)
+    return _refused(path, name, f"is {f'a {kind}' if kind else 'an object'} of MATLAB, which only MATLAB can open; in MATLAB: {cure}")
 
 
 def _is_vector(value: NDArray[Any]) -> bool:
@@ -189,7 +202,7 @@ def _columns_of_hdf5(path: Path, group: "h5py.Group", options: TableOptions) -> 
         data = group[name]
         kind = text(data.attrs.get("MATLAB_class", ""))
         if "MATLAB_object_decode" in data.attrs:
-            columns.append(_refused(path, name))
+            columns.append(_object(path, name, kind))
         elif kind in ("char", "cell") or "MATLAB_empty" in data.attrs or data.size is None or data.size < 2:
             continue
         elif max(data.shape) == data.size:

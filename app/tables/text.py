@@ -13,8 +13,10 @@ import numpy as np
 from softcal.app.tables.arrays import refuse_large
 from softcal.app.tables.encoding import Encoding, detect_encoding
 from softcal.app.tables.headings import Heading, IsRequested
+from softcal.app.tables.labview import STATED_TIME
 from softcal.app.tables.numbers import missing_words_remark, texts_to_numbers, to_numbers
 from softcal.app.tables.options import TableOptions
+from softcal.app.tables.other_text import refuse_other_text
 from softcal.app.tables.table import Column, Table
 from softcal.app.tables.terminal_text import TerminalLines, find_terminal_lines
 from softcal.app.tables.text_layout import BLANKS, HEAD_LINES, TextLayout, detect_layout
@@ -47,6 +49,7 @@ def _laid_out(
 ) -> tuple[list[str], TextLayout, TerminalLines]:
     """Return rows without zero bytes, their layout, and what a terminal added to each of them."""
     lines, remarks = _without_zeros(lines, path)
+    refuse_other_text(lines, path)
     terminal = find_terminal_lines(lines)
     rows = terminal.to_rows(lines)
     layout = terminal.to_layout(detect_layout(rows, path, encoding, options, is_requested))
@@ -81,7 +84,10 @@ def _without_zeros(lines: list[str], path: Path) -> tuple[list[str], list[str]]:
     return lines, [remark]
 
 
-def _table(rows: TextRows, layout: TextLayout, path: Path, options: TableOptions, is_requested: IsRequested) -> Table:
+def _table(
+    rows: TextRows, layout: TextLayout, path: Path, options: TableOptions, is_requested: IsRequested, first: int = 0
+) -> Table:
+    """Return rows as a table; `first` counts the rows of data before them."""
     heading = layout.heading
     names = heading.names
     places = [k for k, name in enumerate(names) if is_requested is None or is_requested(name)] or [0]
@@ -100,6 +106,10 @@ def _table(rows: TextRows, layout: TextLayout, path: Path, options: TableOptions
         elif np.isnan(values).any():
             remarks += missing_words_remark(names[k], cells, options.missing)
         columns.append(Column(names[k], heading.units[k], values))
+    if layout.clock is not None:
+        names = (*names, STATED_TIME)
+        if is_requested is None or is_requested(STATED_TIME):
+            columns.append(layout.clock.column(len(rows.lines), first))
     table = Table(path, tuple(columns), names, rows.lines, layout.description, tuple(remarks), layout.decimal)
     return _without_unnamed(table, heading, is_requested)
 
@@ -154,7 +164,7 @@ def text_pieces(
         head = list(islice(text, max(HEAD_LINES, rows)))
         is_open = bool(head) and not head[-1].endswith("\n")
         head, layout, terminal = _laid_out([line.rstrip("\n") for line in head], path, encoding, options, is_requested)
-        offset, pending = layout.start, head[layout.start :]
+        offset, pending, first = layout.start, head[layout.start :], 0
         while True:
             more = list(islice(text, rows))
             is_last = not more
@@ -166,7 +176,8 @@ def text_pieces(
                     pending[:cut], layout, path, options, is_last=is_last, is_open=is_last and is_open, offset=offset
                 )
                 if len(piece.lines):
-                    yield _table(piece, layout, path, options, is_requested)
+                    yield _table(piece, layout, path, options, is_requested, first)
+                first += len(piece.lines)
             if is_last:
                 return
             following = terminal.to_rows([line.rstrip("\n") for line in more])

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from softcal.app.tables import labview
 from softcal.app.tables.encoding import Encoding
 from softcal.app.tables.headings import Heading, IsRequested, data_rows, find_heading, refuse_doubles
 from softcal.app.tables.numbers import THOUSANDS, Kind, cell_kind, shown, unit_number
@@ -26,10 +27,6 @@ REMARKS = ("comment", "comments", "note", "notes", "remark", "remarks", "bemerku
 COMMENT = re.compile(r"[# ]*(?:% +)?")
 """How lines begin that name columns in a comment, as numpy and MATLAB write them."""
 
-LVM_HEADER_END = "***End_of_Header***"
-LVM_TIME = "X_Value"
-"""How LabVIEW names each column of time."""
-
 
 @dataclass(frozen=True)
 class TextLayout:
@@ -41,6 +38,7 @@ class TextLayout:
         start: index of the first line of data in the file, counted from 0.
         text_columns: columns that hold text in most rows.
         labels: texts that lines above the data begin with.
+        clock: time that the header states where no column has it.
     """
 
     encoding: Encoding
@@ -52,6 +50,7 @@ class TextLayout:
     labels: frozenset[str]
     description: str
     remarks: tuple[str, ...]
+    clock: labview.StatedClock | None = None
 
 
 def detect_layout(
@@ -77,8 +76,8 @@ def detect_layout(
         rows = [wide if len(wide) == width else row for row, wide in zip(rows, apart, strict=True)]
     numbers = [k + 1 for k, _ in head]
     heading = find_heading(rows, numbers, path, decimal=decimal, declared=options.header_row, is_requested=is_requested)
-    if LVM_TIME in heading.names:
-        heading = replace(heading, names=_numbered(heading.names, LVM_TIME))
+    if labview.TIME in heading.names:
+        heading = replace(heading, names=_numbered(heading.names, labview.TIME))
     refuse_doubles(heading.names, path, is_requested)
     if heading.first >= len(rows) or not heading.names:
         raise InputError(
@@ -98,8 +97,22 @@ def detect_layout(
     start = head[heading.first][0]
     first_cells = [split(line, delimiter)[0] for line in lines[:start] if line.strip()]
     labels = frozenset(cell for cell in first_cells if cell_kind(cell, decimal) is Kind.TEXT)
+    clock = None
+    if labview.header_ends(lines[:skipped]) and not _has_times(heading, rows, decimal):
+        clock = labview.find_stated_clock([split(line, delimiter) for line in lines[:skipped]], decimal, path)
+        parts += [] if clock is None else [str(clock)]
     description = "; ".join(parts)
-    return TextLayout(encoding, delimiter, decimal, heading, start, text_columns, labels, description, remarks)
+    return TextLayout(encoding, delimiter, decimal, heading, start, text_columns, labels, description, remarks, clock)
+
+
+def _has_times(heading: Heading, rows: Sequence[Sequence[str]], decimal: str) -> bool:
+    """Whether LabVIEW wrote a time beside its samples: the column may be missing or empty."""
+    names = heading.names
+    if labview.TIME not in names:
+        return labview.STATED_TIME in names
+    place = names.index(labview.TIME)
+    cells = [row[place] for row in rows[heading.first :] if len(row) > place]
+    return any(cell_kind(cell, decimal) in (Kind.NUMBER, Kind.STAMP) for cell in cells)
 
 
 def _numbered(names: Sequence[str], repeated: str) -> tuple[str, ...]:
@@ -142,8 +155,7 @@ def _preamble(lines: Sequence[str], options: TableOptions) -> tuple[int, TableOp
     if lines and (match := re.fullmatch(r'"?sep=(.)"?\s*', lines[0])):
         skipped, delimiter = 1, delimiter or match[1]
     head = [line.rstrip("\t;, ") for line in lines[:HEAD_LINES]]
-    ends = [k for k, line in enumerate(head) if line == LVM_HEADER_END]
-    if ends:
+    if ends := labview.header_ends(head):
         # Of the file, then of its first segment.
         skipped = ends[:2][-1] + 1
         for line in head[:skipped]:

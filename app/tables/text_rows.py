@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from softcal.app.tables.arrays import refuse_large
+from softcal.app.tables.labview import refuse_segments
 from softcal.app.tables.numbers import MAX_SUMMARY_ROWS, Kind, cell_kind, is_summary
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.text_layout import BLANKS, REMARKS, TextLayout, split
@@ -46,6 +47,8 @@ def data_of(
     Raises:
         InputError: a row longer or shorter than the header.
     """
+    if layout.clock is not None:
+        refuse_segments(lines, path)
     texts, numbers = _filled(lines, layout.start if offset is None else offset)
     delimiter, width = layout.delimiter, len(layout.heading.names)
     whole = "\n".join(texts)

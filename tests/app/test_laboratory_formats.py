@@ -300,13 +300,55 @@ def test_an_array_of_structs_is_a_row_each(tmp_path):
     np.testing.assert_array_equal(cells(tmp_path / "a.mat")["F"], [0, 2, 4])
 
 
-def test_an_object_that_only_matlab_can_open_is_named_with_the_cure(tmp_path):
-    path = written.write_mat73(tmp_path / "a.mat", {"ts": [1.0, 2.0], "#subsystem#": {"MCOS": [1.0, 2.0]}})
+MATLAB_OBJECTS = [
+    (
+        "timeseries",
+        r"'X' is a timeseries of MATLAB.*in MATLAB: t = X\.Time; y = X\.Data; save\('a_vectors\.mat', 't', 'y'\)",
+    ),
+    ("table", r"'X' is a table of MATLAB.*in MATLAB: writetable\(X, 'a\.csv'\)"),
+    ("timetable", r"'X' is a timetable of MATLAB.*in MATLAB: writetimetable\(X, 'a\.csv'\)"),
+    ("string", "'X' is a string of MATLAB.*its parts as vectors"),
+]
+
+
+def write_object_73(path, kind, **others):
+    written.write_mat73(path, {"X": [1.0, 2.0], "#subsystem#": {"MCOS": [1.0, 2.0]}, **others})
     with h5py.File(path, "r+") as file:
-        file["ts"].attrs["MATLAB_object_decode"] = np.int32(3)
-        file["ts"].attrs["MATLAB_class"] = np.bytes_("timeseries")
-    with pytest.raises(InputError, match=r"'ts' is an object of MATLAB.*x\.Time"):
-        read_table(path)
+        file["X"].attrs["MATLAB_object_decode"] = np.int32(3)
+        file["X"].attrs["MATLAB_class"] = np.bytes_(kind)
+
+
+def read_object_5(monkeypatch, path, kind, **others):
+    """Let SciPy return what it does of a file of version 5 with an object; it writes none itself."""
+    scipy.io.savemat(path, {"gain": 1.0})
+    fields = [(name, object) for name in ("s0", "s1", "s2", "arr")]
+    opaque = np.array([(b"X", b"MCOS", kind.encode(), np.zeros((6, 1), np.uint32))], fields)
+    variables = {"None": scipy.io.matlab.MatlabOpaque(opaque), "__function_workspace__": np.zeros((1, 8), np.uint8)}
+    variables |= {name: np.atleast_2d(values).T for name, values in others.items()}
+    monkeypatch.setattr(scipy.io, "loadmat", lambda *_, **__: variables)
+
+
+@pytest.mark.parametrize("version", ["5", "7.3"])
+@pytest.mark.parametrize(("kind", "line"), MATLAB_OBJECTS)
+def test_an_object_that_only_matlab_can_open_is_named_with_the_cure(kind, line, version, monkeypatch, tmp_path):
+    path = tmp_path / "a.mat"
+
+    def write(**others):
+        if version == "7.3":
+            write_object_73(path, kind, **others)
+        else:
+            read_object_5(monkeypatch, path, kind, **others)
+
+    write()
+    for is_requested in (None, lambda name: name == "output", lambda name: name == "X"):
+        with pytest.raises(InputError, match=line):
+            read_table(path, is_requested=is_requested)
+    # Beside vectors it is in nobody's way.
+    write(t=T_S, output=OUTPUT)
+    np.testing.assert_array_equal(cells(path, "t", "output")["output"], OUTPUT)
+    for options, is_requested in ((TableOptions(sheet="X"), None), (TableOptions(), lambda name: name == "X")):
+        with pytest.raises(InputError, match=line):
+            read_table(path, options, is_requested=is_requested)
 
 
 def test_a_matrix_of_zeros_that_matlab_packed_does_not_unpack(tmp_path):

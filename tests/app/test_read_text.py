@@ -1,12 +1,16 @@
 """Text files as loggers write them: what is unambiguous is read, what is not is asked about."""
 
+import json
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from softcal.app.tables.options import TableOptions
-from softcal.app.tables.read import read_table
+from softcal.app.files.recording_file import ColumnNames, inspect_recording
+from softcal.app.tables.options import DETECT, TableOptions
+from softcal.app.tables.read import read_table, table_pieces
 from softcal.core.errors import InputError
 
 TIME = np.round(np.arange(40) * 0.02, 2)
@@ -113,6 +117,90 @@ def test_what_is_unambiguous_is_read(name: str, tmp_path: Path) -> None:
     assert table.layout == layout
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     assert all(str(v) in lines[k - 1].replace(",", ".") for k, v in zip(table.lines, VALUE, strict=True))
+
+
+FRAMES = [f"{int(200 * value):02X}" for value in VALUE]
+PAIRS = [{"t_s": t, "output": v} for t, v in zip(TIME.tolist(), VALUE.tolist(), strict=True)]
+OTHER_TEXTS = {
+    "candump log": ("".join(f"({t:.6f}) can0 123#{b}00\n" for t, b in zip(TIME, FRAMES, strict=True)), "candump.*DBC"),
+    "candump screen": ("".join(f"  vcan1  18FF0123   [2]  {b} 00\n" for b in FRAMES), "candump.*DBC"),
+    "candump times": (
+        "".join(f" ({t:010.6f})  can0  123   [2]  {b} 00   '..'\n" for t, b in zip(TIME, FRAMES, strict=True)),
+        "candump.*DBC",
+    ),
+    "Vector": (
+        "date Mon Mar 2 10:00:00 2026\nbase hex  timestamps absolute\n"
+        + "".join(f"   {t:.6f} 1  123             Rx   d 2 {b} 00\n" for t, b in zip(TIME, FRAMES, strict=True)),
+        "Vector.*DBC",
+    ),
+    "JSON lines": ("".join(f"{json.dumps(pair)}\n" for pair in PAIRS), r"JSON lines.*lines=True\).to_csv"),
+    "JSON lists": ("".join(f"{json.dumps(list(pair.values()))}\n" for pair in PAIRS), "JSON lines"),
+    "JSON records": (json.dumps(PAIRS, indent=1), r"JSON, no table.*'a\.log'\)\.to_csv"),
+    "JSON rows": (",\n".join(json.dumps(PAIRS).split(", {")), "JSON"),
+    "JSON columns": (json.dumps({"t_s": TIME.tolist(), "output": VALUE.tolist()}), "JSON, no table"),
+    "JSON object": (json.dumps({"unit": "V", "data": PAIRS}, indent=2), "JSON, no table"),
+}
+
+
+@pytest.mark.parametrize("kind", OTHER_TEXTS)
+def test_a_text_that_is_no_table_is_named_with_what_makes_one(kind: str, tmp_path: Path) -> None:
+    text, line = OTHER_TEXTS[kind]
+    path = tmp_path / "a.log"
+    path.write_text(text)
+    for read in (lambda: read_table(path), lambda: list(table_pieces(path, DETECT, None, 100))):
+        with pytest.raises(InputError, match=line) as refused:
+            read()
+        assert "\n" not in str(refused.value)
+
+
+def test_a_line_of_json_above_a_table_and_stamps_in_brackets_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    stamped = "".join(f"[10:00:{t:06.3f}] {v}\n" for t, v in zip(TIME, VALUE, strict=True))
+    for text in (_text('{"unit": "V"}', "t_s,output"), stamped):
+        path.write_text(text)
+        assert len(read_table(path)) == len(VALUE)
+
+
+def lvm_without_times(*changes: tuple[str, str], has_column: bool = True, values: Sequence[float] = ()) -> str:
+    head = LVM if has_column else LVM.replace("X_Value\t", "")
+    for old, new in (("X_Columns\tOne", "X_Columns\tNo"), *changes):
+        assert old in head
+        head = head.replace(old, new)
+    cells = [str(value).replace(".", ",") for value in values or VALUE]
+    return "\n".join([head, *(f"\t{cell}\t" if has_column else f"{cell}\t" for cell in cells)]) + "\n"
+
+
+@pytest.mark.parametrize("has_column", [True, False])
+def test_a_labview_file_without_times_has_those_of_its_step(has_column: bool, tmp_path: Path) -> None:
+    path = tmp_path / "a.lvm"
+    path.write_text(lvm_without_times(("X0\t0,0E+0", "X0\t1,5"), has_column=has_column))
+    table = read_table(path)
+    np.testing.assert_allclose(table.numbers("t_s"), 1.5 + 0.02 * np.arange(len(VALUE)), rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(table.numbers("Voltage"), VALUE)
+    assert table.layout.endswith("time from X0 1.5 s and Delta_X 0.02 s")
+    long = tmp_path / "long.lvm"
+    long.write_text(lvm_without_times(has_column=has_column, values=50 * tuple(VALUE)))
+    pieces = [piece.numbers("t_s") for piece in table_pieces(long, DETECT, None, 7)]
+    assert len(pieces) > 2
+    np.testing.assert_allclose(np.concatenate(pieces), 0.02 * np.arange(2000), rtol=0, atol=1e-9)
+    # The rate that somebody states is a check, as of every file that has times.
+    names = ColumnNames(output="Voltage", rate_Hz=50.0)
+    assert inspect_recording(path, "S1", None, names=names).recording.sample_rate_Hz == 50
+    with pytest.raises(InputError, match="show 50 Hz, the declared sample rate is 100 Hz"):
+        inspect_recording(path, "S1", None, names=replace(names, rate_Hz=100.0))
+
+
+def test_a_step_of_labview_that_is_no_time_of_one_recording_is_no_clock(tmp_path: Path) -> None:
+    path = tmp_path / "a.lvm"
+    path.write_text(lvm_without_times(("X_Dimension\tTime", "X_Dimension\tFrequency")))
+    assert not read_table(path).has("t_s")
+    path.write_text(lvm_without_times(("Delta_X\t0,02", "Delta_X\t0,02\t0,01")))
+    with pytest.raises(InputError, match=r"Delta_X.*0\.02, 0\.01.*export"):
+        read_table(path)
+    segment = "Channels\t1\t\nDelta_X\t0,02\t\n***End_of_Header***\t\nX_Value\tVoltage\tComment\n"
+    path.write_text(lvm_without_times() + segment + "\t0,5\t\n\t0,6\t\n")
+    with pytest.raises(InputError, match="segments.*X_Value"):
+        read_table(path)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "latin-1", "cp949"])
