@@ -1,6 +1,7 @@
 """Files of laboratories, written by their own libraries: read with names, units and time, or refused in one line."""
 
 import random
+import sys
 from pathlib import Path
 
 import h5py
@@ -13,6 +14,7 @@ import pytest
 import scipy.io
 from nptdms import ChannelObject, TdmsWriter
 
+from softcal.app.cli.main import main
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.read import read_table
 from softcal.core.errors import InputError
@@ -538,3 +540,23 @@ def test_a_group_is_read_that_alone_has_all_requested_columns(tmp_path):
     parts = [("Run", "t_s", T_S), ("Run", "output", OUTPUT), ("Room", "t_s", T_S), ("Room", "temperature", FORCE)]
     path = write_tdms(tmp_path / "S1.tdms", *parts)
     assert len(read_table(path, is_requested={"t_s", "output"}.__contains__)) == len(OUTPUT)
+
+
+@pytest.mark.parametrize(
+    ("module", "file"),
+    [
+        ("h5py", "h5py.h5"),
+        ("h5py", "matlab_73.mat"),
+        ("nptdms", "labview_wave.tdms"),
+        ("python_calamine", "calc.ods"),
+        ("python_calamine", "excel_97.xls"),
+    ],
+)
+def test_a_format_whose_library_is_missing_names_the_extra_that_brings_it(
+    module, file, monkeypatch, tmp_path, capsys
+) -> None:
+    written.write_corpus(tmp_path)
+    monkeypatch.setitem(sys.modules, module, None)
+    assert main(["inspect", str(tmp_path / file), "--output-column", "output"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert file in line and f"this needs {module}, " in line and line.endswith("pip install 'softcal[formats]'")
