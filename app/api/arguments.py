@@ -151,8 +151,11 @@ def times_of_index(values: Any) -> Any:
     Raises:
         InputError: it is one of periods, or of a mixture of times.
     """
+    import pandas as pd
+
     index = getattr(values, "index", None)
-    return index if hasattr(index, "dtype") and index.nlevels == 1 and _time_index("t_s", index) is not None else None
+    is_index = isinstance(index, pd.Index) and index.nlevels == 1
+    return index if is_index and _time_index("t_s", index) is not None else None
 
 
 def check_indexes(columns: dict[str, Any]) -> None:

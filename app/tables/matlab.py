@@ -160,7 +160,11 @@ def _refused(path: Path, name: str, problem: str) -> Channel:
 def _object(path: Path, name: str, kind: str) -> Channel:
     """Return a variable that only MATLAB can open, with what opens it there."""
     cure = CURES.get(kind, "save('{stem}_vectors.mat', ...) of its parts as vectors").format(name=name, stem=path.stem)
-    return _refused(path, name, f"is {f'a {kind}' if kind else 'an object'} of MATLAB, which only MATLAB can open; in MATLAB: {cure}")
+    return _refused(
+        path,
+        name,
+        f"is {f'a {kind}' if kind else 'an object'} of MATLAB, which only MATLAB can open; in MATLAB: {cure}",
+    )
 
 
 def _is_vector(value: NDArray[Any]) -> bool:

@@ -117,7 +117,8 @@ def _spike_rows(
     # Spikes, and the lines that stand in their place, have finer steps than the readout.
     count = float(np.quantile(steps[steps > 0], config.readout_step)) if np.any(steps > 0) else 0.0
     unusual = _unusual_heights(heights, count, config)
-    hits: list[tuple[float, int, int]] = []
+    hits: list[tuple[float, int, int, int]] = []
+    highest = {sign: np.zeros(len(padded)) for sign in (1, -1)}
     for (length, sign), height in heights.items():
         is_all_apart = np.lib.stride_tricks.sliding_window_view(is_apart, length).all(axis=1)
         is_high = height > unusual[sign]
@@ -127,11 +128,17 @@ def _spike_rows(
         is_short = times_s[length + 1 :] - times_s[: -length - 1] <= (length + 1) * gap_s
         starts = np.flatnonzero((is_high | is_all_apart) & (height > min_height) & is_short)
         edges = (steps[:-length] + steps[length:]) / max(unusual[sign], min_height)
-        hits += [(-float(edges[start]), length, int(start)) for start in starts]
+        hits += [(-float(edges[start]), length, int(start), sign) for start in starts]
+        for k in range(length):
+            highest[sign][starts + 1 + k] = np.maximum(highest[sign][starts + 1 + k], height[starts])
     is_spike = np.zeros(len(values), dtype=np.bool_)
     # A spike makes runs beside it and around it high, too. The one whose edges are the most unusual is the spike; the
-    # others are looked at again without it.
-    for _, length, start in sorted(hits):
+    # others are looked at again without it. What lies between two spikes is good, however far both are from it.
+    ranked = [
+        (bool(2 * min(highest[-sign][[row, row + length + 1]]) > heights[length, sign][row]), edge, length, row)
+        for edge, length, row, sign in hits
+    ]
+    for _, _, length, start in sorted(ranked):
         if not is_spike[max(start - 1, 0) : start + length + 1].any():
             is_spike[start : start + length] = True
     return is_spike

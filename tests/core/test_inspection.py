@@ -130,6 +130,21 @@ def test_spikes_of_a_coarse_converter_hide_no_good_sample_behind_their_finer_ste
     assert wrong <= 2e-5 * samples
 
 
+@pytest.mark.parametrize("apart", [2, 3, 4])
+@pytest.mark.parametrize("level", [1.5, -1.0])
+@pytest.mark.parametrize("side", [1, -1])
+def test_between_two_spikes_that_lie_close_the_good_samples_are_left(apart: int, level: float, side: int) -> None:
+    # Taps to one side: what leaves to the other one is the more unusual.
+    t_s = np.arange(1500) / 50
+    taps = np.exp(-(((t_s % 1.0 - 0.5) / 0.1) ** 2))
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        output = 0.4 + side * 0.2 * taps + rng.normal(0.0, 0.002, len(t_s))
+        first = int(rng.integers(4, 28)) * 50 + 2
+        output[[first, first + apart]] = level
+        assert masked_rows(inspected(output), len(output)) == {first, first + apart}
+
+
 @pytest.mark.parametrize("length", [1, 2, 3])
 def test_more_spikes_than_the_usual_movements_are_found_too(
     length: int, press_unit: PressUnit, rng: np.random.Generator
