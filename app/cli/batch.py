@@ -122,7 +122,7 @@ def run(options: argparse.Namespace) -> int:
 
             mapped = [u.serial for u in report.units if u.summary is not None]
             explain_units(registry, report.lot_id, mapped, options.plots)
-            say(f"{options.plots}: figures of {len(mapped)} units")
+            say(f"{options.plots}: figures of units: {len(mapped)}")
     say_layouts(report.layouts)
     print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
     for subject, reasons in reasons_by_verdict(report.units, reversed(VERDICTS[1:])):
@@ -130,7 +130,7 @@ def run(options: argparse.Namespace) -> int:
     for line in audit_lines(report):
         print_sentence(line)
     words = ", ".join(f"{count} {word}" for word, count in report.counts.items())
-    in_all = f"{sum(report.counts.values())} units in {report.wall_s:.1f} s"
+    in_all = f"units: {sum(report.counts.values())} in {report.wall_s:.1f} s"
     print(f"{in_all}: {words}; errors are RMSE in {folder.lot.reference_unit}")
     say_unused(report.not_used, report.remarks)
     write_json(options.json, report_json(report))

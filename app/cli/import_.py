@@ -153,7 +153,7 @@ def _report(options: argparse.Namespace, plan: "ImportPlan", imported: "Imported
 
     lot = plan.lot
     say_layouts(imported.layouts)
-    units = f"{len(imported.units)} target units"
+    units = f"target units: {len(imported.units)}"
     say(f"{options.out}: lot {lot.id!r}, source {', '.join(options.source)}, {units}, {lot.sample_rate_Hz:g} Hz")
     not_used = (*(item for path in options.files for item in unread_files(path)), *imported.not_used)
     if plan.audit:
