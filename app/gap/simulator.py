@@ -92,9 +92,9 @@ def simulator_of(declared: Mapping[str, Any], name: str) -> Simulator:
     Raises:
         InputError: a key is missing or none of these, or a parameter is none.
     """
-    known = [f.name for f in fields(Simulator)]
-    if wrong := sorted({*PLAIN} - set(declared)) or sorted(set(declared) - set(known)):
-        raise InputError(f"simulator {name}: {', '.join(wrong)} missing or unknown; known are {', '.join(known)}")
+    field_names = [f.name for f in fields(Simulator)]
+    if wrong := sorted({*PLAIN} - set(declared)) or sorted(set(declared) - set(field_names)):
+        raise InputError(f"simulator {name}: {', '.join(wrong)} missing or unknown; known are {', '.join(field_names)}")
     given = {"name": name, **declared}
     given |= {key: tuple(given[key]) for key in ("inputs", "channels") if not isinstance(given[key], str)}
     for key in ("base", "run_parameters"):
@@ -146,12 +146,12 @@ def foretell_duration(simulator: Simulator, runs: Sequence[SimulatorRun], proces
     except SimulatorFailed:
         return ""
     several = each_s * len(simulator.every_parameter) / processes
-    least_min, most_min = (count * several / 60.0 for count in CALLS_PER_PARAMETER)
-    if most_min < 1.0:
+    min_minutes, max_minutes = (count * several / 60.0 for count in CALLS_PER_PARAMETER)
+    if max_minutes < 1.0:
         return ""
     return (
-        f"one call takes {each_s / len(runs):.2g} s: about {least_min:.2g} minutes where nothing is missing, up to "
-        f"{most_min:.2g} where structure is left; --processes divides it"
+        f"one call takes {each_s / len(runs):.2g} s: about {min_minutes:.2g} minutes where nothing is missing, up to "
+        f"{max_minutes:.2g} where structure is left; --processes divides it"
     )
 
 

@@ -47,8 +47,8 @@ def find_stated_clock(header: Sequence[Sequence[str]], decimal: str, path: Path)
     cells = {row[0]: [cell for cell in row[1:] if cell] for row in header if row}
     if cells.get("X_Dimension", ["Time"])[:1] != ["Time"]:
         return None
-    stated = {name: to_numbers(np.array(cells.get(name, []), dtype=object), decimal) for name in ("X0", "Delta_X")}
-    starts, steps = (set() if values is None else set(values.tolist()) for values in stated.values())
+    declared = {name: to_numbers(np.array(cells.get(name, []), dtype=object), decimal) for name in ("X0", "Delta_X")}
+    starts, steps = (set() if values is None else set(values.tolist()) for values in declared.values())
     if not steps or min(steps) <= 0:
         return None
     for name, values in (("X0", starts), ("Delta_X", steps)):

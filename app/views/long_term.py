@@ -48,13 +48,13 @@ class Trace:
 
     def add(self, rows: Estimate, output: Array) -> None:
         """Add rows with their estimates."""
-        kept = slice(-self.rows % self.stride, None, self.stride)
+        drawn = slice(-self.rows % self.stride, None, self.stride)
         self.rows += len(output)
-        self.t_s += rows.t_s[kept].tolist()
-        self.output += output[kept].tolist()
-        self.estimate += rows.estimate[kept].tolist()
-        self.lower += rows.lower[kept].tolist()
-        self.upper += rows.upper[kept].tolist()
+        self.t_s += rows.t_s[drawn].tolist()
+        self.output += output[drawn].tolist()
+        self.estimate += rows.estimate[drawn].tolist()
+        self.lower += rows.lower[drawn].tolist()
+        self.upper += rows.upper[drawn].tolist()
         while len(self.t_s) > MAX_ROWS:
             self.stride *= 2
             for name, values in vars(self).items():

@@ -181,8 +181,8 @@ class Simulator:
         """Return the simulator with a base parameter for each run of these names in place of its own parameters."""
         own = tuple(replace(p, name=f"{p.name}@{name}") for name in names for p in self.run_parameters)
         # A search begins at what is known.
-        known = ((p, self.prior_of(p)) for p in (*self.base, *own))
-        base = tuple(replace(p, usual=prior[0]) if prior is not None else p for p, prior in known)
+        with_priors = ((p, self.prior_of(p)) for p in (*self.base, *own))
+        base = tuple(replace(p, usual=prior[0]) if prior is not None else p for p, prior in with_priors)
         return replace(self, base=base, run_parameters=())
 
     def prior_of(self, parameter: Parameter) -> tuple[float, float] | None:
@@ -248,10 +248,10 @@ class Simulator:
         try:
             # What overflows is found below, and is said once.
             with np.errstate(all="ignore"):
-                found: Columns | BaseException = self.run(inputs, self.parameters_of(parameters, run_name))
+                answer: Columns | BaseException = self.run(inputs, self.parameters_of(parameters, run_name))
         except (Exception, SystemExit) as error:
-            found = error
-        return self._checked(found, len(inputs["t_s"]), parameters)
+            answer = error
+        return self._checked(answer, len(inputs["t_s"]), parameters)
 
     def predict(self, run: "SimulatorRun", parameters: Mapping[str, float]) -> Columns:
         """Return the predicted channels of a run at the samples that are compared.
@@ -273,29 +273,29 @@ class Simulator:
         return [[self._answer(next(answers), run, place) for run in runs] for place in places]
 
     def _answer(
-        self, found: Columns | BaseException, run: "SimulatorRun", parameters: Mapping[str, float]
+        self, answer: Columns | BaseException, run: "SimulatorRun", parameters: Mapping[str, float]
     ) -> "Columns | SimulatorFailed":
         try:
-            channels = self._checked(found, run.skipped + len(run), parameters)
+            channels = self._checked(answer, run.skipped + len(run), parameters)
         except SimulatorFailed as error:
             return error
         return {name: values[run.skipped :] for name, values in channels.items()}
 
-    def _checked(self, found: Columns | BaseException, count: int, parameters: Mapping[str, float]) -> Columns:
-        if isinstance(found, BaseException):
-            error = found
+    def _checked(self, answer: Columns | BaseException, count: int, parameters: Mapping[str, float]) -> Columns:
+        if isinstance(answer, BaseException):
+            error = answer
             lines = [one.lineno for one in traceback.extract_tb(error.__traceback__) if one.filename == self._file]
             line = f", line {lines[-1]}" if lines else ""
             raise self._failed(f"{type(error).__name__}: {error}", parameters, line) from error
         out: dict[str, Array] = {}
         for channel in self.channels:
-            if not isinstance(found, Mapping) or channel not in found:
-                gives = ", ".join(map(str, found)) if isinstance(found, Mapping) else type(found).__name__
+            if not isinstance(answer, Mapping) or channel not in answer:
+                gives = ", ".join(map(str, answer)) if isinstance(answer, Mapping) else type(answer).__name__
                 raise self._failed(f"gives no {channel}; it gives {gives or 'nothing'}", parameters)
             try:
-                if np.iscomplexobj(found[channel]):
+                if np.iscomplexobj(answer[channel]):
                     raise TypeError("it is complex")
-                out[channel] = np.asarray(found[channel], dtype=np.float64)
+                out[channel] = np.asarray(answer[channel], dtype=np.float64)
             except (TypeError, ValueError) as error:
                 raise self._failed(f"{channel} is no array of numbers: {error}", parameters) from error
             if out[channel].shape != (count,):
@@ -403,26 +403,28 @@ def recorded(simulator: Simulator, name: str, columns: Columns, profile: str = "
     missing = [column for column in needed if column not in columns]
     if missing:
         raise InputError(f"{name}: {', '.join(missing)} missing; simulator {simulator.name} needs {', '.join(needed)}")
-    kept = {}
+    numbers = {}
     for column in needed:
         try:
-            kept[column] = np.asarray(columns[column], dtype=np.float64)
+            numbers[column] = np.asarray(columns[column], dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise InputError(f"{name}: {column} is no column of numbers: {error}") from error
-        if kept[column].ndim != 1:
-            raise InputError(f"{name}: {column} has shape {kept[column].shape}; one column was expected")
-    return _run(simulator, name, kept, profile)
+        if numbers[column].ndim != 1:
+            raise InputError(f"{name}: {column} has shape {numbers[column].shape}; one column was expected")
+    return _run(simulator, name, numbers, profile)
 
 
 def _run(simulator: Simulator, name: str, columns: Columns, profile: str = "") -> SimulatorRun:
     first = simulator.first_compared(columns["t_s"])
-    lead, kept = ({n: values[part] for n, values in columns.items()} for part in (slice(first), slice(first, None)))
-    if first and len(kept["t_s"]) < SHORTEST:
+    lead, scored = ({n: values[part] for n, values in columns.items()} for part in (slice(first), slice(first, None)))
+    if first and len(scored["t_s"]) < SHORTEST:
         raise InputError(
-            f"{name}: {len(kept['t_s'])} samples after skip_s = {simulator.skip_s:g} s; at least {SHORTEST} are needed"
+            f"{name}: {len(scored['t_s'])} samples after skip_s = {simulator.skip_s:g} s; {SHORTEST} are needed"
         )
     # The electronics of a soft sensor mean nothing here.
-    return SimulatorRun(name, kept["t_s"], ReadoutMetadata(), profile=profile, columns=kept, lead=lead if first else {})
+    return SimulatorRun(
+        name, scored["t_s"], ReadoutMetadata(), profile=profile, columns=scored, lead=lead if first else {}
+    )
 
 
 def runs_of(case: Case) -> list[SimulatorRun]:
