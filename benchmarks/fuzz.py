@@ -32,7 +32,8 @@ from common.command import Commands, Kept
 from common.registries import begin_lot, state
 from common.tables import print_table
 
-from softcal.app.files.importing import Columns, ImportPlan, import_lot
+from softcal.app.files.import_plan import Columns, ImportPlan
+from softcal.app.files.importing import import_lot
 from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.files.lot_toml import write_lot_toml
 from softcal.core.errors import InputError, RegistryError

@@ -10,7 +10,8 @@ from pathlib import Path
 
 from softcal.app.bootstrap import data_folder
 from softcal.app.calibration.lot_context import config_of, declared_sources
-from softcal.app.files.importing import ImportPlan, LookedAt, compare_audits, import_lot, look_through
+from softcal.app.files.import_plan import ImportPlan
+from softcal.app.files.importing import LookedAt, compare_audits, import_lot, look_through
 from softcal.app.files.lot_folder import FOLDER_OF, LotFolder, open_lot_folder
 from softcal.app.files.lot_toml import write_lot_toml
 from softcal.app.files.not_used import NotUsed

@@ -6,7 +6,8 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-from softcal.app.files.importing import Columns, ImportPlan, look_through
+from softcal.app.files.import_plan import Columns, ImportPlan
+from softcal.app.files.importing import look_through
 from softcal.app.files.lot_toml import restate_measured_at
 from softcal.app.files.measured_at import measured_at
 from softcal.app.files.not_used import NotUsed

@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 
 from softcal.app.charts.palette import Palette
 from softcal.app.charts.style import dots, styled
-from softcal.app.files.importing import Columns
+from softcal.app.files.import_plan import Columns
 from softcal.app.texts.reasons import Words
 from softcal.app.views.common import thinned
 from softcal.core.recording import Array

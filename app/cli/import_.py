@@ -26,7 +26,8 @@ from softcal.app.output import say
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
-    from softcal.app.files.importing import ImportedLot, ImportPlan
+    from softcal.app.files.import_plan import ImportPlan
+    from softcal.app.files.importing import ImportedLot
     from softcal.app.files.not_used import NotUsed
 
 MAX_NAMES = 8
@@ -99,7 +100,8 @@ def _rows(text: str) -> tuple[int, int]:
 
 def run(options: argparse.Namespace) -> None:
     """Import, and say what was made."""
-    from softcal.app.files.importing import Columns, ImportPlan, import_lot, shown_rate_Hz, tables_of
+    from softcal.app.files.import_plan import Columns, ImportPlan
+    from softcal.app.files.importing import import_lot, shown_rate_Hz, tables_of
     from softcal.core.lot import Lot
 
     files = [file for path in options.files for file in tables_of(path)]

@@ -84,7 +84,8 @@ def _make_lot(options: argparse.Namespace) -> int:
 def _make_station(options: argparse.Namespace) -> None:
     from softcal.app.files.atomic import write_text
     from softcal.station.devices.catalogue import SECTIONS
-    from softcal.station.devices.config import SafetyConfig, station_from_table, station_toml
+    from softcal.station.devices.config import SafetyConfig
+    from softcal.station.devices.station_file import station_from_table, station_toml
 
     _refuse_existing(options.file)
     table: dict[str, Any] = {"name": asked("name of the station", str, "station")}
@@ -127,7 +128,7 @@ READERS: dict[object, Callable[[str], Any]] = {
 
 def _answers(section: str, config: type[Any], names: set[str]) -> dict[str, Any]:
     """Ask for the keys of a section, in the order and with the meaning of their declaration."""
-    from softcal.station.devices.config import meanings
+    from softcal.station.devices.station_file import meanings
 
     for line in meanings(config):
         if line.strip().partition(":")[0].partition(",")[0] in names or line.startswith(" " * 8):

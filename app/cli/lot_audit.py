@@ -141,7 +141,8 @@ def _bring(options: argparse.Namespace) -> int:
     from softcal.app.calibration.audit_files import look_at_audits, store_audits, unused_of_audits, write_audits
     from softcal.app.calibration.changes import carry_out
     from softcal.app.calibration.redecision import redecide
-    from softcal.app.files.importing import Columns, tables_of
+    from softcal.app.files.import_plan import Columns
+    from softcal.app.files.importing import tables_of
     from softcal.app.files.lot_folder import open_lot_folder
     from softcal.app.files.measured_at import local_time_remarks, parse_instant
     from softcal.app.files.unused_parts import unread_files

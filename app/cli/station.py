@@ -143,7 +143,7 @@ def run_check(options: argparse.Namespace) -> int:
         print_table(("device", "what", "value", "to do"), rows)
     if options.write:
         from softcal.app.files.atomic import write_text
-        from softcal.station.devices.config import station_toml
+        from softcal.station.devices.station_file import station_toml
 
         # What a port that nobody chose may be
         either = "; ".join(f"{device.port} ({device.says})" for device in check.devices if device.channels)
@@ -277,7 +277,7 @@ def run_calibrate_cell(options: argparse.Namespace) -> None:
     """
     from softcal.app.files.atomic import write_text
     from softcal.app.line.cell_scale import calibrate_cell
-    from softcal.station.devices.config import read_station_file, station_toml
+    from softcal.station.devices.station_file import read_station_file, station_toml
 
     def wait_for(mass_kg: float) -> None:
         say(f"put {mass_kg:g} kg on the load cell and press Enter" if mass_kg else "unload the cell and press Enter")
@@ -298,7 +298,7 @@ def run_drivers(options: argparse.Namespace) -> int:
     package's driver cannot be loaded.
     """
     from softcal.station.devices.catalogue import SECTIONS, offers
-    from softcal.station.devices.config import meanings
+    from softcal.station.devices.station_file import meanings
 
     chosen = [offer for offer in offers() if options.kind in (None, offer.kind)]
     if not chosen:

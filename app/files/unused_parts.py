@@ -13,7 +13,7 @@ from softcal.app.tables.read import PARQUET, READERS
 from softcal.core.messages.reason import Reason, reason
 
 if TYPE_CHECKING:
-    from softcal.app.files.importing import Columns, ImportedUnit, ImportPlan
+    from softcal.app.files.import_plan import Columns, ImportedUnit, ImportPlan
     from softcal.app.tables.table import Table
 
 PARTS = ("source", "units", "audit", "golden")

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from softcal.app.batch.lot_work import BatchConfig, Watch
 from softcal.app.bootstrap import data_folder
-from softcal.app.jobs.process import DEMO
+from softcal.app.jobs.launch import DEMO
 from softcal.app.logs import log_crash
 from softcal.core.errors import InputError, SoftcalError
 from softcal.core.identity import content_sha256
@@ -194,7 +194,7 @@ def diagnose(registry: Registry, job: Job, tell: Teller) -> Outcome:
 def check(registry: Registry, job: Job, tell: Teller) -> Outcome:
     """Find and test the devices of a rig; request: file or simulated, ports, may_move."""
     from softcal.app.line.rig import check_station
-    from softcal.station.devices.config import station_toml
+    from softcal.station.devices.station_file import station_toml
 
     request = job.request
     file = None if request["file"] is None else Path(request["file"])

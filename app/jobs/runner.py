@@ -9,7 +9,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
 
-from softcal.app.jobs import process
+from softcal.app.jobs import launch
 from softcal.core.errors import SoftcalError
 from softcal.core.orders import RunState
 from softcal.db.queues.job_board import MAX_WAITING, START_WITHIN
@@ -54,7 +54,7 @@ class JobRunner:
                 job_id = self._waiting.popleft()
                 if is_open:
                     self._running.add(job_id)
-                    process.launch(job_id, partial(self._end, job_id))
+                    launch.launch(job_id, partial(self._end, job_id))
         finally:
             if self._waiting and self._timer is None:
                 self._timer = threading.Timer(START_WITHIN.total_seconds() / 3, self._beat)

@@ -7,7 +7,8 @@ from softcal.core.errors import InputError
 from softcal.station.clock import HostClock
 from softcal.station.devices.bench import open_force
 from softcal.station.devices.cell_calibration import CellCalibration, fit_cell, read_steady
-from softcal.station.devices.config import StationConfig, with_own_keys
+from softcal.station.devices.config import StationConfig
+from softcal.station.devices.station_file import with_own_keys
 from softcal.station.drivers.hx711 import Hx711Config
 
 

@@ -22,7 +22,8 @@ from softcal.core.recording import Array
 from softcal.core.unit.budget import SIMULATED, Reference
 from softcal.station.clock import HostClock
 from softcal.station.devices.bench import SIMULATED_NAME, Bench, open_bench, open_simulated_bench
-from softcal.station.devices.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig, read_station_file
+from softcal.station.devices.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig
+from softcal.station.devices.station_file import read_station_file
 from softcal.station.record.method import METHOD
 from softcal.station.record.recording import StationRecording
 from softcal.station.record.response import check_error

@@ -19,7 +19,8 @@ from softcal.core.profiles import Profile
 from softcal.core.unit.budget import SIMULATED, Reference
 from softcal.db.registry import Registry
 from softcal.station.devices.bench import SIMULATED_NAME, Bench, open_bench
-from softcal.station.devices.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig, read_station_file
+from softcal.station.devices.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig
+from softcal.station.devices.station_file import read_station_file
 from softcal.station.tasks.service import Hooks, StationService
 
 SIMULATED_RIG = StationConfig(

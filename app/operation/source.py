@@ -15,7 +15,8 @@ from softcal.app.output import say
 from softcal.core.errors import BadReply, InputError, NoReply
 from softcal.station.clock import HostClock
 from softcal.station.devices.bench import open_readout, open_simulated_bench
-from softcal.station.devices.config import ReadoutConfig, read_station_file
+from softcal.station.devices.config import ReadoutConfig
+from softcal.station.devices.station_file import read_station_file
 from softcal.station.interfaces import Clock, Move, Readout, Stage
 
 Sample: TypeAlias = tuple[float, float]

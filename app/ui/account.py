@@ -13,7 +13,7 @@ from datetime import UTC, datetime, timedelta
 
 import streamlit as st
 
-from softcal.app.jobs.process import SIMULATED
+from softcal.app.jobs.launch import SIMULATED
 from softcal.app.ui.browser_memory import recall, remember_secret
 from softcal.app.ui.pins import is_code, new_code
 from softcal.app.ui.server_memory import registry

@@ -19,9 +19,9 @@ from softcal.station.devices.config import (
     SafetyConfig,
     StageConfig,
     StationConfig,
-    with_own_keys,
 )
 from softcal.station.devices.driver import Opening
+from softcal.station.devices.station_file import with_own_keys
 from softcal.station.interfaces import Clock, ForceReader, Readout, Stage
 
 if TYPE_CHECKING:

@@ -7,7 +7,8 @@ from dataclasses import fields
 
 from softcal.core.errors import DeviceError, InputError
 from softcal.station.devices.catalogue import SECTIONS
-from softcal.station.devices.config import filled, meanings
+from softcal.station.devices.config import filled
+from softcal.station.devices.station_file import meanings
 from softcal.station.testing.rig import DriverRig, require
 
 OPENING_S = 60.0

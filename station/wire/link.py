@@ -13,7 +13,7 @@ from softcal.core.errors import NoReply, reason_of
 from softcal.core.messages.reason import Reason, reason
 from softcal.station.device_names import named
 from softcal.station.interfaces import Clock
-from softcal.station.wire.transport import open_transport, wire_of
+from softcal.station.wire.transport import BLE, SerialTransport, TcpTransport, Transport, VisaTransport, wire_of
 
 POLL_S = 0.002
 """How long one wait for bytes lasts; bounds how late an answer is seen."""
@@ -160,3 +160,18 @@ def _owner(port: str) -> Reason | None:
         except (OSError, ValueError):
             continue
     return None
+
+
+def open_transport(port: str, baud_rate: int) -> Transport:
+    """Open what a port names; `OSError`: it cannot be opened; `ValueError`: it names nothing."""
+    match wire_of(port):
+        case "tcp":
+            return TcpTransport(port)
+        case "visa":
+            return VisaTransport(port)
+        case "ble":
+            from softcal.station.wire.bluetooth import BleTransport
+
+            return BleTransport(port.removeprefix(BLE))
+        case _:
+            return SerialTransport(port, baud_rate)

@@ -69,21 +69,6 @@ def wire_of(port: str) -> WireKind:
     return "visa" if _VISA.fullmatch(port) else "serial"
 
 
-def open_transport(port: str, baud_rate: int) -> Transport:
-    """Open what a port names; `OSError`: it cannot be opened; `ValueError`: it names nothing."""
-    match wire_of(port):
-        case "tcp":
-            return TcpTransport(port)
-        case "visa":
-            return VisaTransport(port)
-        case "ble":
-            from softcal.station.wire.bluetooth import BleTransport
-
-            return BleTransport(port.removeprefix(BLE))
-        case _:
-            return SerialTransport(port, baud_rate)
-
-
 class SerialTransport:
     """A serial port, 8N1, of which this process is the only owner."""
 

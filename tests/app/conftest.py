@@ -31,7 +31,7 @@ from streamlit.testing.v1 import AppTest
 
 from softcal.app.bootstrap import open_chosen_registry
 from softcal.app.cli.main import main
-from softcal.app.jobs import process as job_process
+from softcal.app.jobs import launch as job_launch
 from softcal.app.jobs.jobs import run_job
 from softcal.app.line.gate_facts import RIG_ONLY
 from softcal.app.line.serve import Serving
@@ -433,7 +433,7 @@ def jobs_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
             run_job(registry, job_id, on_cancel=lambda: None)
         on_end()
 
-    monkeypatch.setattr(job_process, "launch", launch)
+    monkeypatch.setattr(job_launch, "launch", launch)
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from softcal.app.line import rig
 from softcal.core.errors import InputError
 from softcal.core.messages.reason import plain, reason
 from softcal.station.devices.catalogue import SECTIONS, offers
-from softcal.station.devices.config import read_station_file, station_from_table, station_toml
+from softcal.station.devices.station_file import read_station_file, station_from_table, station_toml
 from softcal.station.tasks.identify import DeviceIdentity
 
 

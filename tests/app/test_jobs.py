@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softcal.app.gap.desk import cases, has_sealed_rig, practise, run_views_of, store_upload, truth
-from softcal.app.jobs import process as job_process
+from softcal.app.jobs import launch as job_launch
 from softcal.app.jobs.jobs import run_job
 from softcal.app.texts.catalogue import text
 from softcal.app.views.gap import cause_rows, hidden_effects, named_causes, next_experiment, place_rows
@@ -39,7 +39,7 @@ def test_a_job_runs_in_a_process_of_its_own_and_its_result_is_registered(
     request = {"lot": "small", "hidden": [6], "seed": 1, "members": 1, "max_epochs": 5}
     with open_registry(calibrated) as registry:
         board = registry.job_board
-        job_id = job_process.start_job(registry, "train", request, "Erin")
+        job_id = job_launch.start_job(registry, "train", request, "Erin")
         wait_until(lambda: not board.job(job_id).state.is_active)
         job = board.job(job_id)
         assert (job.state, job.message[:5]) == (RunState.DONE, job.result["network"][:5])

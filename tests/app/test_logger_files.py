@@ -13,7 +13,8 @@ import tomlkit
 import softcal
 from softcal.app.calibration.audit_files import look_at_audits
 from softcal.app.cli.main import main
-from softcal.app.files.importing import Columns, ImportPlan, look_through
+from softcal.app.files.import_plan import Columns, ImportPlan
+from softcal.app.files.importing import look_through
 from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.files.recording_file import ColumnNames, inspect_recording
 from softcal.app.files.stream_file import Stream

@@ -11,7 +11,7 @@ from sqlalchemy import event
 
 from softcal.app.batch.lot_intake import expect, store_lot
 from softcal.app.cli.main import main
-from softcal.app.files.importing import Columns, ImportPlan
+from softcal.app.files.import_plan import Columns, ImportPlan
 from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.texts.catalogue import catalogue
 from softcal.core.lot import Lot

@@ -166,7 +166,7 @@ def test_a_job_calibrates_and_the_same_key_is_the_same_job(client):
 
 def test_a_key_belongs_to_one_request_and_one_account(client, client_of, registry, monkeypatch):
     launched = []
-    monkeypatch.setattr("softcal.app.jobs.process.launch", lambda job_id, _: launched.append(job_id))
+    monkeypatch.setattr("softcal.app.jobs.launch.launch", lambda job_id, _: launched.append(job_id))
     registry.lots.add(Lot("other", "S0", 50.0))
     key = {"Idempotency-Key": "k"}
     mine = client.post("/v1/jobs", json={"lot": "small"}, headers=key).json()["job_id"]
@@ -270,7 +270,7 @@ def test_no_request_that_a_fuzzer_finds_is_a_defect(registry, require, monkeypat
     from schemathesis import GenerationMode, checks
     from schemathesis.specs.openapi import checks as of_openapi
 
-    monkeypatch.setattr("softcal.app.jobs.process.launch", lambda job_id, on_end: None)
+    monkeypatch.setattr("softcal.app.jobs.launch.launch", lambda job_id, on_end: None)
     token = registry.tokens.add("Erin", "fuzz", 1)[1]
     known = {"lot": registry.lots.ids()[0], "serial": "A1", "format": "json", "job_id": start_job(registry)}
     schema = schemathesis.openapi.from_asgi("/openapi.json", rest_app(registry))

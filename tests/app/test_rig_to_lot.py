@@ -168,7 +168,7 @@ from dataclasses import replace
 import numpy as np
 from softcal.core.simulated_lot import draw_lot
 from softcal.station.devices.bench import simulated_config
-from softcal.station.devices.config import station_toml
+from softcal.station.devices.station_file import station_toml
 from softcal.station.devices.simulated_station import SimulatedStation
 
 units = draw_lot(np.random.default_rng(5), 4)

@@ -9,7 +9,8 @@ import pandas as pd
 import pytest
 
 import softcal
-from softcal.app.files.importing import Columns, ImportPlan, import_lot
+from softcal.app.files.import_plan import Columns, ImportPlan
+from softcal.app.files.importing import import_lot
 from softcal.app.files.recording_file import ColumnNames, inspect_recording
 from softcal.app.files.stream_file import Stream
 from softcal.app.tables.options import TableOptions

@@ -12,8 +12,9 @@ import pytest
 from softcal.core.errors import InputError
 from softcal.station.devices import catalogue
 from softcal.station.devices.catalogue import SECTIONS, driver_of, offers
-from softcal.station.devices.config import ReadoutConfig, StageConfig, StationConfig, station_from_table, station_toml
+from softcal.station.devices.config import ReadoutConfig, StageConfig, StationConfig
 from softcal.station.devices.driver import Driver
+from softcal.station.devices.station_file import station_from_table, station_toml
 from softcal.station.drivers.grbl import DRIVERS as GRBL
 from softcal.station.drivers.hx711 import Hx711Config
 from softcal.station.messages import PAGES

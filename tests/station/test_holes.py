@@ -13,7 +13,7 @@ from softcal.app.line.rig import station_of
 from softcal.core.errors import DeviceError, InputError, NoReply
 from softcal.core.messages.reason import plain
 from softcal.core.profiles import ramps
-from softcal.station.devices.config import station_from_table
+from softcal.station.devices.station_file import station_from_table
 from softcal.station.drivers.grbl import GrblStage
 from softcal.station.interfaces import Held, Move
 from softcal.station.motion.motion import StoppedByHand

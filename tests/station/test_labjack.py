@@ -10,8 +10,8 @@ from softcal.core.profiles import moves
 from softcal.station.clock import HostClock
 from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.devices.catalogue import driver_of
-from softcal.station.devices.config import device_section
 from softcal.station.devices.driver import Opening
+from softcal.station.devices.station_file import device_section
 from softcal.station.drivers.labjack import LabjackConfig
 from softcal.station.simulated.labjack import SimulatedLjm
 from softcal.station.tasks.acquisition import record

@@ -2,7 +2,7 @@
 
 import streamlit as st
 
-from softcal.app.jobs.process import DEMO
+from softcal.app.jobs.launch import DEMO
 from softcal.app.ui.account import person
 from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.components.sign_in import ask_sign_in

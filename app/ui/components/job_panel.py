@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 
 import streamlit as st
 
-from softcal.app.jobs.process import start_job
+from softcal.app.jobs.launch import start_job
 from softcal.app.texts.reasons import phrase
 from softcal.app.ui.account import actor, permit
 from softcal.app.ui.actions import finish

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import streamlit as st
 
-from softcal.app.files.importing import Columns
+from softcal.app.files.import_plan import Columns
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.read import READERS, read_table
 from softcal.app.ui.desk import in_words, say

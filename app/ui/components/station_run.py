@@ -5,7 +5,7 @@ import uuid
 import streamlit as st
 
 from softcal.app.charts.live import live_signal
-from softcal.app.jobs.process import SIMULATED, start_simulated_station
+from softcal.app.jobs.launch import SIMULATED, start_simulated_station
 from softcal.app.ui.account import actor, allows, permit
 from softcal.app.ui.actions import refusals_in_words
 from softcal.app.ui.desk import colours, errors_in_words, in_words, say

@@ -2,7 +2,7 @@
 
 import streamlit as st
 
-from softcal.app.jobs.process import DEMO
+from softcal.app.jobs.launch import DEMO
 from softcal.app.ui.account import allows
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
 from softcal.app.ui.desk import say

@@ -13,7 +13,8 @@ from softcal.app.batch.lot_intake import expect, store_lot
 from softcal.app.charts import station as charts_station
 from softcal.app.charts import unit as charts_unit
 from softcal.app.charts.new_lot import columns_over_time, reference_over_output
-from softcal.app.files.importing import Columns, ImportPlan, shown_rate_Hz
+from softcal.app.files.import_plan import Columns, ImportPlan
+from softcal.app.files.importing import shown_rate_Hz
 from softcal.app.jobs.jobs import newest_source
 from softcal.app.texts.reasons import all_said
 from softcal.app.ui.account import actor, permit
