@@ -55,8 +55,8 @@ def current_user() -> str:
 
 def open_chosen_registry(option: str | None, *, create: bool = True) -> "Registry":
     """Open the registry of the option, environment or default, as the current user."""
-    from softcal.db.connection import open_registry
-    from softcal.db.repositories.registry_base import RegistrySettings
+    from softcal.db.connection import open_registry  # noqa: PLC0415
+    from softcal.db.repositories.registry_base import RegistrySettings  # noqa: PLC0415
 
     return open_registry(registry_url(option), RegistrySettings(actor=current_user()), create=create)
 

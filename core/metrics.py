@@ -1,6 +1,7 @@
 """Error figures of an estimate beside its reference, and the interval of a share."""
 
 import numpy as np
+import scipy
 
 from softcal.core.recording import Array
 
@@ -24,9 +25,7 @@ def rmse(estimate: Array, reference: Array) -> float:
 def wilson(count: int, of: int) -> tuple[float, float]:
     """Return the 95 % interval of a share after Wilson (1927); from 0 to 1 without a case."""
     # Who needs an error figure alone does not wait for scipy.stats.
-    from scipy.stats import binomtest
-
     if not of:
         return 0.0, 1.0
-    interval = binomtest(count, of).proportion_ci(0.95, method="wilson")
+    interval = scipy.stats.binomtest(count, of).proportion_ci(0.95, method="wilson")
     return float(interval.low), float(interval.high)

@@ -11,6 +11,7 @@ from unicodedata import normalize
 
 import numpy as np
 
+from softcal.app.files.atomic import whole_file
 from softcal.app.tables.options import DETECT, TableOptions
 from softcal.app.tables.read import PARQUET, read_table, table_pieces
 from softcal.app.tables.table import Table
@@ -324,8 +325,6 @@ def naming(path: Path) -> Iterator[None]:
 
 def write_columns(path: Path, columns: Sequence[tuple[str, Array | Sequence[str]]]) -> None:
     """Write columns as CSV or, by the name, Parquet; whole or not at all. NaN stays empty."""
-    from softcal.app.files.atomic import whole_file
-
     with whole_file(path) as part:
         if path.suffix.lower() in PARQUET:
             import pandas as pd

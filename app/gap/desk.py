@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from softcal.app.bootstrap import data_folder
+from softcal.app.charts.gap import ChannelView, RunView
 from softcal.app.files.atomic import whole_folder, write_bytes, write_text
 from softcal.app.files.case_folder import METADATA, RECORDING, open_case
 from softcal.app.gap.challenge import ask_rig, asked_run, make_challenge, open_challenge
@@ -126,7 +127,6 @@ def kept_of(diagnosis: "Diagnosis[TwinModel]") -> "tuple[dict[str, Any], Arrays]
 
 def run_views_of(report: Mapping[str, Any], arrays: "Arrays") -> list["RunView"]:
     """Return the runs of a kept diagnosis, ready for its figures."""
-    from softcal.app.charts.gap import ChannelView, RunView
 
     def array(k: int, *parts: str) -> Array:
         return np.asarray(arrays[".".join((str(k), *parts))], dtype=float)

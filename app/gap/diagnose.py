@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from softcal.app.bootstrap import current_user
+from softcal.app.charts.gap import ChannelView, RunView
+from softcal.app.charts.gap_page import gap_page
 from softcal.app.files.atomic import write_text
 from softcal.app.files.case_folder import METADATA, RECORDING, open_case, open_table, read_json
 from softcal.app.tables.options import DETECT, TableOptions
@@ -18,6 +20,7 @@ from softcal.core.gap.case import Case
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.twin import TwinModel
+from softcal.core.transfer import calibration_gap
 from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.twin.simulate import Twin, twin_from_record, twin_record
 from softcal.db.provenance import Provenance, hash_files, record_provenance
@@ -58,24 +61,18 @@ def diagnose_case(
     """
     diagnosis = diagnose(open_place(place, readout, table), progress)
     if with_calibration and diagnosis.verdict != "data":
-        from softcal.core.transfer import calibration_gap
-
         diagnosis = replace(diagnosis, calibration=calibration_gap(diagnosis, progress or (lambda _: None)))
     return replace(diagnosis, provenance=case_provenance(place).to_json())
 
 
 def write_page(path: Path, diagnosis: Diagnosis[Any]) -> None:
     """Write the page of figures of a diagnosis in English, whole or not at all."""
-    from softcal.app.charts.gap_page import gap_page
-
     page = gap_page(diagnosis.report(), run_views(diagnosis), diagnosis.case.serial, partial(text, "en"))
     write_text(path, page)
 
 
 def run_views(diagnosis: Diagnosis[Any]) -> list["RunView"]:
     """Return every pressed run as a page shows it: measured, and predicted before and after."""
-    from softcal.app.charts.gap import ChannelView, RunView
-
     problem, views = diagnosis.best.problem, []
     for k, run in enumerate(diagnosis.case.runs):
         if run.kind != "press":

@@ -58,7 +58,7 @@ def chosen_bench(
         DeviceError: devices are missing; all of them are named.
     """
     if simulated_seed is not None:
-        from softcal.core.simulated_lot import draw_lot
+        from softcal.core.simulated_lot import draw_lot  # noqa: PLC0415
 
         rng, count = np.random.default_rng(simulated_seed), simulated_channels
         twins = draw_lot(rng, count) if twin is None else (twin, *draw_lot(rng, count - 1, twin))

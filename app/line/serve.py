@@ -72,8 +72,8 @@ def serve(registry: Registry, serving: Serving, spools: Path, goes_on: Callable[
     opened: Callable[[], AbstractContextManager[Bench]]
     reference: Reference | None = SIMULATED
     if serving.simulated_seed is not None:
-        from softcal.core.simulated_lot import twin_of
-        from softcal.station.testing.line import SimulatedLine
+        from softcal.core.simulated_lot import twin_of  # noqa: PLC0415
+        from softcal.station.testing.line import SimulatedLine  # noqa: PLC0415
 
         fixture = SimulatedLine(partial(twin_of, serving.simulated_seed), serving.simulated_seed, serving.speed)
         config, opened = SIMULATED_RIG, fixture.open

@@ -9,11 +9,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from softcal.app.charts.long_term import course_figure
+from softcal.app.charts.palette import LIGHT
 from softcal.app.files.atomic import write_text
 from softcal.app.files.recording_file import PLAIN, ColumnNames
 from softcal.app.files.stream_file import Stream, estimate_writer
 from softcal.app.registry.lot_recordings import source_recording
 from softcal.app.registry.unit import UnitInUse, unit_in_use
+from softcal.app.texts.catalogue import text
 from softcal.app.views.long_term import Course, Trace
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
@@ -310,10 +313,6 @@ def maps_of(course: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
 
 def write_figure(registry: Registry, path: Path, report: AdaptReport, maps: list[Mapping[str, Any]]) -> None:
     """Write drift, map, estimate and predicted error over time as one page."""
-    from softcal.app.charts.long_term import course_figure
-    from softcal.app.charts.palette import LIGHT
-    from softcal.app.texts.catalogue import text
-
     units, steps = (report.lot.output_unit, report.lot.reference_unit), tuple(s for s in maps if s["t_s"] is not None)
     course = Course(report.serial, report.stream, steps, *units)
     figure = course_figure(course, LIGHT, partial(text, "en"), report.trace)

@@ -23,6 +23,7 @@ from softcal.core.operation.adapter import QUEUES, AdaptConfig, Adapter
 from softcal.core.operation.queued_transport import QueuedTransport
 from softcal.core.operation.stream_estimator import StreamEstimator
 from softcal.core.recording import Array, LabelledRecording
+from softcal.core.simulated_lot import LotDesign, simulate_lot
 from softcal.core.windows import TAPS, evenly
 
 Result = TypeVar("Result")
@@ -178,7 +179,5 @@ def _courses(stream: LabelledRecording, config: NetworkConfig) -> dict[str, list
 
 def simulated_pair(seed: int) -> Sequence[LabelledRecording]:
     """Return two units of the simulated lot that the demo presses, each with its reference: source and target."""
-    from softcal.core.simulated_lot import LotDesign, simulate_lot
-
     lot = simulate_lot(seed, LotDesign(good=1))
     return lot.source, lot.units[0].audit

@@ -9,6 +9,7 @@ from softcal.app.bootstrap import data_folder
 from softcal.core.errors import InputError, RegistryError, SoftcalError
 from softcal.db.entries import Anchor, Heads
 from softcal.db.registry import Registry
+from softcal.db.repositories import history
 from softcal.db.schema.database import open_database
 
 NAME = "audit-heads.jsonl"
@@ -56,8 +57,6 @@ def read_anchor(path: Path) -> Anchor:
     """
     try:
         if path.read_bytes()[:16] == b"SQLite format 3\0":
-            from softcal.db.repositories import history
-
             with closing(open_database(f"sqlite:///{path}", create=False)) as database, database.reading():
                 return Anchor(history.heads(database), f"in the backup {path}")
         return Anchor(_heads(json.loads(path.read_text(encoding="utf-8"))), f"in {path}")

@@ -15,6 +15,8 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from pydantic import AfterValidator
 from starlette.exceptions import HTTPException
 
+from softcal.app.calibration.release import lot_standing, statement_provenance
+from softcal.app.calibration.results import lot_results, parquet_bytes
 from softcal.app.connect.alert_monitor import open_alerts
 from softcal.app.connect.events import CHANGE, KINDS, events_after
 from softcal.app.connect.stations import order_json, stations_json
@@ -150,8 +152,6 @@ def lot_of(registry: Known, _: Looking, lot: LotId) -> dict[str, Any]:
 @routes.get("/lots/{lot}/release", response_model=answers.ReleaseAnswer, responses=_may_fail(404), tags=["lots"])
 def release(registry: Known, _: Looking, lot: LotId) -> dict[str, Any]:
     """Say where a lot stands: what is released and by what, what waits, what was withdrawn. Nothing is decided anew."""
-    from softcal.app.calibration.release import lot_standing, statement_provenance
-
     standing = lot_standing(registry, lot)
     if standing.decided is None:
         return {"lot": lot, "release": None, "provenance": None}
@@ -241,8 +241,6 @@ def files(
 )
 def results(registry: Known, _: Looking, lot: LotId) -> Response:
     """Give the results of a lot as Parquet, a row a unit."""
-    from softcal.app.calibration.results import lot_results, parquet_bytes
-
     content = parquet_bytes(lot_results(registry, lot))
     return Response(content, 200, media_type=PARQUET)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from softcal.app.tables.arrays import Channel, choose_group, read_channels, refuse_large, refused_channel
@@ -50,10 +51,8 @@ def read_matlab(file: BinaryIO, path: Path, options: TableOptions, is_requested:
 
         with h5py.File(file, "r") as opened:
             return _chosen(path, _groups_of_hdf5(path, opened, options), options, is_requested)
-    from scipy.io import loadmat
-
     _check_size(file, path, options)
-    variables = loadmat(file, chars_as_strings=True, struct_as_record=True, appendmat=False)
+    variables = scipy.io.loadmat(file, chars_as_strings=True, struct_as_record=True, appendmat=False)
     return _chosen(path, _groups_of_variables(path, variables), options, is_requested)
 
 
@@ -88,8 +87,6 @@ def _check_size(file: BinaryIO, path: Path, options: TableOptions) -> None:
 
 
 def _groups_of_variables(path: Path, variables: Mapping[str, Any]) -> Groups:
-    from scipy.sparse import issparse
-
     groups: Groups = {}
     workspace: list[Channel] = []
     for name, value in variables.items():
@@ -97,7 +94,7 @@ def _groups_of_variables(path: Path, variables: Mapping[str, Any]) -> Groups:
             workspace.append(_object(path, text(value["s0"].flat[0]) or name, text(value["s2"].flat[0])))
         elif name.startswith("__") or type(value).__name__ == "MatlabFunction":
             continue
-        elif issparse(value):
+        elif scipy.sparse.issparse(value):
             groups[name] = [_refused(path, name, "is a sparse matrix; save it as a full one: full(x)")]
         elif value.dtype.names:
             groups |= _structs(path, name, value)

@@ -21,7 +21,7 @@ def main(max_cells: int) -> None:
     from python_calamine import CalamineWorkbook
 
     with suppress(ImportError, OSError, ValueError):
-        import resource
+        import resource  # noqa: PLC0415
 
         resource.setrlimit(resource.RLIMIT_AS, (MAX_BYTES, MAX_BYTES))
     workbook = CalamineWorkbook.from_filelike(BytesIO(sys.stdin.buffer.read()))

@@ -14,11 +14,14 @@ import webbrowser
 from dataclasses import dataclass
 from pathlib import Path
 
+from sqlalchemy import make_url
+
 from softcal.app.bootstrap import registry_url
 from softcal.app.output import say
 from softcal.app.ui.guard import HOSTS_VARIABLE
 from softcal.app.ui.uploads import remove_server_folder
 from softcal.core.errors import InputError
+from softcal.db.schema.database import shown_url
 
 FIRST_PORT, PORTS = 8501, 50
 START_TIMEOUT_S = 60.0
@@ -72,10 +75,6 @@ def serve(options: UiOptions) -> int:
     server = subprocess.Popen(command, env=dict(os.environ) | extra)
     try:
         _wait_until_healthy(server, url)
-        from sqlalchemy import make_url
-
-        from softcal.db.schema.database import shown_url
-
         shown = shown_url(make_url(registry_url(options.registry)))
         say(f"softcal is at {url}; Ctrl-C ends the screen, not the station; its registry is {shown}")
         if window is not None:

@@ -7,6 +7,9 @@ import sys
 from functools import wraps
 from pathlib import Path
 
+from streamlit.web import cli
+from streamlit.web.server.starlette import starlette_server
+
 from softcal.app.ui.pages import PAGES
 from softcal.app.ui.uploads import server_folder
 
@@ -33,8 +36,6 @@ def send_at_once() -> None:
     as each script of a page, then waits 40 ms for the browser's delayed acknowledgement (RFC 1122, 4.2.3.2). Accepted
     connections inherit the option (tcp(7)).
     """
-    from streamlit.web.server.starlette import starlette_server
-
     bind = starlette_server._bind_socket
 
     @wraps(bind)
@@ -52,7 +53,6 @@ def main(flags: list[str]) -> None:
     drawn += [page.module_of(tab.name) for page in PAGES for tab in page.tabs]
     for name in (*DRAWN_WITH, *drawn):
         importlib.import_module(name)
-    from streamlit.web import cli
 
     server_folder()
     # Streamlit collects garbage after every run of a page: without this it looks through all modules each time, 0.13 s.

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from softcal.core.errors import UnitRefused
 from softcal.core.export.integer_network import CODE_MAX, MAX_KNOTS, Integers
@@ -263,10 +264,8 @@ def _grid(windows: Array) -> Array:
 def _monotone(values: Array, weights: Array) -> Array:
     """Return the nearest rising or falling sequence (pool adjacent violators)."""
     # Imported here: whoever reads a file back does not wait for scipy.
-    from scipy.optimize import isotonic_regression
-
     fits = [
-        np.asarray(isotonic_regression(values, weights=weights, increasing=rising).x, dtype=np.float64)
+        np.asarray(scipy.optimize.isotonic_regression(values, weights=weights, increasing=rising).x, dtype=np.float64)
         for rising in (True, False)
     ]
     return min(fits, key=lambda fit: float(np.sum(weights * (fit - values) ** 2)))

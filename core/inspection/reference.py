@@ -1,6 +1,7 @@
 """What a reference shows beside its output: a lag, a slower rate, a tare in the middle, the wrong sign."""
 
 import numpy as np
+import scipy
 
 from softcal.core.inspection.config import InspectionConfig
 from softcal.core.inspection.inspection import InspectionFinding
@@ -157,7 +158,5 @@ def _agree(a: Array | float, b: Array | float) -> Mask:
 def _curve_cells(output: Array) -> Indices:
     """Return the cell of each sample, (n,), by level and direction of the output."""
     # A recording without a reference, as an estimate has it, does not wait for SciPy.
-    from scipy.ndimage import uniform_filter1d
-
-    is_rising = np.gradient(uniform_filter1d(output, SMOOTHED)) > 0
+    is_rising = np.gradient(scipy.ndimage.uniform_filter1d(output, SMOOTHED)) > 0
     return np.asarray(_levels(output) + BINS * is_rising)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy
 
 from softcal.core.maps.affine_map import TWO_POINT
 from softcal.core.maps.anchors import source_bend
@@ -374,6 +375,4 @@ def _growth(bands: Array) -> float:
     """Return b of the mean square difference a^2 + b^2 load^2: the part of it that grows with the load."""
     load, square = bands
     design = np.stack([np.ones_like(load), load**2], axis=1)
-    from scipy.optimize import nnls
-
-    return float(np.sqrt(nnls(design, square)[0][1]))
+    return float(np.sqrt(scipy.optimize.nnls(design, square)[0][1]))

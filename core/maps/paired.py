@@ -12,6 +12,7 @@ error of the estimate. The second keeps the map from bending to repair errors th
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from softcal.core.errors import UnitRefused
 from softcal.core.identity import Settings
@@ -163,8 +164,6 @@ class _Pairs:
     def fit(self, rows: Indices, shapes: int) -> PairedMap:
         """Fit the curve, and the mix of the first `shapes` window polynomials where that is not 0."""
         # Imported here: whoever applies a map does not wait for scipy.
-        from scipy.optimize import isotonic_regression
-
         theta, config, count = np.concatenate([self._start, np.eye(shapes).ravel()]), self.config, len(self._knots)
         cost, damping, idle = self._cost(theta, rows, shapes), config.damping, 0
         for _ in range(40):
@@ -174,7 +173,7 @@ class _Pairs:
                 damped = hessian + damping * np.diag(np.diag(hessian) + 1e-9)
                 trial = theta + np.linalg.solve(damped, descent)
                 # Projection onto monotone curves: the cost is not convex anyway, and the projection is exact.
-                trial[:count] = isotonic_regression(trial[:count]).x
+                trial[:count] = scipy.optimize.isotonic_regression(trial[:count]).x
                 trial_cost = self._cost(trial, rows, shapes)
                 if trial_cost < cost:
                     break
@@ -200,8 +199,6 @@ class _Pairs:
 
     def _penalty(self, theta: Array, shapes: int) -> tuple[Array, Array]:
         """Return the regularisation as residuals, whose squares are added to the cost, and their Jacobian."""
-        from scipy.linalg import block_diag
-
         count, network = len(self._knots), self._network
         estimate, slope = network.gradient(resting(theta[:count]))
         # The estimate should be smooth along the curve, not the curve itself: that must follow every kink of f's input.
@@ -210,7 +207,7 @@ class _Pairs:
         of_mix = self.config.tether**0.5 * np.eye(shapes * shapes)
         moved = theta[count:] - np.eye(shapes).ravel()
         residual = np.concatenate([of_answer @ estimate, of_curve @ theta[:count], of_mix @ moved])
-        return residual, block_diag(np.vstack([of_answer * slope.sum(axis=1), of_curve]), of_mix)
+        return residual, scipy.linalg.block_diag(np.vstack([of_answer * slope.sum(axis=1), of_curve]), of_mix)
 
     def _normal_equations(self, theta: Array, rows: Indices, shapes: int) -> tuple[Array, Array]:
         """Gauss-Newton matrix and descent direction of the cost."""
@@ -260,8 +257,6 @@ def _hat_gradient(target: Array, knots: Array, per_sample: Array) -> Array:
 
 def _static_regression(target: Array, source: Array, knots: Array, stiffness: float) -> Array:
     """Return values at the knots from a smooth monotone regression of mean window levels: where the descent starts."""
-    from scipy.optimize import isotonic_regression
-
     segment, share = _place(target.mean(axis=1), knots)
     hats = np.zeros((len(target), len(knots)))
     hats[np.arange(len(target)), segment] = 1 - share
@@ -269,7 +264,7 @@ def _static_regression(target: Array, source: Array, knots: Array, stiffness: fl
     bend = _bend(len(knots))
     normal = hats.T @ hats / len(target) + stiffness * bend.T @ bend + 1e-9 * np.eye(len(knots))
     values = np.linalg.solve(normal, hats.T @ source.mean(axis=1) / len(target))
-    return np.asarray(isotonic_regression(values).x)
+    return np.asarray(scipy.optimize.isotonic_regression(values).x)
 
 
 def paired_by_stage(source: OutputRecording, target: OutputRecording, config: MapConfig) -> tuple[Indices, Indices]:
@@ -284,8 +279,6 @@ def paired_by_stage(source: OutputRecording, target: OutputRecording, config: Ma
     if source.stage_mm is None or target.stage_mm is None:
         raise UnitRefused(reason("no_position"))
     # Imported here: whoever applies a map does not wait for scipy.
-    from scipy.spatial import cKDTree
-
     stage = config.stage_matched
     known, asked = (stage_histories(r, r.stage_mm, stage) for r in (source, target) if r.stage_mm is not None)
     travel_mm = float(np.ptp(target.stage_mm))
@@ -296,7 +289,7 @@ def paired_by_stage(source: OutputRecording, target: OutputRecording, config: Ma
     # One tree for each length of known history: what lies before a gap must not be compared as if it were known.
     for entries in np.unique(seen):
         group = seen == entries
-        tree = cKDTree(known[:, :entries])
+        tree = scipy.spatial.cKDTree(known[:, :entries])
         distance_mm[group], nearest[group] = tree.query(asked[rows[group], :entries])
     # A share of the travel, so that one number serves strokes of 1 mm and of 20 mm.
     alike = distance_mm <= stage.near_share * travel_mm

@@ -2,17 +2,14 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 
 from softcal.core.identity import Settings
 from softcal.core.maps.interface import FitProblem
 from softcal.core.recording import Array, Arrays
 from softcal.core.windows import evenly, windows
-
-if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
 
 EXACT, JOINT = "exact", "joint"
 
@@ -46,11 +43,8 @@ class TransportMap:
     neighbours: int = NEIGHBOURS
 
     @cached_property
-    def _tree(self) -> "cKDTree":
-        # Imported here: whoever applies another map does not wait for scipy.
-        from scipy.spatial import cKDTree
-
-        return cKDTree(self.stored)
+    def _tree(self) -> "scipy.spatial.cKDTree":
+        return scipy.spatial.cKDTree(self.stored)
 
     def apply(self, windows: Array) -> Array:
         distance, row = self._tree.query(windows, k=min(self.neighbours, len(self.stored)))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from softcal.core.maps.config import MapConfig, SynchronyConfig
@@ -184,9 +185,7 @@ def _off_curve(source: Array, target: Array, known: int) -> Array:
     seen, onto = target[:known], source[:known]
     order = np.argsort(seen, kind="stable")
     is_rising = bool(np.corrcoef(seen, onto)[0, 1] >= 0) if np.ptp(seen) > 0 else True
-    from scipy.optimize import isotonic_regression
-
-    curve = isotonic_regression(onto[order], increasing=is_rising).x
+    curve = scipy.optimize.isotonic_regression(onto[order], increasing=is_rising).x
     is_judged = (target >= seen.min()) & (target <= seen.max())
     return np.where(is_judged, source - np.interp(target, seen[order], curve), 0.0)
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from softcal.core.errors import InputError
 from softcal.core.network.config import EpochReport, NetworkConfig
@@ -52,7 +53,7 @@ def fit_network(
     x = ((inputs - output_mean) / output_scale).astype(np.float32)
     y = ((reference - reference_mean) / reference_scale).astype(np.float32)[:, None]
     # torch takes seconds and 100 MB to load: only who trains pays.
-    from softcal.core.network.training_steps import train_members
+    from softcal.core.network.training_steps import train_members  # noqa: PLC0415
 
     members = train_members(x, y, training, validation, config, reference_scale, on_epoch)
     weights, biases = merge_members([layers for layers, _ in members])
@@ -119,15 +120,16 @@ def merge_members(members: list[list[tuple[Array, Array]]]) -> tuple[tuple[Array
     stacked and divided by the number of members.
     """
     # Imported here: whoever reads a calibration must not wait for scipy.
-    from scipy.linalg import block_diag
-
     if len(members) == 1:
         return tuple(w for w, _ in members[0]), tuple(b for _, b in members[0])
     weights, biases = [], []
     for depth, layers in enumerate(zip(*members, strict=True)):
         last = depth == len(members[0]) - 1
         parts = [w for w, _ in layers]
-        joined = np.hstack(parts) if depth == 0 else np.vstack(parts) / len(parts) if last else block_diag(*parts)
+        if depth == 0:
+            joined = np.hstack(parts)
+        else:
+            joined = np.vstack(parts) / len(parts) if last else scipy.linalg.block_diag(*parts)
         weights.append(joined)
         biases.append(np.mean([b for _, b in layers], axis=0) if last else np.concatenate([b for _, b in layers]))
     return tuple(weights), tuple(biases)

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from softcal.core.errors import InputError
 from softcal.core.quality.acceptance import failing_share
@@ -125,9 +126,6 @@ def nonconforming_upper(population: int, checked: int, failed: int) -> int:
     """
     if checked >= population:
         return failed
-    # scipy.stats takes a second to load, and few batches have an audit that was planned.
-    from scipy.stats import hypergeom
-
     candidates = np.arange(failed, population - (checked - failed) + 1)
-    plausible = hypergeom.cdf(failed, population, candidates, checked) > 1 - CONFIDENCE
+    plausible = scipy.stats.hypergeom.cdf(failed, population, candidates, checked) > 1 - CONFIDENCE
     return int(candidates[plausible].max())

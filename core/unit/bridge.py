@@ -11,6 +11,7 @@ them is read off f.
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from softcal.core.errors import InputError
 from softcal.core.inspection.comparison import compare_recordings
@@ -132,8 +133,6 @@ def _fit_day(network: Network, run: LabelledRecording, method: Method) -> Affine
 
 
 def _least_squares(network: Network, run: LabelledRecording, rows: Indices) -> AffineMap:
-    from scipy.optimize import least_squares
-
     windows, load = np.asarray(run.windows[rows]), run.window_reference[rows]
     centre, scale = network.output_mean, network.output_scale
 
@@ -141,7 +140,9 @@ def _least_squares(network: Network, run: LabelledRecording, rows: Indices) -> A
         gain = float(np.exp(theta[0]))
         return AffineMap(gain, centre * (1 - gain) + scale * float(theta[1]), "affine")
 
-    solution = least_squares(lambda theta: network.evaluate(day(theta).apply(windows)) - load, np.zeros(2))
+    solution = scipy.optimize.least_squares(
+        lambda theta: network.evaluate(day(theta).apply(windows)) - load, np.zeros(2)
+    )
     return day(solution.x)
 
 

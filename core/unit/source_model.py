@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy
 
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.paired import paired_by_stage, stage_histories
@@ -137,11 +138,9 @@ def fit_support(windows: Array, output_mean: float, output_scale: float, config:
     empty = np.ones(cells, dtype=bool)
     empty[index[:, 0], index[:, 1]] = False
     # scipy.ndimage takes a second to load: a registry that lists calibrations needs none of it.
-    from scipy.ndimage import distance_transform_edt
-
     slack = config.slack_cells * float(step.max())
     # Cells beside visited ones are familiar too: samples never fill every cell.
-    distance = np.maximum(distance_transform_edt(empty, sampling=step) - slack, 0)
+    distance = np.maximum(scipy.ndimage.distance_transform_edt(empty, sampling=step) - slack, 0)
     # A factor on a quantile: the maximum of a recording is set by its worst sample.
     bend_limit = config.tail_factor * float(np.quantile(np.abs(shape.bend), 0.999))
     roughness_limit = config.tail_factor * float(np.quantile(shape.roughness, 0.999))
@@ -206,8 +205,6 @@ def source_difference(source: LabelledRecording, estimate: Array, method: Method
     if recording.stage_mm is None or np.ptp(recording.stage_mm) == 0:
         return None
     # Most lots have no stage: they need not load it.
-    from scipy.spatial import cKDTree
-
     histories = stage_histories(recording, recording.stage_mm, method.map.stage_matched)
     t_s = recording.t_s[recording.window_rows]
     near = method.map.stage_matched.near_share * float(np.ptp(recording.stage_mm))
@@ -218,7 +215,7 @@ def source_difference(source: LabelledRecording, estimate: Array, method: Method
         others = np.flatnonzero((t_s < first_s) | (t_s > last_s))
         if not len(others):
             continue
-        distance, nearest = cKDTree(histories[others]).query(histories[block])
+        distance, nearest = scipy.spatial.cKDTree(histories[others]).query(histories[block])
         alike = distance <= near
         differences.append((estimate[block] - source.window_reference[others[nearest]])[alike])
         times.append(t_s[block][alike])

@@ -88,8 +88,8 @@ def open_simulated_bench(
         The bench, and the simulated station with its fault switches.
     """
     # The simulator is an extra: a real rig does without it.
-    from softcal.core.twin.simulate import Twin
-    from softcal.station.devices.simulated_station import SimulatedStation
+    from softcal.core.twin.simulate import Twin  # noqa: PLC0415
+    from softcal.station.devices.simulated_station import SimulatedStation  # noqa: PLC0415
 
     twin = unit or Twin()
     rng = np.random.default_rng(seed)

@@ -19,8 +19,8 @@ class PtyEnd:
     """A serial line: a pseudo terminal (Linux and macOS). What the host does not read is lost, as on a real port."""
 
     def __init__(self) -> None:
-        import pty  # Not on Windows.
-        import tty
+        import pty  # Not on Windows.  # noqa: PLC0415
+        import tty  # noqa: PLC0415
 
         self._master, slave = pty.openpty()
         tty.setraw(slave)

@@ -170,7 +170,7 @@ def open_transport(port: str, baud_rate: int) -> Transport:
         case "visa":
             return VisaTransport(port)
         case "ble":
-            from softcal.station.wire.bluetooth import BleTransport
+            from softcal.station.wire.bluetooth import BleTransport  # noqa: PLC0415
 
             return BleTransport(port.removeprefix(BLE))
         case _:

@@ -41,7 +41,7 @@ def draw_overview(lot_id: str) -> None:
         return
 
     def report() -> bytes:
-        from softcal.app.ui.lot_report_pdf import lot_report_pdf
+        from softcal.app.ui.lot_report_pdf import lot_report_pdf  # noqa: PLC0415
 
         return lot_report_pdf(registry(), view, language(), datetime.now(UTC).astimezone(zone()))
 
