@@ -4,6 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := $(VENV)/.installed-demo
 STAMP := $(VENV)/.installed
+SOURCE := build/source
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 # uv installs what uv.lock names and checks every hash. Where it is missing it comes from the index, into .venv.
@@ -29,18 +30,16 @@ test: $(STAMP) check
 test-all: $(STAMP) check check-benchmarks
 	$(PYTEST) --durations 20
 
-check: $(STAMP)
+check: $(STAMP) $(SOURCE)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	mkdir -p .links && ln -sfn .. .links/softcal
-	MYPYPATH=.links $(BIN)/mypy --num-workers 2 --explicit-package-bases -p softcal.core -p softcal.db -p softcal.station -p softcal.app
-	PYTHONPATH=.links $(BIN)/lint-imports
+	MYPYPATH=$(SOURCE) $(BIN)/mypy --num-workers 2 --explicit-package-bases -p softcal.core -p softcal.db -p softcal.station -p softcal.app
+	PYTHONPATH=$(SOURCE) $(BIN)/lint-imports
 	$(BIN)/vulture
 
 # Benchmarks run for hours and seldom: their calls are checked against what they call, not their own style.
-check-benchmarks: $(STAMP)
-	mkdir -p .links && ln -sfn .. .links/softcal
-	MYPYPATH=.links:benchmarks $(BIN)/mypy --config-file= --explicit-package-bases --check-untyped-defs \
+check-benchmarks: $(STAMP) $(SOURCE)
+	MYPYPATH=$(SOURCE):benchmarks $(BIN)/mypy --config-file= --explicit-package-bases --check-untyped-defs \
 	  --no-strict-optional --ignore-missing-imports --follow-imports=silent --cache-dir=.mypy_cache/benchmarks \
 	  benchmarks/*.py benchmarks/common/*.py
 
@@ -48,10 +47,13 @@ check-benchmarks: $(STAMP)
 proof:
 	$(PYTHON) tests/promises.py
 
+# The source under the name it is imported by, for tools that read it without importing it.
+$(SOURCE):
+	mkdir -p $@/softcal
+	for folder in app core db station; do ln -sfn ../../../$$folder $@/softcal/$$folder; done
+
 # The site with API pages, in site/. --strict: a warning is a failure.
-docs: $(STAMP)
-	mkdir -p build/docs/softcal
-	for folder in app core db station; do ln -sfn ../../../$$folder build/docs/softcal/$$folder; done
+docs: $(STAMP) $(SOURCE)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 $(VENV)/.made:
@@ -90,4 +92,4 @@ sbom: $(VENV)/.made
 	  --extra documents --extra postgresql --extra connect --output-file sbom.cdx.json
 
 clean:
-	rm -rf $(VENV) .links build site *.egg-info
+	rm -rf $(VENV) build site *.egg-info

@@ -12,8 +12,10 @@ from softcal.app.bootstrap import ONE_THREAD
 from softcal.app.cli.main import COMMANDS, main
 from softcal.db.connection import open_registry
 
-HEAVY = {"scipy.linalg", "scipy.ndimage", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special", "scipy.stats", "pandas", "pyarrow", "alembic", "torch", "numba", "ot", "structlog", "argon2", "psycopg", "openpyxl",
-         "streamlit", "matplotlib", "reportlab", "onnx", "distributed", "sqlalchemy.dialects.postgresql"}  # fmt: skip
+HEAVY = {"scipy.linalg", "scipy.ndimage", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special",
+         "scipy.stats", "pandas", "pyarrow", "alembic", "torch", "numba", "ot", "structlog", "argon2",
+         "psycopg", "openpyxl", "streamlit", "matplotlib", "reportlab", "onnx", "distributed",
+         "sqlalchemy.dialects.postgresql"}  # fmt: skip
 NUMBERS = {"numpy", "safetensors"}
 
 

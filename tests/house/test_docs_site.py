@@ -21,7 +21,7 @@ def test_the_site_builds_without_a_warning_and_shows_the_reference(tmp_path: Pat
     links.mkdir(parents=True)
     for folder in ("app", "core", "db", "station"):
         (links / folder).symlink_to(ROOT / folder)
-    settings = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").replace("build/docs", str(links.parent))
+    settings = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").replace("build/source", str(links.parent))
     (tmp_path / "mkdocs.yml").write_text(settings.replace("docs_dir: docs", f"docs_dir: {ROOT / 'docs'}"))
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path / "site")]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)

@@ -22,7 +22,6 @@ ROOT = Path(__file__).parents[2]
 LEFT_OUT = (
     ".git",
     ".venv",
-    ".links",
     "build",
     "dist",
     "*.egg-info",
