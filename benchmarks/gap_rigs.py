@@ -217,7 +217,7 @@ def plants(options: argparse.Namespace) -> None:
     to 904 chose constants or are used by tests. Plants from 5000 on chose nothing.
     """
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "core"))
-    drawn = importlib.import_module("test_gap_own_of_runs")
+    drawn = importlib.import_module("test_gap_run_nuisance")
     counts: dict[tuple[str, str], Counter[str]] = {}
     wrong = []
     for line, hidden, seed, found in judged_plants(drawn, range(options.first, options.first + options.count)):

@@ -1,6 +1,6 @@
 """The one place that moves a stage: each move is watched, has a deadline, ends standing or in a stop that says so.
 
-Nothing else in softcal calls `home`, `begin` or `stop` of a stage; `tests/station/test_holes.py` holds that.
+Nothing else in softcal calls `home`, `begin` or `stop` of a stage; `tests/station/test_hazards.py` holds that.
 """
 
 import math

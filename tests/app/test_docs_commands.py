@@ -39,7 +39,7 @@ ELSEWHERE = {
     "softcal gap score": "tests/app/test_gap_challenge.py",
     "serial:/dev/ttyACM0": "tests/app/test_adapt_live.py",
     "tcp://127.0.0.1:7007": "tests/app/test_adapt_live.py",
-    "--format ini": "tests/app/test_open_plugins.py",
+    "--format ini": "tests/app/test_map_plugins.py",
     "--scheduler tcp://": "tests/app/test_engine.py",
     "postgresql://": "tests/db/test_scale.py",
     "--origin": "tests/app/test_second_station.py",
