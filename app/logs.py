@@ -53,7 +53,7 @@ class DayFiles:
             with path.open("a", encoding="utf-8") as file:
                 file.write(f"{line}\n")
 
-    debug = info = warning = error = critical = msg
+    debug = info = warning = error = critical = msg  # noqa: V107
 
 
 def start_logging(**context: str) -> Any:

@@ -74,7 +74,7 @@ class NetworkRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         members = train_members(x, labels, ~held_out, held_out, config, scales[1], None)
         layers = merge_members([layers for layers, _ in members])
         self.network_ = Network(*layers, means[0], scales[0], means[1], scales[1])
-        self.n_iter_ = max(epochs for _, epochs in members)
+        self.n_iter_ = max(epochs for _, epochs in members)  # noqa: V101
         return self
 
     def predict(self, X: Any) -> Array:  # noqa: N803
@@ -150,7 +150,7 @@ class MapTransformer(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         for contradiction in contradictions(known.unlabelled, target, limits, method, problem.synchrony):
             raise UnitRefused(contradiction.reason)
         chosen = choose_map(problem).unit_map if self.family == DEFAULT else family(self.family).fit(problem)
-        self.map_, self.family_ = chosen, chosen.family
+        self.map_, self.family_ = chosen, chosen.family  # noqa: V101
         return self
 
     def transform(self, X: Any) -> Array:  # noqa: N803
@@ -168,7 +168,7 @@ class MapTransformer(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         output = self._output(X, reset=False)
         return self.map_.apply(windows(np.concatenate([np.full(TAPS - 1, output[0]), output])))
 
-    def get_feature_names_out(self, input_features: Any = None) -> Any:
+    def get_feature_names_out(self, input_features: Any = None) -> Any:  # noqa: V105, V107
         """Name the columns of `transform`, oldest sample first, for `set_output(transform="pandas")`.
 
         >>> import softcal

@@ -376,7 +376,7 @@ class Recording:
 
         return pd.DataFrame(self._columns)
 
-    def plot(self) -> "go.Figure":
+    def plot(self) -> "go.Figure":  # noqa: V105
         """Draw output and reference over time as a Plotly figure; missing samples are gaps.
 
         >>> import softcal

@@ -170,7 +170,7 @@ class Unit:
         """
         return unit_frame([unit_row(self)])
 
-    def plot(self, recording: Any = None) -> "go.Figure":
+    def plot(self, recording: Any = None) -> "go.Figure":  # noqa: V105
         """Draw the map, the output over the load, and the estimate with its 90 % band, as a Plotly figure.
 
         >>> import softcal
@@ -247,7 +247,7 @@ class Unit:
                 raise InputError(f"{file} holds {len(units)} calibrated units; name one of them by serial=")
             return cls.from_registry(registry, serial or units.pop())
 
-    def export(self, out: str | Path, *formats: str, release: str = "pass") -> list[Path]:
+    def export(self, out: str | Path, *formats: str, release: str = "pass") -> list[Path]:  # noqa: V105
         """Write calibration files, as `softcal export` does.
 
         >>> import tempfile, softcal

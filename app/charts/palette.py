@@ -30,7 +30,7 @@ class Palette:
     verdict: dict[str, str]
     chosen: str
     veil: str
-    soft: str
+    soft: str  # noqa: V107
     line: str
     good: str
     bad: str

@@ -259,7 +259,7 @@ def _progress_teller() -> "Callable[[RunProgress], None]":
 def _signals_as_ctrl_c() -> Iterator[None]:
     """Take terminate and hang-up as Ctrl-C: the stage is lifted, not left on the unit."""
 
-    def interrupt(signal_number: int, frame: object) -> None:
+    def interrupt(signal_number: int, frame: object) -> None:  # noqa: V107
         raise KeyboardInterrupt
 
     names = ("SIGTERM", "SIGHUP")  # Windows has no SIGHUP.

@@ -146,7 +146,7 @@ def run_serve(options: argparse.Namespace) -> None:
     )
     is_wanted = True
 
-    def end(signal_number: int, frame: object) -> None:
+    def end(signal_number: int, frame: object) -> None:  # noqa: V107
         nonlocal is_wanted
         is_wanted = False
 

@@ -104,7 +104,7 @@ class MqttSender:
         self._client, self._settings, self._states = client, settings, states
         self._refusal = ""
         self._published: dict[str, str] = {}
-        client.on_connect = self._on_connect
+        client.on_connect = self._on_connect  # noqa: V101
 
     def wait_until_connected(self) -> None:
         """Return once the broker has taken the connection (`NotDelivered`: it refuses, or does not answer in time)."""

@@ -49,8 +49,12 @@ class _TokenAuthenticator:
     def __init__(self, registry: Registry, is_open: bool) -> None:
         self._registry, self._is_open = registry, is_open
 
-    def get_user(
-        self, iserver: Any, username: str | None = None, password: str | None = None, certificate: Any = None
+    def get_user(  # noqa: V105
+        self,
+        iserver: Any,  # noqa: V107
+        username: str | None = None,
+        password: str | None = None,
+        certificate: Any = None,  # noqa: V107
     ) -> Peer | None:
         if self._is_open:
             return Peer(role=UserRole.User)

@@ -38,7 +38,7 @@ TOLERANCE = 1e-9
 """Relative tolerance of the integrator: derivatives of the fit are taken as differences."""
 
 
-def integrate_rhs(
+def integrate_rhs(  # noqa: V103
     rhs: Rhs, start: Callable[[Parameters], Sequence[float]], read_out: ReadOut, method: str = "LSODA"
 ) -> Simulate:
     """Return a simulator's `run` that integrates a right-hand side from sample to sample (`scipy.integrate.solve_ivp`).
@@ -79,7 +79,7 @@ def integrate_rhs(
     return run
 
 
-def run_command(words: Sequence[str], channels: Sequence[str], timeout_s: float = 600.0) -> Simulate:
+def run_command(words: Sequence[str], channels: Sequence[str], timeout_s: float = 600.0) -> Simulate:  # noqa: V103
     """Return a simulator's `run` that calls a command: `WORDS inputs.csv parameters.json outputs.csv`.
 
     The command reads the columns of a run and the parameters by name, and writes the channels as columns, a row a
@@ -110,7 +110,7 @@ def run_command(words: Sequence[str], channels: Sequence[str], timeout_s: float 
     return run
 
 
-def run_fmu(
+def run_fmu(  # noqa: V103
     path: str | Path,
     channels: Mapping[str, str],
     inputs: Mapping[str, str] | None = None,

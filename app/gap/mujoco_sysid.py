@@ -37,7 +37,7 @@ class SysidProblem:
     runs: tuple[SimulatorRun, ...]
 
 
-def from_sysid(
+def from_sysid(  # noqa: V103
     params: Any,
     models_sequences: Sequence[Any],
     neutral: Mapping[str, float],

@@ -302,7 +302,7 @@ def read_parameters(path: str | Path, simulator: Simulator) -> dict[str, float]:
     return {name: float(value) for name, value in values.items()}
 
 
-def with_written_terms(path: str | Path, simulator: Simulator) -> Simulator:
+def with_written_terms(path: str | Path, simulator: Simulator) -> Simulator:  # noqa: V103
     """Return a simulator with the empirical terms that `gap apply --empirical` wrote.
 
     Raises:

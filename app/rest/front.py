@@ -201,7 +201,7 @@ class BoundedProtocol(H11Protocol):
             self._await_head()
         super().on_response_complete()
 
-    def send_400_response(self, msg: str) -> None:
+    def send_400_response(self, msg: str) -> None:  # noqa: V105
         """Refuse what is no HTTP, as every other error."""
         answer = problem(400, f"a request of HTTP/1.1 with a head of at most {MAX_HEAD // 1024} KiB was expected")
         headers = [*answer.raw_headers, (b"connection", b"close")]

@@ -17,7 +17,7 @@ EventTypes = Literal["softcal.verdict", "softcal.alert.raised", "softcal.alert.c
 
 class _Answer(BaseModel):
     # What a use case adds must not be lost, nor forgotten here.
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid")  # noqa: V107
 
 
 class ProblemAnswer(_Answer):
@@ -184,9 +184,9 @@ class StationAnswer(_Answer):
     at: Instant
     reasons: list[str]
     serial: str | None
-    last_serial: str | None
+    last_serial: str | None  # noqa: V107
     last_lot: str | None
-    last_verdict: Verdicts | None
+    last_verdict: Verdicts | None  # noqa: V107
     lot: str | None
     counts: dict[str, int]
 
@@ -224,13 +224,13 @@ class OrdersAnswer(_Page):
 class EventAnswer(_Answer):
     """An event as CloudEvents 1.0 writes it; `id` is the same for ever."""
 
-    specversion: Literal["1.0"]
+    specversion: Literal["1.0"]  # noqa: V107
     id: str
     source: str
     type: EventTypes
     time: Instant
     subject: str
-    datacontenttype: str
+    datacontenttype: str  # noqa: V107
     data: dict[str, Any]
 
 

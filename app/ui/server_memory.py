@@ -32,7 +32,7 @@ Reader = TypeVar("Reader", bound=Callable[..., Any])
 
 # Not cache_data: it would copy ten thousand rows at every look.
 @st.cache_resource(max_entries=REMEMBERED, show_spinner=False)
-def _remembered(_read: Callable[..., Any], name: str, registry_name: str, lot_id: str, marker: str, *more: Any) -> Any:
+def _remembered(_read: Callable[..., Any], name: str, registry_name: str, lot_id: str, marker: str, *more: Any) -> Any:  # noqa: V107
     return _read(lot_id, *more)
 
 

@@ -50,7 +50,7 @@ class Detection:
     """How often one effect was named at a distance from the noise."""
 
     effect: str
-    from_sigma: float
+    from_sigma: float  # noqa: V107
     to_sigma: float
     named: int
     honest: int

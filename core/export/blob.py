@@ -46,7 +46,7 @@ class Kind(IntEnum):
 class RefusalCause(IntEnum):
     """Why a file is refused; the same numbers as `ss_status` in softsensor.h."""
 
-    ALIGNMENT = 1
+    ALIGNMENT = 1  # noqa: V107
     MAGIC = 2
     VERSION = 3
     LENGTH = 4

@@ -180,10 +180,10 @@ class Limits:
         minus, plus: (b,) reach of the 90 % interval below and above the estimate, by band.
     """
 
-    output_low: float
-    output_high: float
-    estimate_low: float
-    estimate_high: float
+    output_low: float  # noqa: V107
+    output_high: float  # noqa: V107
+    estimate_low: float  # noqa: V107
+    estimate_high: float  # noqa: V107
     levels: Array
     minus: Array
     plus: Array

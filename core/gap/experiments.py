@@ -26,7 +26,7 @@ class NextExperiment:
 
     profile: str
     why: Reason
-    separation_sigma: float = 0.0
+    separation_sigma: float = 0.0  # noqa: V107
     minutes: float = 0.0
 
     def record(self) -> dict[str, object]:

@@ -63,7 +63,7 @@ class LotStatement:
     word: str
     failed: tuple[str, ...]
     nonconforming_upper: int
-    process_upper: float
+    process_upper: float  # noqa: V107
     error_ratio: float
     text: str
 

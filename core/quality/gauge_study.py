@@ -36,7 +36,7 @@ class GaugeStudy:
     reproducibility: float
     interaction: float
     parts: float
-    interaction_p: float | None = None
+    interaction_p: float | None = None  # noqa: V107
 
     @property
     def grr(self) -> float:

@@ -36,7 +36,7 @@ class Yields:
     """
 
     first_pass: Share
-    second_pass: Share
+    second_pass: Share  # noqa: V107
     last_pass: Share
     runs: Share
     reasons: tuple[tuple[Reason, int], ...]

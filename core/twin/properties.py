@@ -155,7 +155,7 @@ def other_forms_carry_its_name(effect: Effect) -> None:
                 raise Violation(f"{effect.id}: its form {form.effect.equation!r} begins at {p.name} = {value:.4g}")
 
 
-PROPERTIES: tuple[Callable[[Effect], None], ...] = (
+PROPERTIES: tuple[Callable[[Effect], None], ...] = (  # noqa: V107
     switched_off_it_changes_nothing,
     at_its_usual_size_it_shows,
     it_stays_finite_within_its_bounds,

@@ -57,7 +57,7 @@ class Fit:
     knowledge: LoadKnowledge
     forecast: ErrorForecast
     budget: Mapping[str, float] = field(default_factory=dict)
-    diagnostics: Mapping[str, float | str] = field(default_factory=dict)
+    diagnostics: Mapping[str, float | str] = field(default_factory=dict)  # noqa: V107
     findings: tuple[Finding, ...] = ()
     rule_findings: tuple[Finding, ...] = ()
     remarks: tuple[Reason, ...] = ()
@@ -68,7 +68,7 @@ class Fit:
     missing: MissingShares | None = None
     load_rms: float | None = None
     correction_rms: float | None = None
-    readout_lag_s: float | None = None
+    readout_lag_s: float | None = None  # noqa: V107
     lot_fit: LotFitPart | None = None
     fit_s: float | None = None
     fitted: FittedMap | None = None

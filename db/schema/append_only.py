@@ -11,7 +11,7 @@ BEFORE_STATEMENT_ON_CHANGES = 2 + 8 + 16 + 32
 """`tgtype` of `pg_trigger`: before DELETE, UPDATE and TRUNCATE, once a statement (PostgreSQL, pg_trigger.h)."""
 
 
-def forbid_changes(table: str) -> None:
+def forbid_changes(table: str) -> None:  # noqa: V103
     """Make UPDATE, DELETE and TRUNCATE of a table fail. Who rebuilds a table calls this again."""
     # Alembic takes half a second to import: only migrations pay.
     from alembic import op

@@ -29,17 +29,17 @@ def _read_or_damaged(process: Any) -> Any:
 class UtcTime(TypeDecorator[datetime]):
     """An instant in UTC; a time without zone is refused. SQLite would drop the zone."""
 
-    impl = sa.DateTime(timezone=True)
-    cache_ok = True
+    impl = sa.DateTime(timezone=True)  # noqa: V107
+    cache_ok = True  # noqa: V107
 
-    def process_bind_param(self, value: datetime | None, dialect: sa.Dialect) -> datetime | None:
+    def process_bind_param(self, value: datetime | None, dialect: sa.Dialect) -> datetime | None:  # noqa: V105
         if value is None:
             return None
         if value.tzinfo is None:
             raise ValueError(f"{value} has no time zone; give an instant in UTC")
         return value.astimezone(UTC)
 
-    def process_result_value(self, value: datetime | None, dialect: sa.Dialect) -> datetime | None:
+    def process_result_value(self, value: datetime | None, dialect: sa.Dialect) -> datetime | None:  # noqa: V105
         if value is None:
             return None
         return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
@@ -60,13 +60,13 @@ class UtcTime(TypeDecorator[datetime]):
 class CanonicalJson(TypeDecorator[Any]):
     """JSON with sorted keys: equal values, equal bytes on every database. NaN is refused."""
 
-    impl = Text
-    cache_ok = True
+    impl = Text  # noqa: V107
+    cache_ok = True  # noqa: V107
 
-    def process_bind_param(self, value: Any, dialect: sa.Dialect) -> str | None:
+    def process_bind_param(self, value: Any, dialect: sa.Dialect) -> str | None:  # noqa: V105
         return None if value is None else canonical_json(value)
 
-    def process_result_value(self, value: str | None, dialect: sa.Dialect) -> Any:
+    def process_result_value(self, value: str | None, dialect: sa.Dialect) -> Any:  # noqa: V105
         if value is None:
             return None
         # Beside `json` it takes a fourth of the time, over the results of a large lot seconds.

@@ -181,7 +181,7 @@ def _was_written(path: Path) -> RegistryError:
 
 def _set_up_sqlite(connection: sqlite3.Connection, record: object) -> None:
     # Else Python starts transactions, deferred, and "database is locked" comes at once.
-    connection.isolation_level = None
+    connection.isolation_level = None  # noqa: V101
     for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", f"busy_timeout={SQLITE_WAIT_S * 1000}"):
         connection.execute(f"PRAGMA {pragma}")
 

@@ -43,12 +43,12 @@ class Alignment:
     """
 
     sensor_drift: float
-    force_drift: float
-    sensor_late_s: float
+    force_drift: float  # noqa: V107
+    sensor_late_s: float  # noqa: V107
     force_late_s: float
-    force_offset_s: float
+    force_offset_s: float  # noqa: V107
     stage_offset_s: float
-    stage_residual_mm: float
+    stage_residual_mm: float  # noqa: V107
     force_behind_s: float = float("nan")
     force_time_constant_s: float = 0.0
     force_response_N: float = 0.0

@@ -51,7 +51,7 @@ class SimulatedEsm(FarEnd):
         if not self.axis.is_moving:
             self._motion = "S"
 
-    def press_panel(self) -> None:
+    def press_panel(self) -> None:  # noqa: V105
         self.axis.brake()
 
     def _letter(self, letter: bytes, now_s: float) -> str:

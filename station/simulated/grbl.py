@@ -45,7 +45,7 @@ class SimulatedGrbl(FarEnd):
         self.is_locked_until_reset = False
         self.state = "Alarm"
         self.stop_received_s: float | None = None
-        self.was_moving_at_stop = False
+        self.was_moving_at_stop = False  # noqa: V101
         self.believe_zero_here()
         self._now_s = 0.0
         self._lines: deque[bytes] = deque()
@@ -72,7 +72,7 @@ class SimulatedGrbl(FarEnd):
                 self._report()
             elif byte == grbl.HOLD:
                 if self.stop_received_s is None:
-                    self.stop_received_s, self.was_moving_at_stop = self._now_s, self.axis.is_moving
+                    self.stop_received_s, self.was_moving_at_stop = self._now_s, self.axis.is_moving  # noqa: V101
                 self._hold()
             elif byte == grbl.RESUME and self.state in ("Hold", "Door") and not self._is_hold_pressed:
                 self._holds_at_s = math.inf

@@ -43,7 +43,7 @@ class SimulatedLjm:
         self._sockets: dict[int, socket.socket] = {}
         self._number = 0
 
-    def openS(self, deviceType: str = "ANY", connectionType: str = "ANY", identifier: str = "ANY") -> int:
+    def openS(self, deviceType: str = "ANY", connectionType: str = "ANY", identifier: str = "ANY") -> int:  # noqa: V107
         host, _, port = identifier.removeprefix("tcp://").rpartition(":")
         try:
             line = socket.create_connection((host, int(port)), TIMEOUT_S)

@@ -45,7 +45,7 @@ class Fault:
     phase: str
     after_s: float
     inject: Inject
-    is_seen_late: bool = False
+    is_seen_late: bool = False  # noqa: V107
     has_cell: bool = True
     stage_kind: str = "grbl"
     force_kind: str = "hx711"

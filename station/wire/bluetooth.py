@@ -71,7 +71,7 @@ class BleTransport(Arriving):
         for begin in range(0, len(content), PACKET_BYTES):
             await self._client.write_gatt_char(TAKES, content[begin : begin + PACKET_BYTES], response=False)
 
-    def _take(self, characteristic: object, packet: bytearray) -> None:
+    def _take(self, characteristic: object, packet: bytearray) -> None:  # noqa: V107
         self._arrived.append(bytes(packet))
 
     def _lose(self, client: object) -> None:

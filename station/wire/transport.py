@@ -156,7 +156,7 @@ class VisaTransport(Arriving):
         try:
             self._manager = pyvisa.ResourceManager()
             self._session = self._manager.open_resource(resource, timeout=int(1000 * VISA_ANSWER_S))
-            self._session.read_termination = "\n"
+            self._session.read_termination = "\n"  # noqa: V101
         except self._errors as error:
             raise OSError(str(error)) from error
         self._to_send: Queue[bytes | None] = Queue()

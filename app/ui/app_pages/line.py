@@ -110,12 +110,12 @@ def _lot_at_line(of: Registry, lot_id: str) -> LotAtLine:
 
 
 @st.cache_resource(ttl="1s", max_entries=16, show_spinner=False)
-def _marker(registry_name: str, lot_id: str) -> str:
+def _marker(registry_name: str, lot_id: str) -> str:  # noqa: V107
     return registry().pages.change_marker(lot_id)
 
 
 @st.cache_resource(max_entries=16, show_spinner=False)
-def _remembered_lot(registry_name: str, lot_id: str, marker: str) -> LotAtLine:
+def _remembered_lot(registry_name: str, lot_id: str, marker: str) -> LotAtLine:  # noqa: V107
     return read_lot(registry(), lot_id)
 
 

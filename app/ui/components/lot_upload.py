@@ -113,7 +113,7 @@ def first_readable(files: Sequence[Path], options: TableOptions) -> "tuple[Path,
 
 
 @st.cache_resource(max_entries=8, show_spinner=False)
-def _table(path: str, written_ns: int, options: TableOptions) -> "pd.DataFrame":
+def _table(path: str, written_ns: int, options: TableOptions) -> "pd.DataFrame":  # noqa: V107
     return read_table(Path(path), options).to_frame()
 
 
