@@ -1,4 +1,4 @@
-"""What the registry gives back: frozen values, never rows of a table."""
+"""Return values of the registry: frozen dataclasses, never rows of a table."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,17 +21,17 @@ Heads = dict[str, tuple[int, str]]
 
 @dataclass(frozen=True)
 class UnitEntry:
-    """A unit of a lot and where it stands.
+    """A unit of a lot and its status.
 
     Args:
-        serial: may stand in two lots.
-        verdict: of the newest result; None while there is none.
+        serial: two lots may have it.
+        verdict: of the newest result; None without one.
         reasons: why, most important first.
         revision, family, map_sha256, state_sha256, predicted_rmse, before_rmse, after_rmse, own_rmse: of the newest
-            calibration of this lot; None while there is none.
+            calibration of this lot; None without one.
         made_at: when the newest result was made, UTC.
         is_conflict: two registries put different maps into use; a person has to decide.
-        is_stale: its calibration was made with another method; a batch makes it anew.
+        is_stale: its calibration has another method; a batch computes it again.
     """
 
     lot_id: str
@@ -58,7 +58,7 @@ class UnitEntry:
 
 @dataclass(frozen=True)
 class RunEntry:
-    """One result of one unit, good or not, in the order they were made; rollbacks are none."""
+    """One result of one unit, good or not, in order of creation, without rollbacks."""
 
     serial: str
     made_at: datetime
@@ -69,7 +69,7 @@ class RunEntry:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationSummary:
-    """One revision as a report needs it: its state without arrays, so that a lot of ten thousand fits into memory.
+    """Summary of a revision for reports, without arrays, so that ten thousand units fit into memory.
 
     Args:
         state: without arrays it can be decided on and estimates nothing.
@@ -95,7 +95,7 @@ class CalibrationSummary:
 
     @property
     def provenance(self) -> Provenance:
-        """What made this revision, and from what."""
+        """Provenance of this revision."""
         fit, audit = self.state.fit, self.state.audit
         inputs = {"request": self.input_sha256, "network": fit.network_id, "recording": fit.recording_sha256}
         return Provenance(
@@ -140,7 +140,7 @@ UNDECIDED = "retest"
 
 @dataclass(frozen=True)
 class UnitStanding:
-    """Where a unit stands, why and since when (UTC); `summary` is of the calibration in use.
+    """Status of a unit with its reason and time (UTC); `summary` is of the calibration in use.
 
     It is None after a refusal or in a conflict.
     """
@@ -154,7 +154,7 @@ class UnitStanding:
 
 @dataclass(frozen=True)
 class NetworkEntry:
-    """What is known of a shared network beside its weights; `input_sha256` is of what it was trained from."""
+    """Metadata of a shared network without its weights; `input_sha256` identifies its training input."""
 
     id: str
     lot_id: str
@@ -170,7 +170,7 @@ INSTANTS_AGREE = timedelta(days=1)
 
 @dataclass(frozen=True)
 class RecordingEntry:
-    """What is known of a recording (source, unit or audit) without reading it; `sha256` is of all its content.
+    """Metadata of a recording (source, unit or audit) without samples; `sha256` covers its whole content.
 
     `proof_method` is the identity of the method by which a station proved it; None for a file that was brought.
     """
@@ -190,13 +190,13 @@ class RecordingEntry:
 
     @property
     def observed_at(self) -> datetime:
-        """When it was measured: by its own stamps or as stated, at the latest when the registry saw it first."""
+        """Time of the measurement: from the recording's stamps, or as stated, at the latest the first import."""
         return min(self.measured_at or self.added_at, self.added_at)
 
 
 @dataclass(frozen=True)
 class LotDecisionEntry:
-    """One decision on a lot as a whole (number 1, 2, 3 ... per lot), as JSON values."""
+    """One decision on a lot (number 1, 2, 3 ... per lot), as JSON values."""
 
     lot_id: str
     number: int
@@ -211,7 +211,7 @@ class LotDecisionEntry:
 
 @dataclass(frozen=True)
 class Draw:
-    """A sample of a lot, written down before it is measured: forecasts by serial, the limit of then, and when (UTC)."""
+    """A random sample of a lot, stored before its audits: forecasts by serial, the limit, and the time (UTC)."""
 
     lot_id: str
     plan: "AuditPlan"
@@ -223,7 +223,7 @@ class Draw:
 
 @dataclass(frozen=True)
 class LimitEntry:
-    """One version (1, 2, 3 ... per lot) of its limit, the largest error in its unit; None is the source's own."""
+    """One version (1, 2, 3 ... per lot) of a lot's limit, the largest RMSE; None for the source's own error."""
 
     lot_id: str
     version: int
@@ -247,7 +247,7 @@ class LineRulesEntry:
 
 @dataclass(frozen=True)
 class AuditRow:
-    """Who did what, when and why; `key`, `before`, `after` are JSON, `hash` covers all."""
+    """One row of the audit trail: actor, action, time and reason; `key`, `before`, `after` are JSON."""
 
     origin: str
     seq: int
@@ -265,7 +265,7 @@ class AuditRow:
 
 @dataclass(frozen=True)
 class Anchor:
-    """The last rows of the audit trail as written down elsewhere; `where` says when and where."""
+    """Last rows of the audit trail as recorded in a file; `where` gives the file and its time."""
 
     heads: Heads
     where: str
@@ -273,7 +273,7 @@ class Anchor:
 
 @dataclass(frozen=True)
 class CellCertificate:
-    """A load cell's certificate, as far as the gate and the uncertainty budget need it.
+    """Certificate of a load cell, as far as gate and uncertainty budget need it.
 
     Args:
         issued_on, due_on: first day it holds, first day it no longer holds.
@@ -302,7 +302,7 @@ class CellCertificate:
 
 @dataclass(frozen=True)
 class GoldenRun:
-    """One check of a station with a golden unit of a lot: what is charted, in `unit`, and whether it passed."""
+    """One check of a station with a golden unit: the charted value in `unit`, and whether it passed."""
 
     station: str
     lot_id: str
@@ -325,7 +325,7 @@ ROLES = ("operator", "engineer", "quality")
 
 @dataclass(frozen=True)
 class User:
-    """A person with a role, never the PIN; `is_alone`: nobody else has an account, and the role decides on people."""
+    """A person with a role, without the PIN; `is_alone` if no other account exists and the role assigns roles."""
 
     name: str
     role: str
@@ -336,7 +336,7 @@ class User:
 
 @dataclass(frozen=True)
 class Token:
-    """What a program signs in with, without the secret itself.
+    """Token by which a program signs in, without its secret.
 
     Args:
         token_id: its name in commands and in the audit trail.
@@ -352,5 +352,5 @@ class Token:
     is_withdrawn: bool
 
     def holds(self, now: datetime) -> bool:
-        """Whether a program may sign in with it now, as far as the token itself says."""
+        """Return whether a program may sign in with the token now, as far as the token itself decides."""
         return not self.is_withdrawn and self.created <= now < self.ends_at

@@ -1,4 +1,4 @@
-"""Where a result comes from: version, build, method, hashes of what was read, when and by whom it was made."""
+"""Provenance of a result: version, build, method, hashes of inputs, time and actor."""
 
 import hashlib
 import os
@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[1]
 
 @dataclass(frozen=True, kw_only=True)
 class Provenance:
-    """What made a result, and from what.
+    """Provenance of a result: what computed it, and from which inputs.
 
     Args:
         build: commit of a checkout; of an installed package the SHA-256 of its list of files.
@@ -47,7 +47,7 @@ class Provenance:
 
     @property
     def rows(self) -> list[tuple[str, str]]:
-        """Each part with its name, for people."""
+        """Rows of (name, value) of the provenance, for people."""
         hashes = [(f"SHA-256 of the {name}", sha256) for name, sha256 in self.inputs.items()]
         made = [("Made by", self.actor), ("Made at", self.made_at)]
         return [("Program", self.software), ("Build", self.build), ("Method", self.method), *made, *hashes]
@@ -62,7 +62,7 @@ def software_now() -> dict[str, str]:
 
 
 def record_provenance(method: str, inputs: Mapping[str, str], actor: str) -> Provenance:
-    """Return the provenance of a result that is made now."""
+    """Return the provenance of a result that is computed now."""
     made_at = datetime.now(UTC).isoformat(timespec="seconds")
     return Provenance(method=method, inputs=inputs, made_at=made_at, actor=actor, **software_now())
 

@@ -1,4 +1,4 @@
-"""The registry in the words of the factory: lots, units, recordings, maps, who did what.
+"""Registry of lots, units, recordings, maps and actions.
 
 Every change is one transaction with its row of the audit trail. What is stored is never changed: a
 correction is a new row. Everything given back is a value of its own, never a row.
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 def _part(module: str, kind: str) -> Any:
-    """Return a part that is made when first asked for: who lists units pays for no other."""
+    """Return a property that is created on first use, so that a caller pays only for what it uses."""
 
     def make(registry: Registry) -> RegistryBase:
         part: type[RegistryBase] = getattr(import_module(f"softcal.db.{module}"), kind)
@@ -48,7 +48,7 @@ def _part(module: str, kind: str) -> Any:
 
 
 class Registry(RegistryBase):
-    """An open registry, made by `open_registry`; its parts share transactions."""
+    """An open registry, made by `open_registry`; its repositories share transactions."""
 
     lots: LotTables = _part("repositories.lots", "LotTables")
     pages: LotPages = _part("repositories.lot_pages", "LotPages")
@@ -75,18 +75,18 @@ class Registry(RegistryBase):
         self.close()
 
     def close(self) -> None:
-        """Close the connections; what was not committed is gone."""
+        """Close the connections; uncommitted changes are lost."""
         self.database.close()
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
-        """Keep everything done in the block, or nothing of it. Calls inside need no change."""
+        """Commit everything in the block, or nothing; calls inside need no change."""
         with self.database.writing():
             yield
 
     @contextmanager
     def part(self) -> Iterator[None]:
-        """Keep all of the block or nothing, inside a transaction that goes on either way.
+        """Commit all of the block or nothing, inside an open transaction that continues either way.
 
         `InputError`: a value that the database cannot take.
         """

@@ -1,3 +1,3 @@
-"""The station: drivers, motion, recordings. Whatever of it is imported, the messages of its drivers are known."""
+"""The station: drivers, motion and recordings. Importing any module registers the messages of its drivers."""
 
 from softcal.station import messages as messages

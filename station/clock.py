@@ -27,7 +27,7 @@ class HostClock:
 
 @dataclass(frozen=True)
 class ClockFit:
-    """host_s = offset_s + rate * device_s, and how late lines came on top of it.
+    """Linear clock model host_s = offset_s + rate * device_s, with the distribution of line delays.
 
     Args:
         offset_s: host time at device time 0.
@@ -79,13 +79,13 @@ def _lower_hull(x: Array, y: Array) -> list[int]:
 
 
 def unwrap_ms(previous_ms: int, reported_ms: int) -> int:
-    """Return a 32-bit counter of ms so that it goes on past its wrap; the last one is unwrapped."""
+    """Return a 32-bit counter of ms, continued past its wrap from the last unwrapped value."""
     step = (reported_ms - previous_ms) % WRAP_MS
     return previous_ms + (step if step < WRAP_MS // 2 else step - WRAP_MS)
 
 
 def seen_rate_Hz(device_s: Array) -> float:
-    """Return the rate of a stream by its own clock; samples that were lost do not count.
+    """Return the sample rate of a stream by the device's clock, not counting lost samples.
 
     A clock of whole milliseconds shows 80 Hz as steps of 12 and 13 ms: their mean is right, no single one is.
 

@@ -1,4 +1,4 @@
-"""How messages call a device, in the language of whoever reads them."""
+"""Names of devices in messages, in the language of the reader."""
 
 from softcal.core.messages.reason import Reason, plain, reason
 
@@ -15,7 +15,7 @@ _NAMES = {
 
 
 def named(name: str, port: str = "") -> Reason:
-    """Return the name of a device for a sentence, with its port where two must be told apart."""
+    """Return the name of a device for a sentence, with its port where two devices have one name."""
     if not name:
         return plain(port)
     device = _NAMES.get(name) or plain(name)

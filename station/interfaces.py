@@ -1,4 +1,4 @@
-"""What a run needs of a clock, a stage, a load cell and a readout, whatever their dialect."""
+"""Interfaces of clock, stage, load cell and readout that a run uses, whatever their dialect."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -10,15 +10,15 @@ from softcal.core.messages.reason import Reason
 
 
 class Held(DeviceError):
-    """Somebody holds the stage by the button at the machine: nothing may move it by itself."""
+    """The stage is on hold by the button at the machine: no move may begin by itself."""
 
 
 @dataclass(frozen=True)
 class Move:
-    """Go to a stage position at a constant speed, starting and ending at rest.
+    """A move to a stage position at constant speed, from rest to rest.
 
     Args:
-        ahead_mm: how far beyond where the stage is its controller may have been told to go already. That much runs out
+        ahead_mm: how far beyond its present position the controller may have commands. That much runs out
             when the host dies. A controller that takes whole moves cannot keep to it.
     """
 
@@ -44,7 +44,7 @@ class Sample:
 
 @dataclass(frozen=True)
 class StagePosition:
-    """Where the stage was in the middle between status poll and answer, host clock."""
+    """Stage position at the midpoint between status query and answer, by the host clock."""
 
     host_s: float
     position_mm: float
@@ -55,14 +55,14 @@ OnWait: TypeAlias = Callable[[], None]
 
 
 def ignore_wait() -> None:
-    """Do nothing while a device is waited for."""
+    """Do nothing while waiting for a device."""
 
 
 class Clock(Protocol):
     """The host's clock. On a simulated rig waiting is what lets time pass."""
 
     def now_s(self) -> float:
-        """Return seconds since an arbitrary start; never goes backward."""
+        """Return seconds since an arbitrary start, never decreasing."""
 
     def sleep_s(self, seconds: float) -> None: ...
 
@@ -86,21 +86,21 @@ class Stage(Protocol):
         """Whether the last move that was begun has not yet been confirmed as finished."""
 
     def home(self, on_wait: OnWait = ignore_wait) -> None:
-        """Find the homing switch and wait until it is done; what `on_wait` raises ends the wait, not yet the motion.
+        """Home the stage and wait for the end; an exception of `on_wait` ends the wait, but not yet the motion.
 
         Raises:
             DeviceError: the switch is missing or stuck, or something blocks the stage; the position stays unknown.
         """
 
     def begin(self, move: Move) -> None:
-        """Start a move and return at once; `poll` feeds it.
+        """Start a move and return at once; `poll` sends the later pieces.
 
         Raises:
             CommandRefused: not homed, still moving, or beyond travel or speed; nothing was sent.
         """
 
     def poll(self) -> Sequence[StagePosition]:
-        """Read what the controller said, feed the move in progress, ask for the position when it is time.
+        """Read the controller's lines, feed the move in progress, and query the position when due.
 
         Raises:
             NoReply: the port is gone, or a question was not answered.
@@ -108,11 +108,11 @@ class Stage(Protocol):
         """
 
     def stop(self) -> None:
-        """Stop at once by a path that waits behind nothing; the position stays known where the device allows it.
+        """Stop at once without any queue; the position stays valid if the device allows it.
 
         Raises:
-            Held: it stands, and somebody holds it at the machine.
-            DeviceError: it does not answer; it was told to stop all the same.
+            Held: the stage is at rest, on hold by the button at the machine.
+            DeviceError: the stage does not answer; the stop was sent.
         """
 
     def close(self) -> None: ...
@@ -124,21 +124,21 @@ class RoughLift(Protocol):
 
     @property
     def can_lift_roughly(self) -> bool:
-        """Whether our own stop alone lost the position, so that its count is nearly right."""
+        """Whether our own stop alone lost the position, so that the controller's count is nearly right."""
 
     def lift_roughly(self, distance_mm: float, speed_mm_s: float) -> None:
-        """Begin to go away, not into the switch; `poll` follows it. The position stays unknown."""
+        """Begin to lift without reaching the switch; `poll` follows. The position stays unknown."""
 
 
 @runtime_checkable
 class RunsOn(Protocol):
-    """A stage that is fed in pieces, so that it stops by itself when nothing comes any more."""
+    """A stage that gets moves in pieces, so that it stops by itself after a loss of the host."""
 
     def runs_on_s(self, speed_mm_s: float) -> float:
-        """Return after how long it stands, at most, when the host dies at this speed."""
+        """Return the longest time to rest, in s, after a loss of the host at this speed."""
 
     def runs_on_mm(self, move: Move) -> float:
-        """Return how far it still goes, at most, once the host is gone in this move."""
+        """Return the longest way in mm that this move continues after a loss of the host."""
 
 
 @runtime_checkable
@@ -146,7 +146,7 @@ class Advises(Protocol):
     """A stage whose settings can be looked at."""
 
     def unsafe_settings(self) -> Sequence[tuple[str, Reason]]:
-        """Return each setting that takes safety away, and what to do about it."""
+        """Return each unsafe setting with its correction."""
 
 
 class Reader(Protocol):

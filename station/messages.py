@@ -1,4 +1,4 @@
-"""What the shipped drivers say, in English: a page a driver, beside it. No driver is loaded for it."""
+"""English messages of the shipped drivers, one TOML file per driver, readable without loading a driver."""
 
 import tomllib
 from collections.abc import Mapping

@@ -36,7 +36,7 @@ from softcal.db.registry import Registry
 
 
 def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch: Watch = Watch()) -> BatchReport:  # noqa: B008 - frozen
-    """Calibrate every unit of a lot folder and register the results as they come.
+    """Calibrate every unit of a lot folder and register the results as they arrive.
 
     A unit that cannot be read or mapped gets a verdict with its reason, and the lot goes on. What
     the registry has for the same recording, network and configuration is not computed again.

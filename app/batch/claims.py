@@ -1,4 +1,4 @@
-"""The work items a process holds: a lease that a thread keeps up, given back at the end."""
+"""Leased work items of a process: a thread extends the lease, and the end releases it."""
 
 import os
 import socket
@@ -39,14 +39,14 @@ class Claims:
         self.queue.give_back(self.owner)
 
     def take(self, count: int) -> list[WorkItem]:
-        """Claim up to `count` items; where none is free, those of dead processes come free."""
+        """Claim up to `count` items; without free items, release and claim those of dead processes."""
         items = self.queue.claim(self.owner, self.work, count, LEASE_S)
         if not items and self.take_back_from_dead():
             items = self.queue.claim(self.owner, self.work, count, LEASE_S)
         return items
 
     def take_back_from_dead(self) -> int:
-        """Free what dead processes of this machine held; return how many items came free."""
+        """Release the items of dead processes of this machine; return their number."""
         if os.name != "posix":
             return 0  # Nobody may ask there without harm: leases tell.
         owners = self.queue.owners(self.work)

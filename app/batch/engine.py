@@ -38,8 +38,10 @@ _shared: Any = None
 
 @dataclass(frozen=True)
 class EngineChoice:
-    """Which engine computes: `local` with worker processes (1 computes in this one), or `dask` at
-    the address of a scheduler; None starts one for this run.
+    """Engine of the computation: `local` or `dask`.
+
+    `local` has worker processes (1 computes in this process); `dask` takes the address of a scheduler, and None starts
+    one for this run.
     """
 
     engine: str = "local"
@@ -55,13 +57,13 @@ class EngineChoice:
 
 @dataclass(frozen=True)
 class WorkerLost(Generic[Item]):
-    """Stands for the result of an item that killed its worker each time it was tried."""
+    """Result of an item that killed its worker in each attempt."""
 
     item: Item
 
 
 class WorkerDied(Exception):
-    """The worker that held an item is gone; the item may be innocent."""
+    """The worker of an item died; the item may not be the cause."""
 
 
 class Pool:
@@ -130,7 +132,7 @@ def run_all(
 
 
 def _drain(pool: Pool, work: Work, items: Iterator[Item]) -> Generator[Any, None, list[Item]]:
-    """Feed the pool until all is done or a worker dies; return what was under way with it."""
+    """Feed the pool until all is done or a worker dies; return the items that were under way with it."""
     running: dict[Future[Any], Item] = {}
     suspects: list[Item] = []
     while True:
@@ -153,7 +155,7 @@ def _drain(pool: Pool, work: Work, items: Iterator[Item]) -> Generator[Any, None
 
 
 def _try_alone(pool: Pool, work: Work, alone: deque[tuple[Any, int]]) -> Iterator[Any]:
-    """Compute one item at a time until the pool breaks; `alone` keeps what is left."""
+    """Compute one item at a time until the pool breaks; `alone` has the remaining items."""
     while alone and not pool.is_broken:
         item, attempt = alone.popleft()
         try:

@@ -1,4 +1,4 @@
-"""Keep one unit from stopping a lot: what its work raises, and too long work, is its result."""
+"""Isolation of units in a batch: an exception or a time-out in a unit's work is its result."""
 
 import ctypes
 import threading
@@ -17,18 +17,18 @@ Work = Callable[[SharedWork, Chunk], ChunkOutcome]
 
 
 class TooLong(BaseException):
-    """The work on a unit took too long; no `except Exception` inside it may swallow this."""
+    """The work on a unit exceeded its time; no `except Exception` inside it may catch this."""
 
 
 @dataclass(frozen=True)
 class PassingRefusal(Refusal):
-    """A refusal that may end otherwise when it is tried again; `trace` is for the log."""
+    """A refusal that a repetition may change; `trace` is for the log."""
 
     trace: str = ""
 
 
 def each_alone(work: Work, limit_s: float, shared: SharedWork, chunk: Chunk) -> ChunkOutcome:
-    """Work on the units of a chunk one by one; what goes wrong with one is its result."""
+    """Process the units of a chunk one by one; an error of one unit is its result."""
     start_s = time.process_time()
     units: list[UnitOutcome] = []
     for task in chunk.tasks:

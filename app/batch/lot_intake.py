@@ -1,4 +1,4 @@
-"""A new lot out of tables, or one calibrated again: what becomes of it before any fit."""
+"""Preview of a new or repeated lot before any fit."""
 
 import shutil
 import tempfile
@@ -31,8 +31,10 @@ from softcal.db.registry import Registry
 
 @dataclass(frozen=True)
 class Expected:
-    """What would become of one unit of a new lot: `problem` is why it is refused before anything is
-    fitted, `findings` what its output alone tells: with these it will not pass.
+    """Preview of one unit of a new lot.
+
+    `problem` is the reason of a refusal before any fit, `findings` are those of its output alone: with these it will
+    not pass.
     """
 
     file: str
@@ -45,11 +47,11 @@ class Expected:
 
 @dataclass(frozen=True)
 class ExpectedLot:
-    """What would become of the tables of a new lot.
+    """Preview of the tables of a new lot.
 
     Args:
         audits: serials of targets whose references would be audits.
-        not_used: what of the tables would not be used; what is refused stands with its unit.
+        not_used: unused parts of the tables; a refusal is listed with its unit.
         remarks: what is odd and no error, here and against the registry.
     """
 
@@ -60,7 +62,7 @@ class ExpectedLot:
 
 
 def expect(plan: ImportPlan, registry: Registry) -> ExpectedLot:
-    """Say what would become of every unit of a plan; nothing is written and nothing is fitted."""
+    """Return the preview of every unit of a plan, without writing or fitting."""
     looks = look_through(plan)
     source = next((look for look in looks if look.serial == plan.lot.source), None)
     units = tuple(_expected(look, source, plan) for look in looks)
@@ -118,7 +120,7 @@ def store_lot(registry: Registry, plan: ImportPlan, actor: str) -> Path:
 
 @contextmanager
 def lot_files(registry: Registry, lot_id: str, tell: Callable[[int, int], None]) -> Iterator[LotFolder]:
-    """Give a lot as a folder: the registry's newest recordings, and files never read.
+    """Yield a lot as a folder: the registry's newest recordings, and files not read before.
 
     Raises:
         InputError: the lot has no source recording.

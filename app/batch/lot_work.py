@@ -1,4 +1,4 @@
-"""The units of a lot as work items: claimed under a lease, computed, kept one by one.
+"""Units of a lot as work items: claimed under a lease, computed, and stored one by one.
 
 Any number of batches share a lot. Each claims units, and a result and the end of its item are kept in one transaction,
 so that a batch that is killed loses nothing and repeats nothing that was kept. What is told of a unit comes from its
@@ -63,7 +63,7 @@ LOOK_EVERY_S = 1.0
 
 @dataclass(frozen=True)
 class BatchConfig:
-    """How a lot is calibrated.
+    """Configuration of a batch.
 
     Args:
         chunk: units that go to a worker together; None lets the time they take decide.
@@ -96,9 +96,10 @@ def _silent(*_: object) -> None:
 
 @dataclass(frozen=True)
 class Watch:
-    """Told as the batch goes on; the defaults say nothing. `on_done` has how many units are done,
-    by this batch and others, of how many. `on_wait` has how many others hold while there is nothing
-    else to do.
+    """Callbacks of a batch; the defaults do nothing.
+
+    `on_done` gets how many units are done, by this batch and others, of how many. `on_wait` gets how many others have
+    leased while there is nothing else to do.
     """
 
     on_epoch: Callable[[EpochReport], None] = _silent
@@ -133,7 +134,7 @@ class LotWork:
         self.files: list[ReadFile] = []
 
     def run(self) -> None:
-        """Work until every unit has a result, whoever made it."""
+        """Work until every unit has a result of any process."""
         with Claims(self._registry, self._work) as claims:
             claims.take_back_from_dead()
             self._tell_done(claims)
@@ -338,7 +339,7 @@ class LotWork:
 
 
 def _settings_sha256(lot: Lot, facts: LotContext, is_refit: bool) -> str:
-    """Return the hash of all that a result depends on beside the unit's own files."""
+    """Return the hash of all inputs of a result besides the unit's own files."""
     networks = [model.network.id for model in facts.sources]
     settings = {
         "lot": {name: value for name, value in lot.settings().items() if name != "limit_rmse"},

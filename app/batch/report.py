@@ -1,4 +1,4 @@
-"""What a batch says when it is done: a row per unit, for people and as JSON for programs."""
+"""Report of a batch: a row per unit, for people and as JSON for programs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -23,11 +23,12 @@ TABLE_HEADER = ("serial", "verdict", "predicted", "before", "after", "own", OWN_
 
 @dataclass(frozen=True, eq=False)
 class BatchReport:
-    """What a batch did: `audit` is where a planned audit of the lot stands, `release` which
-    verdicts release files, `decided` what audits say about the lot's other units, `not_used` what of
-    the folder was not used, `remarks` what is odd and no error, `layouts` how each file that was read
-    now is laid out, "" where it has the plain form, `changes` the verdicts that it replaced, `lot_fit` which units are
-    mapped together now, and which could be.
+    """Result of a batch.
+
+    `audit` is the state of the lot's audit plan, `release` the verdicts that release files, `decided` the statement of
+    audits about the lot's other units, `not_used` the unused parts of the folder, `remarks` the irregularities that
+    are no errors, `layouts` the layout of each file read now, "" for the plain form, `changes` the replaced verdicts,
+    `lot_fit` the units mapped together now, and the possible ones.
     """
 
     lot_id: str
@@ -125,7 +126,7 @@ def table_row(unit: UnitResult) -> list[object]:
 
 
 def audit_lines(report: BatchReport) -> list[str]:
-    """Return what audits say, a line each: units that are not as predicted, and the lot."""
+    """Return one line per result of audits: units with a wrong forecast, and the lot."""
     groups: dict[tuple[str, str], list[str]] = {}
     for unit in report.units:
         state = unit.state

@@ -1,4 +1,4 @@
-"""Train the shared network f of a lot, or find the one trained from the same before."""
+"""Training of the shared network f of a lot, or the stored network of the same input."""
 
 import time
 from collections.abc import Callable
@@ -39,8 +39,9 @@ def provide_network(
     on_epoch: Callable[[EpochReport], None] | None = None,
     proof_method: str | None = None,
 ) -> LotNetwork:
-    """Return the network of this source and configuration, trained where there is none. Where
-    another process trains the same just now, its network is waited for.
+    """Return the network of this source and configuration, trained if it is not stored.
+
+    If another process trains the same network, this call waits for it.
     """
     registry.lots.add(lot, actor=actor)
     recording_sha256 = registry.recordings.add(lot.id, source, "source", actor=actor, proof_method=proof_method)

@@ -1,4 +1,4 @@
-"""What a worker does for a batch: from the bytes of a unit's file to its calibration."""
+"""Work of a batch worker: from the bytes of a unit's file to its calibration."""
 
 import time
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ from softcal.core.unit.verdict import Verdict
 
 @dataclass(frozen=True, eq=False)
 class FileContent:
-    """A recording's file as it was read, for whoever parses it."""
+    """Bytes of a recording's file, for parsing elsewhere."""
 
     path: Path
     content: bytes
@@ -27,9 +27,10 @@ class FileContent:
 
 @dataclass(frozen=True, eq=False)
 class UnitTask:
-    """One unit on its way to a worker: its file, or the problem with it. A file of its audit
-    outranks the audit among `facts`; `stated` is when it was measured, UTC, as the lot says. Calibrations
-    of `known` inputs are not computed again.
+    """One unit on its way to a worker: its file, or its error.
+
+    A file of its audit has precedence over the audit among `facts`; `stated` is the stated time of the audit, UTC.
+    Calibrations of `known` inputs are not computed again.
     """
 
     item_id: int
@@ -44,7 +45,7 @@ class UnitTask:
 
 @dataclass(frozen=True, eq=False)
 class SharedWork:
-    """What every worker holds once: how files of the lot are read, how its units are fitted."""
+    """Data that every worker loads once: layout of the lot's files, settings of the fit."""
 
     lot: Lot
     facts: LotContext
@@ -53,7 +54,7 @@ class SharedWork:
 
 @dataclass(frozen=True)
 class ReadFile:
-    """How a file was read: its layout in one line, "" where it has the plain form, and remarks."""
+    """Layout of a read file in one line, "" for the plain form, and remarks."""
 
     path: Path
     layout: str
@@ -64,13 +65,13 @@ class ReadFile:
     def from_recording(
         cls, file: FileRecording, remarks: tuple[str, ...] | None = None, start: Start | None = None
     ) -> "ReadFile":
-        """Return how a recording was read, of an audit when it begins; of a unit the reasons tell of its samples."""
+        """Return how a recording was read, with an audit's start; remarks on a unit's samples are in its reasons."""
         return cls(file.table.path, file.table.layout, file.reading_remarks if remarks is None else remarks, start)
 
 
 @dataclass(frozen=True, eq=False)
 class UnitOutcome:
-    """What became of one unit, with the recordings to keep, when its audit was measured, how its files were read."""
+    """Result of one unit, with recordings to store, time of its audit, and layout of its files."""
 
     task_id: int
     serial: str
@@ -93,7 +94,7 @@ class Chunk:
 
 @dataclass(frozen=True, eq=False)
 class ChunkOutcome:
-    """What became of a chunk, and the seconds of CPU it took a worker."""
+    """Result of a chunk, and its CPU time in s."""
 
     units: tuple[UnitOutcome, ...]
     work_s: float

@@ -24,7 +24,7 @@ def watch_lot(
     idle_s: float | None = None,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Iterator[BatchReport]:
-    """Give a report each time new recordings were calibrated; stop when nothing came for `idle_s`.
+    """Yield a report each time new recordings were calibrated; stop after `idle_s` without new files.
 
     A file is taken when its size and time were the same at two looks: a copy under way is not read
     by half. A file that is replaced by another recording is calibrated again, as a new revision.

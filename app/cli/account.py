@@ -1,4 +1,4 @@
-"""`softcal account`: who may do what, for a server without a screen."""
+"""`softcal account`: people and roles, for a server without a screen."""
 
 import argparse
 import sys

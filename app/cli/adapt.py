@@ -43,8 +43,9 @@ use with yet), `held` (use or drift, which cannot be told) or `followed`. Damage
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    """Estimate the reference from a long stream of a unit's output while its map follows the sensor's drift. Where
-    drift and a change of use cannot be told apart, the map is held and the file says so.
+    """Estimate the reference from a long stream of a unit's output while its map follows the sensor's drift.
+
+    If drift and a change of use are not identifiable, the map is held and the flags say so.
     """
     add = parser.add_argument
     add("source", metavar="IN", help="CSV or Parquet with t_s, output; -, serial:PORT or simulated")
@@ -79,7 +80,7 @@ MODE_HELP = (
 
 
 def run(options: argparse.Namespace) -> None:
-    """Follow the stream, and say what was followed, held and flagged."""
+    """Adapt the stream, and print what was followed, held and flagged."""
     from softcal.app.calibration.trim import trimmed_by
     from softcal.app.files.recording_file import PLAIN
     from softcal.app.files.stream_file import count_rows

@@ -1,4 +1,4 @@
-"""`softcal api`: the REST interface, and the tokens by which programs sign in to it."""
+"""`softcal api`: the REST interface, and tokens by which programs sign in."""
 
 import argparse
 import json

@@ -35,7 +35,7 @@ Exit code 0: every unit passed; 1: done, but some unit did not pass.
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    """Calibrate a lot folder. One bad unit never stops the lot; what is done is never done again."""
+    """Calibrate a lot folder. One bad unit never stops the lot; finished work is never repeated."""
     add = parser.add_argument
     add("lot", type=Path, metavar="LOT", help="lot folder")
     add_shared(parser, "registry")

@@ -17,19 +17,19 @@ HERE = Path("softcal.toml")
 
 
 def user_file() -> Path:
-    """Return where the user's configuration file lies, whether it is there or not."""
+    """Return the path of the user's configuration file, whether it exists or not."""
     import platformdirs
 
     return Path(platformdirs.user_config_dir("softcal", appauthor=False)) / "softcal.toml"
 
 
 def files_in_use() -> list[Path]:
-    """Return the configuration files there are, the one that outranks the others last."""
+    """Return the existing configuration files, in rising order of precedence."""
     return [path for path in (user_file(), HERE) if path.is_file()]
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Take the defaults of options from the configuration files.
+    """Set the defaults of options from the configuration files.
 
     A key outside every table is the option of that name of every command that has it. A key in `[batch]` or
     `[station.check]` is an option of that command.
@@ -68,7 +68,7 @@ def _apply(path: Path, table: Mapping[str, object], parser: argparse.ArgumentPar
 
 
 def _set(path: Path, owner: argparse.ArgumentParser, action: argparse.Action, value: object) -> None:
-    """Make the value the default of an option, converted and checked as if it had been typed."""
+    """Set the default of an option, converted and checked like a typed value."""
     values = value if isinstance(value, list) else [value]
     if isinstance(value, list) == (action.nargs is None) or any(
         isinstance(each, (bool, dict, list)) for each in values

@@ -45,7 +45,7 @@ def print_recalls(recalls: "Sequence[Recall]") -> None:
 
 
 def withdraw_files(registry: "Registry", lot_id: str) -> None:
-    """Take files that an act on a lot made untrue out of the folders of this computer, and say so."""
+    """Remove files that an act on a lot made invalid from the folders of this computer, and print them."""
     from softcal.app.calibration.changes import reached_lots
     from softcal.app.export.export import withdraw_given
 
@@ -54,7 +54,7 @@ def withdraw_files(registry: "Registry", lot_id: str) -> None:
 
 
 def may_do(registry: "Registry", lot_id: str, act: "Callable[[], object]", is_given: bool) -> bool:
-    """Return whether to go on with an act on a lot: no released unit and no file changes, or somebody says so.
+    """Return whether to perform an act on a lot: it changes no released unit and no file, or a person confirms.
 
     What it would change is printed first; nothing is done yet.
     """
@@ -68,7 +68,7 @@ def may_do(registry: "Registry", lot_id: str, act: "Callable[[], object]", is_gi
 
 
 def is_confirmed(is_given: bool) -> bool:
-    """Return whether to go on: `--yes` was given, or a person at a terminal says so."""
+    """Return whether to continue: `--yes` was given, or a person at a terminal confirmed."""
     if is_given:
         return True
     if not sys.stdin.isatty():

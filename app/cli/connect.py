@@ -20,7 +20,7 @@ EXAMPLES = """examples:
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    """Bring events to other programs and people, each at least once, across restarts of both sides."""
+    """Send events to other programs and people, each at least once, across restarts of both sides."""
     action = actions_of(parser)
     run = action("run", "serve every destination of a file until Ctrl-C", _run)
     run.add_argument("file", **FILE, help="TOML with the destinations")

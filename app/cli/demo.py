@@ -22,9 +22,10 @@ CALIBRATED = 0.95
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    """Press a simulated lot; stage, load cell and sensor speak their real serial protocols. Train the shared network
-    on the source and fit every unit's map without labels. Judge, register, export, and print a table like the
-    paper's Table 1.
+    """Press a simulated lot; stage, load cell and sensor use their real serial protocols.
+
+    Train the shared network on the source and fit every unit's map without labels. Decide, register, export, and print
+    a table like the paper's Table 1.
     """
     parser.add_argument("--out", default=Path("softcal-demo"), **DIR, help="default: softcal-demo")
     parser.add_argument("--units", default=6, **COUNT, help="target units (default 6)")

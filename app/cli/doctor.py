@@ -17,7 +17,7 @@ No password, PIN or recording goes into the report; logs go in with the password
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    """Versions, folders, free space, the registry and its integrity: what is there and what is wrong."""
+    """Versions, folders, free space, the registry and its integrity: present state and faults."""
     add_shared(parser, "registry", "json", "csv")
     parser.add_argument("--out", type=Path, metavar="ZIP", help="write report and logs into one file for support")
 

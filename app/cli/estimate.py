@@ -36,7 +36,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Estimate, and say how much of it can be trusted."""
+    """Print or write the estimates, with counts of the flags."""
     from softcal.app.registry.estimate import estimate_file
 
     with registry_of(options) as registry:

@@ -1,4 +1,4 @@
-"""`softcal explain`: why the verdict of one unit is what it is."""
+"""`softcal explain`: the reasons of one unit's verdict."""
 
 import argparse
 

@@ -1,4 +1,4 @@
-"""`softcal gap`: diagnose the gap between the twin and a rig, and apply what was found."""
+"""`softcal gap`: diagnose the gap between twin and rig, and put the causes into the twin."""
 
 import argparse
 from collections.abc import Mapping
@@ -55,8 +55,9 @@ _EFFECTS_EXAMPLES = """examples:
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    """Compare the twin with recordings of a rig: where it is wrong, which effect causes it, how far the gap shrinks,
-    what to press next.
+    """Diagnose the gap between the twin and recordings of a rig.
+
+    The report gives the stage, the effect, the shrink of the gap, and the next run.
     """
     action = actions_of(parser, "commands", "COMMAND")
     diagnose = action("diagnose", "find the causes of the gap in a case", _diagnose, epilog=_DIAGNOSE_EXAMPLES)
@@ -110,9 +111,9 @@ def _add_case(parser: argparse.ArgumentParser, nargs: str | None = None) -> None
 
 
 def _diagnose(options: argparse.Namespace) -> None:
-    """Fit the base twin and every effect of the catalogue together to all runs of a case. Report
-    where the gap lies, its causes with probabilities, the shrink on runs held back, and the next
-    experiment.
+    """Fit the base twin and every effect of the catalogue together to all runs of a case.
+
+    Report the stage of the gap, its causes with probabilities, the shrink on held-out runs, and the next experiment.
     """
     from softcal.app.gap.diagnose import write_page
 
@@ -125,8 +126,10 @@ def _diagnose(options: argparse.Namespace) -> None:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Look for mistakes in the recordings and fit the base. Say which of its parameters and which
-    causes these runs can tell, which they cannot, and which run would. Nothing is diagnosed.
+    """Check the recordings for mistakes and fit the base.
+
+    Print which of its parameters and which causes these runs identify, which they do not, and which run would. No
+    cause is diagnosed.
     """
     from softcal.app.gap.diagnose import open_place
     from softcal.app.gap.simulator import load_simulator, read_runs
@@ -186,8 +189,10 @@ def _table_readout(options: argparse.Namespace) -> "ReadoutMetadata | None":
 
 
 def _effects(options: argparse.Namespace) -> None:
-    """List the catalogue of effects: where each acts, its equation, what it needs to be seen, what
-    it hides behind and which runs show it. Effects of installed plug-ins stand last.
+    """List the catalogue of effects: stage, equation, required channels.
+
+    Also list effects of similar signature, and the runs that excite the effect. Effects of installed plug-ins are
+    last.
     """
     from softcal.core.twin.catalogue import BUILTIN_EFFECTS, EFFECTS
 
@@ -247,7 +252,7 @@ def _apply(options: argparse.Namespace) -> None:
 
 
 def _diagnosed(options: argparse.Namespace) -> "Diagnosis[Any]":
-    """Return the diagnosis of a case, by the twin or by a simulator of the user's own."""
+    """Return the diagnosis of a case, by the twin or by the user's simulator."""
     from softcal.app.gap.diagnose import case_provenance, diagnose_case
     from softcal.app.gap.simulator import foretell_duration, in_processes, load_simulator, read_runs
     from softcal.core.gap.diagnosis import diagnose_simulator

@@ -34,7 +34,7 @@ _SCORE_EXAMPLES = """examples:
 
 
 def add_challenge_actions(action: Action) -> None:
-    """Add the three commands to those of `softcal gap`."""
+    """Add the three commands of a challenge to those of `softcal gap`."""
     challenge = action("challenge", "make sealed cases whose cause is withheld", _challenge, epilog=_CHALLENGE_EXAMPLES)
     add = challenge.add_argument
     add("--cases", required=True, **COUNT, help="how many cases")
@@ -74,9 +74,10 @@ def _add_seal(parser: argparse.ArgumentParser, required: bool = True) -> None:
 
 
 def _challenge(options: argparse.Namespace) -> None:
-    """Make sealed cases: recordings of simulated rigs with hidden effects, by a generator that
-    shares no code with the twin. The labels go into a file of their own; its SHA-256 is printed and
-    published with the cases before anybody diagnoses them.
+    """Make sealed cases: recordings of simulated rigs with hidden effects.
+
+    Their generator shares no code with the twin. The labels are in a separate file; its SHA-256 is printed and
+    published with the cases before any diagnosis.
     """
     from softcal.app.gap.challenge import make_challenge
     from softcal.app.gap.sealed_file import key_beside

@@ -99,7 +99,7 @@ def _rows(text: str) -> tuple[int, int]:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Import, and say what was made."""
+    """Import the tables, and print the result."""
     from softcal.app.files.import_plan import Columns, ImportPlan
     from softcal.app.files.importing import import_lot, shown_rate_Hz, tables_of
     from softcal.core.lot import Lot
@@ -150,7 +150,7 @@ def _serials(given: list[str]) -> tuple[list[str] | None, dict[str, str]]:
 
 
 def _report(options: argparse.Namespace, plan: "ImportPlan", imported: "ImportedLot") -> None:
-    """Report what was made, how the files were read, and what was not used."""
+    """Print the created lot, the layout of the files, and the unused inputs."""
     from softcal.app.files.unused_parts import unread_files
 
     lot = plan.lot
@@ -181,7 +181,7 @@ def _renaming(plan: "ImportPlan", unnamed: "Sequence[NotUsed]") -> str:
 
 
 def _state_limit(options: argparse.Namespace, unit: str, full_range: float) -> None:
-    """Write the limit into the folder that was made, as it was given or asked for."""
+    """Write the limit, given or asked for, into the created folder."""
     from softcal.app.files.lot_toml import restate_limit
 
     stated = limit_rmse(options.limit, unit, full_range, options.out / "lot.toml")

@@ -147,7 +147,7 @@ def asked(question: str, kind: Callable[[str], T], default: str | None, is_silen
     """Ask until the answer can be used; Enter takes the default.
 
     Raises:
-        InputError: there is nobody to ask, and no default.
+        InputError: nobody to ask, and no default.
     """
     while True:
         if is_silent and default is not None:

@@ -1,4 +1,4 @@
-"""`softcal inspect`: what a table of a logger or a calibration file holds."""
+"""`softcal inspect`: content of a logger's table or a calibration file."""
 
 import argparse
 
@@ -19,7 +19,7 @@ DEVICE_FILES = (".ssc", ".json")
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    """Look at a table of one unit, or check a network or unit file (.ssc, or its JSON twin)."""
+    """Inspect a table of one unit, or check a network or unit file (.ssc, or JSON)."""
     parser.add_argument("file", **FILE, help="a table (CSV and other text, .xlsx, Parquet, ...), .ssc or .json")
     parser.add_argument("--network", **FILE, help="the network file, to run a unit's self-tests")
     add_columns(parser)

@@ -1,4 +1,4 @@
-"""The limit of a new lot on a terminal: as it was given, or asked for, with a number that has to be confirmed."""
+"""The limit of a new lot on a terminal: given, or asked for with a number to confirm."""
 
 import sys
 from pathlib import Path
@@ -21,15 +21,15 @@ UNSTATED = "no limit is stated, so no unit can pass; state it as rmse under [lim
 def limit_rmse(
     given: LimitText | None, unit: str, full_range: float | None, toml: Path, *, may_ask: bool | None = None
 ) -> float | None:
-    """Return the limit in the reference's unit; None where nobody stated one, which is said.
+    """Return the limit in the reference's unit; None without a stated limit, with a remark.
 
     Args:
         given: as an option.
-        full_range: of the source's reference, in its unit; None where it is not known yet.
-        may_ask: whether somebody is there to ask; by default on a terminal.
+        full_range: of the source's reference, in its unit; None if unknown.
+        may_ask: whether a person can be asked; by default on a terminal.
 
     Raises:
-        InputError: a share of a range that is not known yet.
+        InputError: a share of an unknown range.
     """
     if given is not None:
         return given.rmse(full_range)

@@ -49,7 +49,7 @@ After `lot audit` run `softcal batch` again: it measures the audited units and j
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    """What concerns a lot as a whole."""
+    """Commands on a lot as a whole."""
     action = actions_of(parser)
     watch = action("watch", "calibrate units as their recordings land", _watch)
     watch.add_argument("folder", type=Path, metavar="LOT", help="lot folder")
@@ -105,9 +105,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _release(options: argparse.Namespace) -> int:
-    """Decides on the units nobody measured from the audits in the registry, and says what it
-    promises.
-    """
+    """Release unmeasured units by the audits in the registry, and print the consumer's risk."""
     from softcal.app.calibration.release import decide_lot, is_decided, lot_standing
     from softcal.app.export.certificates.lot_statement import build_lot_statement, lot_statement_pdf
     from softcal.app.files.atomic import write_bytes

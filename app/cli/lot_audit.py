@@ -1,4 +1,4 @@
-"""`softcal lot audit` and `softcal lot audit-plan`: draw units to check, and bring what was measured of them."""
+"""`softcal lot audit` and `softcal lot audit-plan`: draw units for audits, and import the audits."""
 
 import argparse
 from functools import partial
@@ -83,7 +83,7 @@ def add_audits(action: Action) -> None:
 
 
 def _audit_plan(options: argparse.Namespace) -> int:
-    """The first call draws the plan and writes it down; later calls show where it stands."""
+    """Draw the audit plan on the first call and store it; print its state on later calls."""
     from softcal.app.calibration.audit import AUDIT_HEADER, audit_json, audit_line, audit_rows, draw_plan, lot_audit
     from softcal.app.calibration.lot_context import lot_method
     from softcal.core.quality.acceptance import PROMISE_HEADER, promise_rows

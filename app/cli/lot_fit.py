@@ -19,7 +19,7 @@ def add_fit(action: Action) -> None:
 
 
 def _fit(options: argparse.Namespace) -> int:
-    """Say which maps a fit of the lot changes, ask, and do it."""
+    """Print which maps a fit of the lot changes, ask, and make the lot fit."""
     from softcal.app.calibration.changes import preview
     from softcal.app.calibration.lot_fit import make_lot_fit, plan_lot_fit
 

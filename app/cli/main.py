@@ -125,7 +125,7 @@ def command_parser(loaded: Collection[str] = COMMANDS) -> argparse.ArgumentParse
 
 
 def _load(name: str, parser: Parser) -> None:
-    """Import the module of a command and give its parser what it says."""
+    """Import the module of a command and add its arguments to its parser."""
     module = importlib.import_module(f"softcal.app.cli.{name}")
     parser.description = " ".join((module.arguments.__doc__ or "").split())
     parser.epilog = module.EXAMPLES

@@ -1,4 +1,4 @@
-"""Options that several commands share, and what they mean."""
+"""Options that several commands share, with their meaning."""
 
 import argparse
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -30,7 +30,7 @@ def positive(text: str) -> float:
 
 
 def converted(convert: Callable[[str], T], expected: str) -> Callable[[str], T]:
-    """Return a converter for argparse that says what it expected; the text stands for `{!r}`."""
+    """Return a converter for argparse whose error names the expected value; `{!r}` is the given text."""
 
     def converter(text: str) -> T:
         try:
@@ -88,7 +88,7 @@ def actions_of(
     shared: Sequence[str] = (),
     is_described: bool = False,
 ) -> Action:
-    """Let a command have actions, and return what adds them.
+    """Add actions to a command, and return a function that adds one.
 
     Args:
         shared: options of `SHARED` that every action begins with.
@@ -129,7 +129,7 @@ SAMPLE_RATE_HELP = "samples a second: a check of the time stamps; a file without
 
 
 def add_layout(parser: argparse.ArgumentParser) -> None:
-    """Add how tables are laid out, for what is not to be detected."""
+    """Add the options for the layout of tables, which replace detection."""
     group = parser.add_argument_group("layout of the tables, which is detected where nothing is stated")
     group.add_argument("--delimiter", metavar="MARK", help="between cells: one character, tab or blanks")
     group.add_argument("--decimal", choices=(".", ","), help="decimal mark")
@@ -158,7 +158,7 @@ def table_options(options: argparse.Namespace) -> "TableOptions":
 
 
 def say_layout(name: str, layout: str, remarks: Sequence[str] = ()) -> None:
-    """Report how a file was read, where it has not the plain form."""
+    """Print the layout of a file that differs from the plain form."""
     for line in (layout, *remarks):
         if line:
             say(f"{name}: {line}")
@@ -212,13 +212,13 @@ def network_config(options: argparse.Namespace) -> "NetworkConfig":
 
 
 def registry_of(options: argparse.Namespace, *, create: bool = False) -> "AbstractContextManager[Registry]":
-    """Open the registry the options name, for a block; a new one is made only where `create`."""
+    """Open the registry of the options for a block; `create` makes a new one."""
     return registry_at(options.registry, create=create)
 
 
 @contextmanager
 def registry_at(url: str | None, *, create: bool = True) -> "Iterator[Registry]":
-    """Open a registry, None for the usual one; say which it is once something was written to it."""
+    """Open a registry, None for the default one; print its URL after the first write."""
     from softcal.app.bootstrap import open_chosen_registry, registry_url
 
     with open_chosen_registry(url, create=create) as registry:
@@ -227,7 +227,7 @@ def registry_at(url: str | None, *, create: bool = True) -> "Iterator[Registry]"
 
 
 def say_written(url: str) -> None:
-    """Say which registry was written to, without its password."""
+    """Print the URL of the registry after a write, without its password."""
     from sqlalchemy import make_url
 
     from softcal.db.schema.database import shown_url
@@ -242,7 +242,7 @@ def answer(options: argparse.Namespace, schema: str, facts: Mapping[str, object]
 
 
 def say_unused(not_used: "Iterable[NotUsed]", remarks: "Iterable[Reason | str]") -> None:
-    """Say at the end of a command what of its files is odd, and what was not used and why."""
+    """Print the irregularities and unused inputs at the end of a command."""
     from softcal.app.files.not_used import not_used_lines
 
     for line in (*(f"note: {remark}" for remark in remarks), *not_used_lines(not_used)):

@@ -1,4 +1,4 @@
-"""`softcal paper`: the tables of the paper that the method comes from, computed again."""
+"""`softcal paper`: the tables of Kim et al. (2020), computed again."""
 
 import argparse
 from pathlib import Path
@@ -32,8 +32,10 @@ Exit code 0: what the paper says of a map holds here; 1: some row does not.
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    """Compute Tables 1 to 3 of Kim et al. (2020), and the courses of Figures 8 and 9, by the paper's own method and by
-    the default, each beside what is published of it. Without files the pair is simulated.
+    """Compute Tables 1 to 3 of Kim et al.
+
+    (2020), and the data of Figures 8 and 9. They are computed by the paper's own method and by the default, next to
+    the published values. Without files the pair is simulated.
     """
     parser.add_argument("source", type=Path, nargs="?", metavar="SOURCE", help="labelled recording of the source")
     parser.add_argument("target", type=Path, nargs="?", metavar="TARGET", help="labelled recording of another unit")

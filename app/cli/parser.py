@@ -7,7 +7,7 @@ from typing import Any
 
 
 class _Formatter(argparse.HelpFormatter):
-    """Fills a text as a paragraph; one of several lines, such as examples, stays as it is."""
+    """Fills a text as a paragraph, and keeps the lines of a text with several, such as examples."""
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         if "\n" not in text:
@@ -16,7 +16,7 @@ class _Formatter(argparse.HelpFormatter):
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what a mistyped command, option or choice may have meant; keeps lines of examples.
+    """Parser that suggests a correction of a mistyped command, option or choice, and keeps lines of examples.
 
     Args:
         load: gives the parser its description and options when the command is called. So a command imports only its
@@ -28,7 +28,7 @@ class Parser(argparse.ArgumentParser):
         self._load = load
 
     def load(self) -> None:
-        """Have the description and the options of the command, where it has not been called yet."""
+        """Load description and options of the command on first use."""
         load, self._load = self._load, None
         if load is not None:
             load(self)
@@ -42,7 +42,7 @@ class Parser(argparse.ArgumentParser):
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: Any = None
     ) -> tuple[argparse.Namespace, list[str]]:
-        """Parse; an unknown option is refused here, by the command that knows its own options."""
+        """Parse the arguments; the command that defines the options refuses an unknown option."""
         self.load()
         options, left = super().parse_known_args(args, namespace)
         if left:
@@ -53,6 +53,6 @@ class Parser(argparse.ArgumentParser):
 
 
 def suggestion(word: str, known: Iterable[object]) -> str:
-    """Return `; did you mean X?`, or nothing where nothing known is near."""
+    """Return `; did you mean X?`, or an empty text without a similar name."""
     near = difflib.get_close_matches(word, [str(name) for name in known], n=1, cutoff=0.6)
     return f"; did you mean {near[0]}?" if near else ""

@@ -68,7 +68,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _done(options: argparse.Namespace, action: str, line: str, **facts: object) -> None:
-    """Say what was done: as JSON where asked for, else as one line on standard output."""
+    """Print the result of an action: as JSON on request, else as one line on standard output."""
     if answer(options, f"registry.{action}/1", facts):
         print(line)
 

@@ -1,4 +1,4 @@
-"""`softcal report`: one page that says how a lot stands."""
+"""`softcal report`: one page with the state of a lot."""
 
 import argparse
 from datetime import datetime

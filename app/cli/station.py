@@ -130,7 +130,7 @@ def _weight(text: str) -> float:
 
 
 def run_check(options: argparse.Namespace) -> int:
-    """Find the devices, read every channel, home the stage and move it by 2 mm. All faults at once."""
+    """Find the devices, read every channel, home the stage and move it by 2 mm. Report all faults at once."""
     from softcal.app.line.rig import check_station
 
     with _signals_as_ctrl_c():
@@ -187,7 +187,7 @@ def run_qualify(options: argparse.Namespace) -> int:
 
 
 def _choose(part: Reason, candidates: Sequence["DeviceIdentity"]) -> "DeviceIdentity | None":
-    """Ask which device is a part; None where there is nobody to ask."""
+    """Ask for the device of a part; return None without a person to ask."""
     from softcal.app.cli.init import asked
 
     say("\n".join(f"{device.port}: {device.says}" for device in candidates))
@@ -242,7 +242,7 @@ def run_press(options: argparse.Namespace) -> None:
 
 
 def _progress_teller() -> "Callable[[RunProgress], None]":
-    """Return what says each new phase and every tenth of the way."""
+    """Return a callback that prints each new phase and every tenth of the progress."""
     shown_phase, shown_percent = "", -10
 
     def tell(progress: "RunProgress") -> None:
@@ -257,7 +257,7 @@ def _progress_teller() -> "Callable[[RunProgress], None]":
 
 @contextmanager
 def _signals_as_ctrl_c() -> Iterator[None]:
-    """Take terminate and hang-up as Ctrl-C: the stage is lifted, not left on the unit."""
+    """Handle terminate and hang-up like Ctrl-C, so that the stage is lifted, not left on the unit."""
 
     def interrupt(signal_number: int, frame: object) -> None:  # noqa: V107
         raise KeyboardInterrupt

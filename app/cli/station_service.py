@@ -1,4 +1,4 @@
-"""The resident service of a station: serve it, order from it, look at it, certify its cell."""
+"""The resident service of a station: serve it, send orders, print its status, certify its load cell."""
 
 import argparse
 import signal
@@ -185,7 +185,7 @@ def run_order(options: argparse.Namespace) -> int:
 
 
 def _is_there(queue: "OrderQueue", station: str) -> bool:
-    """Return whether a station's service is there: its beat is fresh, or late while it lives."""
+    """Return whether a station's service runs: its heartbeat is fresh, or late while its process lives."""
     from softcal.db.queues.order_queue import TAKEN_OVER_AFTER
 
     beat = queue.heartbeat(station)
@@ -215,9 +215,7 @@ def _followed(registry: "Registry", station: str, order_id: str) -> Progress:
 
 
 def run_status(options: argparse.Namespace) -> None:
-    """What stations say of themselves, and which units were pressed since the last good golden
-    unit.
-    """
+    """Print the status of stations, and the units pressed since the last good golden unit."""
     from softcal.app.line.facts import SILENT, state_of
     from softcal.app.line.gate_facts import quarantine
 
@@ -258,9 +256,7 @@ def run_status(options: argparse.Namespace) -> None:
 
 
 def run_certificate(options: argparse.Namespace) -> None:
-    """Type a certificate in, import its DCC (XML), or list what is on file. Without one the gate
-    stays closed.
-    """
+    """Enter a certificate, import its DCC (XML), or list the stored ones. Without one the gate stays closed."""
     from softcal.app.line.cell_certificate import certificate_from
 
     given = {

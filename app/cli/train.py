@@ -23,7 +23,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Train or find f, and print what it is."""
+    """Train f or load the stored network, and print its id and errors."""
     from softcal.app.batch.train import provide_network
     from softcal.app.files.lot_folder import open_lot_folder
     from softcal.app.registry.reference import state_reference

@@ -1,4 +1,4 @@
-"""`softcal trim`: known loads at the place of use re-anchor a unit's map."""
+"""`softcal trim`: adjust a unit's map by known loads at the place of use."""
 
 import argparse
 from functools import partial
@@ -24,7 +24,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Trim, and say what it changed."""
+    """Trim the unit, and print the changes."""
     from softcal.app.calibration.trim import trim_unit
     from softcal.app.tables.read import read_table
 

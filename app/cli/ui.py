@@ -1,4 +1,4 @@
-"""`softcal ui`: the operator's Streamlit application, in the browser or in a window of its own."""
+"""`softcal ui`: the Streamlit application, in the browser or in a separate window."""
 
 import argparse
 

@@ -27,7 +27,7 @@ class AlertMonitor:
         self._lot_alerts: dict[str, list[Alert]] = {}
 
     def update(self, now: datetime) -> int:
-        """Raise what is new, clear what is over; return how many events that made."""
+        """Raise new alerts and clear ended ones; return the number of events."""
         changed, self._cursor = list_decided_lots(self._registry, self._cursor)
         for lot_id in changed:
             self._lot_alerts[lot_id] = lot_alerts(lot_view(self._registry, lot_id))
@@ -62,7 +62,7 @@ def store_alert(registry: Registry, key: AlertKey, content: Mapping[str, Any], *
 
 
 def alert_key(alert: Alert, lot_id: str) -> AlertKey:
-    """Return the key of an alert, the same while it lasts, whatever its numbers are."""
+    """Return the key of an alert, constant while it lasts, whatever its values."""
     return alert.kind, lot_id, next((str(alert.values[name]) for name in ABOUT if name in alert.values), "")
 
 

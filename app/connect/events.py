@@ -1,4 +1,4 @@
-"""The one source of events: rows of the audit trail, told so that a program can act.
+"""Source of events: rows of the audit trail in a form on which a program can act.
 
 An event is written in the transaction of the change it tells of, so none is lost and none is made
 up. Its id is the position of its row in the trail: a program that gets it twice knows it by that.
@@ -42,13 +42,13 @@ MAX_ROWS = 20_000
 
 @dataclass(frozen=True)
 class RegistryEvent:
-    """One thing that happened.
+    """One event.
 
     Args:
         event_id: `ORIGIN:SEQ`, the row of the audit trail; the same for ever and everywhere.
         kind: verdict, alert.raised, alert.cleared, or change for everything else.
         at: when, UTC.
-        subject: what it is about, as a path.
+        subject: path of its subject.
         data: JSON values.
     """
 
@@ -60,7 +60,7 @@ class RegistryEvent:
     after: Cursor
 
     def to_json(self) -> dict[str, Any]:
-        """Return the event as CloudEvents 1.0 writes it (CNCF, JSON event format, section 3)."""
+        """Return the event as CloudEvents 1.0 (CNCF, JSON event format, section 3)."""
         return {
             "specversion": "1.0",
             "id": self.event_id,
@@ -118,7 +118,7 @@ def list_current_events(registry: Registry, cursor: Cursor, kinds: Collection[st
 
 
 def list_decided_lots(registry: Registry, cursor: Cursor | None) -> tuple[set[str], Cursor]:
-    """Return the lots judged behind a cursor, and the cursor now; None takes all lots."""
+    """Return the lots with verdicts behind a cursor, and the present cursor; None takes all lots."""
     if cursor is None:
         now = registry.outbox.end()
         return set(registry.lots.ids()), now
@@ -184,10 +184,10 @@ def _verdict(registry: Registry, entity: str, content: Mapping[str, Any]) -> dic
 
 
 def unit_path(unit: UnitKey) -> str:
-    """Return where a unit stands, as a path or topic."""
+    """Return the path or topic of a unit."""
     return f"lots/{path_part(unit.lot_id)}/units/{path_part(unit.serial)}"
 
 
 def path_part(name: str) -> str:
-    """Return a name so that it is one part of a path or topic, whatever characters it holds."""
+    """Return a name as one part of a path or topic, with any characters escaped."""
     return quote(name, safe="")

@@ -1,4 +1,4 @@
-"""Brings every event to every destination at least once: what is not confirmed stays."""
+"""Forwarder of every event to every destination at least once: an unconfirmed event stays."""
 
 import os
 import secrets
@@ -41,12 +41,12 @@ class Sender(Protocol):
     """Events it takes at once."""
 
     def send(self, events: Sequence[RegistryEvent]) -> None:
-        """Bring events in their order until the destination has confirmed all (`NotDelivered`: it has not)."""
+        """Send events in order until the destination has confirmed all; raise `NotDelivered` otherwise."""
 
 
 @dataclass(frozen=True)
 class Destination:
-    """A destination with what opens its sender; a sender that failed is closed and opened anew."""
+    """A destination with a function that opens its sender; a sender that failed is closed and opened again."""
 
     settings: DestinationSettings
     open_sender: Callable[[], AbstractContextManager[Sender]]
@@ -78,7 +78,7 @@ class Forwarder:
         self._opened.close()
 
     def step(self) -> bool:
-        """Bring the next events, unless a delay holds; return whether more may wait."""
+        """Send the next events, unless a delay is active; return whether more may wait."""
         outbox, settings = self._registry.outbox, self._destination.settings
         delivery = outbox.begin(settings.name, outbox.end() if settings.begin == "now" else {})
         now, lease = self._clock(), timedelta(seconds=LEASE_S)
@@ -109,7 +109,7 @@ class Forwarder:
 
 
 def status_json(registry: Registry, now: datetime) -> list[dict[str, Any]]:
-    """Return where every destination stands; `waits` counts all changes behind its cursor.
+    """Return the state of every destination; `waits` counts all changes behind its cursor.
 
     What a clock wrote that was ahead is over: nobody serves it since, no try waits for it, and `error` says so.
     """

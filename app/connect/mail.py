@@ -1,4 +1,4 @@
-"""Events as mail: what waits goes out as one mail, so that a bad hour fills no mailbox."""
+"""Events as mail: all waiting events in one mail, so that many events do not fill a mailbox."""
 
 import smtplib
 from collections.abc import Iterator, Sequence
@@ -18,7 +18,7 @@ PORTS = {"smtps": 465, "smtp+starttls": 587, "smtp": 25}
 
 @contextmanager
 def open_mail(settings: MailSettings) -> Iterator["MailSender"]:
-    """Open the sender of mails; it signs in anew for each, as servers end idle connections."""
+    """Return a sender of mails; it signs in for each mail, as servers close idle connections."""
     yield MailSender(settings)
 
 
@@ -31,7 +31,7 @@ class MailSender:
         self._settings = settings
 
     def send(self, events: Sequence[RegistryEvent]) -> None:
-        """Send events as one mail (`NotDelivered`: the server did not say that it has taken it)."""
+        """Send events as one mail; raise `NotDelivered` if the server does not confirm."""
         if not events:
             return
         try:
@@ -41,7 +41,7 @@ class MailSender:
             raise NotDelivered(f"{self._settings.server} did not take the mail: {error}") from error
 
     def check(self) -> None:
-        """Sign in and say goodbye (`NotDelivered`: the server cannot be reached, or refuses)."""
+        """Sign in and close the connection; raise `NotDelivered` if the server is not reachable or refuses."""
         try:
             with self._server() as server:
                 server.noop()
@@ -68,7 +68,7 @@ class MailSender:
 
 
 def compose_mail(events: Sequence[RegistryEvent], settings: MailSettings) -> EmailMessage:
-    """Return the mail that tells of events, in the language of the settings."""
+    """Return the mail of events, in the language of the settings."""
     lines = [render_event(event, settings.language) for event in events]
     raised = sum(event.kind == RAISED for event in events)
     mail = EmailMessage()
@@ -85,7 +85,7 @@ def compose_mail(events: Sequence[RegistryEvent], settings: MailSettings) -> Ema
 
 
 def render_event(event: RegistryEvent, language: str) -> str:
-    """Return one event as one line, whatever it quotes."""
+    """Return one event as one line, whatever text it quotes."""
     data = event.data
     if event.kind in (RAISED, CLEARED):
         sentence = data["text"].get(language, data["text"]["en"])

@@ -5,7 +5,7 @@ Topics below the one of the settings:
 - `events`: every event as CloudEvents JSON;
 - `lots/LOT/units/SERIAL/verdict`: the newest verdict of a unit (retained);
 - `alerts/KIND/LOT/ABOUT`: an open alert (retained; empty once over), `-` where it has none;
-- `stations/STATION/state`: what a station says of itself (retained);
+- `stations/STATION/state`: state of a station (retained);
 - `lots/LOT/units/SERIAL/estimate`: live estimates, the newest one retained.
 """
 
@@ -96,7 +96,7 @@ def open_mqtt(
 
 
 class MqttSender:
-    """Publishes over one connection; once it is cut this sender is of no more use."""
+    """Publisher over one connection; after a loss of the connection it is unusable."""
 
     max_events = 200
 
@@ -107,7 +107,7 @@ class MqttSender:
         client.on_connect = self._on_connect  # noqa: V101
 
     def wait_until_connected(self) -> None:
-        """Return once the broker has taken the connection (`NotDelivered`: it refuses, or does not answer in time)."""
+        """Return once the broker has accepted the connection; raise `NotDelivered` on refusal or time-out."""
         end_s = time.monotonic() + self._settings.timeout_s
         while not self._client.is_connected():
             if self._refusal or time.monotonic() > end_s:
@@ -124,7 +124,7 @@ class MqttSender:
         self._published |= {topic: payload for topic, payload, _ in changed}
 
     def publish(self, messages: Sequence[Message]) -> None:
-        """Publish messages until the broker has confirmed each (`NotDelivered`: it did not)."""
+        """Publish messages until the broker has confirmed each; raise `NotDelivered` otherwise."""
         top = self._settings.topic
         sent = [
             self._client.publish(f"{top}/{topic}", payload.encode(), AT_LEAST_ONCE, retain=is_retained)
@@ -147,7 +147,7 @@ class MqttSender:
 
 
 def list_event_messages(event: RegistryEvent) -> list[Message]:
-    """Return what is published of an event: itself, and the state it changes."""
+    """Return the messages of an event: the event itself, and the state that it changes."""
     text = json_text(event.to_json())
     messages = [("events", text, False)]
     if event.kind == VERDICT:
@@ -162,7 +162,7 @@ def list_event_messages(event: RegistryEvent) -> list[Message]:
 
 
 def list_current_messages(registry: Registry, settings: MqttSettings) -> list[Message]:
-    """Return what a broker keeps of the time before a destination was known; nothing once it got its first event.
+    """Return the retained messages for a new destination; none once it has received its first event.
 
     The newest verdict of every unit, and every open alert, each as its event tells it.
     """
@@ -178,7 +178,7 @@ def list_current_messages(registry: Registry, settings: MqttSettings) -> list[Me
 
 
 def state_messages(registry: Registry) -> list[Message]:
-    """Return what is published of every station."""
+    """Return the published messages of every station."""
     # The time of the last sign of life would be another one every second.
     stations = [{name: value for name, value in one.items() if name != "at"} for one in stations_json(registry)]
     return [(f"stations/{path_part(one['station'])}/state", json_text(one), True) for one in stations]
@@ -215,7 +215,7 @@ def publish_estimates(
 
 
 class _Live:
-    """A connection that may come and go after it stood once."""
+    """A connection that may be lost and restored after its first success."""
 
     def __init__(self, settings: MqttSettings) -> None:
         self._settings, self._tried_s = settings, 0.0
@@ -248,7 +248,7 @@ class _Live:
 
 
 def estimate_json(line: str, unit: UnitKey) -> str:
-    """Return one row as JSON; what is no number is null (`InputError`: it is no such row)."""
+    """Return one row as JSON, null for a missing number; raise `InputError` for an invalid row."""
     cells = line.rstrip("\r\n").split(",", len(COLUMNS) - 1)
     try:
         numbers = [float(cell) if cell else math.nan for cell in cells[:4]]

@@ -44,7 +44,7 @@ VERDICTS = {"Pass": "pass", "Conditional": "conditional", "Fail": "fail", "Retes
 
 
 class _TokenAuthenticator:
-    """Lets in who has an account's token; on this machine alone, everybody. Nobody may write."""
+    """Accepts an account's token; on this machine alone, every user. No client may write."""
 
     def __init__(self, registry: Registry, is_open: bool) -> None:
         self._registry, self._is_open = registry, is_open
@@ -84,7 +84,7 @@ class OpcUaServer:
         await self._nodes["Events"].add_method(*self._named("Events/Read", "Read"), read, [TEXT, COUNT], [TEXT, TEXT])
 
     async def follow(self) -> None:
-        """Show what the registry holds now; nodes of stations and lots appear with them."""
+        """Update the nodes from the registry; nodes of stations and lots appear with them."""
         cursor, stations, lots = await asyncio.to_thread(self._look)
         for station in stations:
             path = f"Stations/{path_part(station['station'])}"
@@ -141,7 +141,7 @@ class OpcUaServer:
 
 @asynccontextmanager
 async def opcua_server(registry: Registry, settings: OpcUaSettings) -> AsyncIterator[OpcUaServer]:
-    """Serve inside the block (`InputError`: nobody can listen there, or no certificate is read)."""
+    """Serve inside the block; raise `InputError` for an unusable address or certificate."""
     is_open = settings.cert_file is None
     server = Server(user_manager=_TokenAuthenticator(registry, is_open))  # type: ignore[arg-type]
     await server.init()

@@ -1,4 +1,4 @@
-"""`softcal connect`: every destination in its own thread until the end, or tried once."""
+"""`softcal connect`: every destination in its own thread until the end, or a check of each."""
 
 import asyncio
 import socket
@@ -103,7 +103,7 @@ def _monitor_alerts(registry: Registry, every_s: float, stop: threading.Event, o
 
 
 def _repeat(step: Callable[[], bool], name: str, every_s: float, stop: threading.Event, on_trouble: Trouble) -> None:
-    """Do steps until `stop` is set, at once while more is to do; a registry that is away is asked again."""
+    """Repeat steps until `stop` is set, at once if more is to do; retry an unreachable registry."""
     while not stop.is_set():
         try:
             has_more = step()

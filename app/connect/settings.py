@@ -1,4 +1,4 @@
-"""Where events go: the destinations of one TOML file; secrets stand in files of their own."""
+"""Destinations of events in one TOML file; each secret is in a separate file."""
 
 import ipaddress
 from collections.abc import Mapping
@@ -18,10 +18,10 @@ BEGINNINGS = ("now", "first")
 
 @dataclass(frozen=True, kw_only=True)
 class DestinationSettings:
-    """What every destination says.
+    """Settings of every destination.
 
     Args:
-        name: under which it is known; its place in the events is kept under this name.
+        name: its name, under which its cursor is stored.
         events: which kinds it gets: verdict, alert, change.
         begin: `now` or `first`: where it begins when it is new.
         ca_file: certificates to trust in place of the system's.
@@ -155,7 +155,7 @@ class OpcUaSettings:
 
 @dataclass(frozen=True)
 class AlertSettings:
-    """How often alerts are looked for: seconds between two looks, 0 for none."""
+    """Interval between checks for alerts in seconds, 0 for no checks."""
 
     every_s: float = 30.0
 
@@ -166,7 +166,7 @@ class AlertSettings:
 
 @dataclass(frozen=True)
 class ConnectSettings:
-    """All destinations of a file; without `opcua` no server, with `alerts_every_s` 0 no looks for alerts."""
+    """All destinations of a file; without `opcua` no server, with `alerts_every_s` 0 no checks for alerts."""
 
     webhooks: tuple[WebhookSettings, ...] = ()
     mails: tuple[MailSettings, ...] = ()
@@ -213,7 +213,7 @@ def _check_positive(name: str, value: float) -> None:
 
 
 def split_address(name: str, address: str) -> SplitResult:
-    """Return the parts of an address (`InputError`: it is none, or holds a password)."""
+    """Return the parts of an address; raise `InputError` for an invalid one, or one with a password."""
     try:
         parts = urlsplit(address)
         _ = parts.port
@@ -227,7 +227,7 @@ def split_address(name: str, address: str) -> SplitResult:
 
 
 def check_address(name: str, address: str, safe: tuple[str, ...], plain: tuple[str, ...]) -> None:
-    """Check that an address is encrypted or stays on this machine (`InputError`: it is not)."""
+    """Raise `InputError` if an address is neither encrypted nor of this machine."""
     parts = split_address(name, address)
     if parts.scheme not in (*safe, *plain):
         raise InputError(f"{name} {address!r} must begin with {' or '.join(f'{scheme}://' for scheme in safe)}")
@@ -247,7 +247,7 @@ def is_local(host: str) -> bool:
 
 
 def read_secret(path: Path) -> str:
-    """Return the first line of a secret's file (`InputError`: it cannot be read, or is empty)."""
+    """Return the first line of a secret's file; raise `InputError` if it is unreadable or empty."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:

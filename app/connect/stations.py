@@ -1,4 +1,4 @@
-"""What stations say of themselves, as JSON values: one answer for REST, MQTT and OPC UA."""
+"""Status of stations as JSON values, for REST, MQTT and OPC UA."""
 
 from datetime import UTC, datetime
 from typing import Any
@@ -18,7 +18,7 @@ def stations_json(registry: Registry) -> list[dict[str, Any]]:
 
 
 def station_json(registry: Registry, heartbeat: Heartbeat) -> dict[str, Any]:
-    """Return a station: its state, its unit, the last unit it decided with its lot, which may be an earlier one."""
+    """Return a station: state, unit in the fixture, last decided unit and the lot of that unit."""
     queue = registry.order_queue
     active = queue.active(heartbeat.station)
     decided = next((o for o, p in queue.runs(heartbeat.station, NEWEST) if o.kind.is_about_unit and p.verdict), None)
@@ -40,7 +40,7 @@ def station_json(registry: Registry, heartbeat: Heartbeat) -> dict[str, Any]:
 
 
 def order_json(order: Order, progress: Progress) -> dict[str, Any]:
-    """Return an order and how far it is."""
+    """Return an order with its progress."""
     return {
         "order_id": order.order_id,
         "station": order.station,

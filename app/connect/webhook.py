@@ -1,4 +1,4 @@
-"""Events as signed HTTP POSTs: CloudEvents, signed as standardwebhooks.com (1.0) says."""
+"""Events as signed HTTP POSTs: CloudEvents, signed by standardwebhooks.com (1.0)."""
 
 import base64
 import binascii
@@ -41,7 +41,7 @@ def write_new_secret(path: Path) -> None:
 
 
 def parse_secret(secret: str) -> bytes:
-    """Return a secret's key (`InputError`: it is none that `softcal connect secret` writes)."""
+    """Return the key of a secret; raise `InputError` if `softcal connect secret` did not write it."""
     try:
         key = base64.b64decode(secret.removeprefix(SECRET_PREFIX), validate=True)
     except binascii.Error:
@@ -85,7 +85,7 @@ class WebhookSender:
         self._client, self._url, self._key, self._clock_s = client, url, key, clock_s
 
     def send(self, events: Sequence[RegistryEvent]) -> None:
-        """Post events in their order (`NotDelivered`: an answer is not 2xx, or there is none)."""
+        """Post events in order; raise `NotDelivered` for an answer other than 2xx, or without one."""
         for number, event in enumerate(events):
             body = json.dumps(event.to_json(), ensure_ascii=False, separators=(",", ":")).encode()
             timestamp = int(self._clock_s())

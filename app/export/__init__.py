@@ -1,1 +1,1 @@
-"""What leaves the factory: calibration files with their manifest, written and read back."""
+"""Export of calibration files with their manifest, and checks of an export folder."""

@@ -1,4 +1,4 @@
-"""One calibrated unit as the registry knows it, and what exports derive from it."""
+"""A calibrated unit of the registry, and the values that exports derive from it."""
 
 from dataclasses import dataclass, field, replace
 from datetime import date
@@ -40,9 +40,9 @@ class ExportOptions:
         release: which verdicts release device files.
         failed_too: write device files of every unit, for the laboratory.
         revision: an older calibration; None is the one in use.
-        lot_id: lot of the units; needed where a serial stands in several.
+        lot_id: lot of the units; required if several lots have a serial.
         signing_key: opened key that signs the manifest and every certificate.
-        laboratory: TOML with laboratory, customer, person and load cell; None: what the registry keeps.
+        laboratory: TOML with laboratory, customer, person and load cell; None: the data of the registry.
         issued_on: of certificates; None: as the laboratory file says, else today.
     """
 
@@ -80,7 +80,7 @@ class ExportOptions:
 
 @dataclass(frozen=True, eq=False)
 class SharedNetwork:
-    """The network of a lot and its source, registered on `source_since` (UTC day); its device file is made once."""
+    """Network of a lot with its source, registered on `source_since` (UTC day); its device file is built once."""
 
     network: Network
     source: LabelledRecording
@@ -95,13 +95,13 @@ class SharedNetwork:
 
 @dataclass(frozen=True, eq=False)
 class CalibratedUnit:
-    """A unit as the registry knows it; what exports derive is made once, when asked for.
+    """A unit of the registry; the values that exports derive are computed on first use.
 
     Args:
         stored: the calibration to export: the one in use, or one asked for.
         in_registry_since: UTC day its recording came into the registry.
         proof_method: identity of the method by which a station proved it; None for a file that was brought.
-        status: how the unit stands now, whichever calibration that is.
+        status: present status of the unit, whichever its calibration.
         laboratory: what its certificates say that no recording knows.
     """
 
@@ -121,7 +121,7 @@ class CalibratedUnit:
 
     @property
     def escaped_serial(self) -> str:
-        """The serial in ASCII, as names of files hold it."""
+        """Serial in ASCII, as in file names."""
         return escape_serial(self.serial)
 
     @property
@@ -134,7 +134,7 @@ class CalibratedUnit:
 
     @property
     def provenance(self) -> Provenance:
-        """What made the revision that is given out, and from what; the same for each of its files."""
+        """Provenance of the exported revision, equal in each of its files."""
         made = self.stored.provenance
         inputs = {**made.inputs, "source recording": self.shared.source_sha256}
         if self.proof_method is not None:
@@ -147,7 +147,7 @@ class CalibratedUnit:
 
     @cached_property
     def record(self) -> DeviceRecord:
-        """What the device form is made from."""
+        """Input of the device form."""
         estimates = estimate(self.network, self.calibration, self.recording)
         rows = self.recording.window_rows
         return DeviceRecord(
@@ -164,12 +164,12 @@ class CalibratedUnit:
 
     @property
     def verdict(self) -> str:
-        """The word of the revision that was named, else of the unit as it stands."""
+        """Verdict of the requested revision, else of the unit's present state."""
         return str(self.state.verdict) if self.options.revision is not None else str(self.status.verdict)
 
     @property
     def reasons(self) -> tuple[Reason, ...]:
-        """Why it has that verdict, most important first."""
+        """Reasons of the verdict, most important first."""
         return self.state.decision.reasons if self.options.revision is not None else self.status.reasons
 
     def check_not_withdrawn(self) -> None:
@@ -201,21 +201,21 @@ class CalibratedUnit:
 
     @cached_property
     def device_unit(self) -> DeviceUnit:
-        """The device file of the unit and what it costs; `NotReleased` where there is none."""
+        """Device file of the unit with its cost; raises `NotReleased` without one."""
         self.check_usable()
         return build_unit_file(self.record, self.network, self.shared.file, self.options.scaled_device)
 
 
 @dataclass
 class UnitLoader:
-    """Reads units one by one; units of one network share it."""
+    """Reads units one by one; units of one network share the network."""
 
     registry: Registry
     options: ExportOptions
     _networks: dict[tuple[str, AnchorConfig], SharedNetwork] = field(default_factory=dict)
 
     def load(self, serial: str) -> CalibratedUnit:
-        """Read one unit; `InputError` where the registry does not know it."""
+        """Return one unit; raise `InputError` for a unit outside the registry."""
         stored = self.registry.calibrations.get(serial, self.options.revision, lot_id=self.options.lot_id)
         fit = stored.state.fit
         recording = unlabelled(self.registry.recordings.get(fit.recording_sha256))
@@ -237,10 +237,10 @@ class UnitLoader:
 
     @cached_property
     def _laboratory(self) -> Laboratory:
-        """Read what certificates say (`InputError`: the file cannot be used)."""
+        """Return the laboratory data of certificates; raise `InputError` for an unusable file."""
         path = self.options.laboratory
         return registry_laboratory(self.registry) if path is None else read_laboratory(path)
 
     def _entry(self, lot_id: str, sha256: str) -> RecordingEntry | None:
-        """Return what is known of a recording of a lot."""
+        """Return the metadata of a recording of a lot."""
         return next((entry for entry in self.registry.recordings.of_lot(lot_id) if entry.sha256 == sha256), None)

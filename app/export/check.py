@@ -1,4 +1,4 @@
-"""Read exports back: what a calibration file holds; is a folder complete, unchanged, and who signed it?"""
+"""Check of exports: content of a calibration file; completeness, integrity and signature of a folder."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -27,16 +27,16 @@ NOT_SIGNED, NOT_CHECKED, WRONG = "not signed", "not checked", "wrong"
 
 @dataclass(frozen=True)
 class FolderCheck:
-    """What was read back: three questions, each with its own answer.
+    """Result of a check: complete, unchanged, signed.
 
     Args:
         files: files the manifest lists.
         opened: units whose device files were opened with all self-tests.
-        incomplete: one line for each file that is missing, or that nobody exported.
+        incomplete: one line for each file that is missing, or not in the manifest.
         changed: one line for each file that was changed, or that a device would refuse.
         signed_by: name and fingerprint, or NOT_SIGNED, NOT_CHECKED (no key) or WRONG.
         signature_problem: why a signature does not hold.
-        signed_on: what the signed manifest says of the day.
+        signed_on: date in the signed manifest.
     """
 
     files: int
@@ -49,7 +49,7 @@ class FolderCheck:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """One line each; empty for a folder that may be shipped."""
+        """Return one line per problem; empty for a folder that may be shipped."""
         return (*self.incomplete, *self.changed, *([self.signature_problem] if self.signature_problem else []))
 
     @property
@@ -165,10 +165,10 @@ def _device_problems(folder: Path, names: list[str]) -> tuple[list[str], int]:
 
 
 def read_device_file(path: Path) -> tuple[DeviceFile, bool]:
-    """Read a network or unit file: .ssc or its JSON twin (`InputError`: it is none, damaged, or was changed).
+    """Return a network or unit file, .ssc or JSON; raise `InputError` for an invalid or changed file.
 
     Returns:
-        the file, and whether it carries the hash that proves it to be as it was exported.
+        the file, and whether it has the hash that proves it unchanged since its export.
     """
     try:
         content = path.read_bytes()
@@ -193,12 +193,12 @@ def read_device_file(path: Path) -> tuple[DeviceFile, bool]:
 
 
 def file_values(file: DeviceFile, is_whole: bool) -> dict[str, object]:
-    """Return everything in a file as JSON values, and whether it is proven."""
+    """Return the content of a file as JSON values, and whether its hash was checked."""
     return (network_values(file) if isinstance(file, NetworkFile) else unit_values(file)) | {"is_proven": is_whole}
 
 
 def file_rows(file: DeviceFile, is_whole: bool, network: NetworkFile | None = None) -> list[tuple[str, str]]:
-    """Return what a person wants to know of a file; beside its network a unit's is self-tested."""
+    """Return the content of a file for people; a unit file next to its network is self-tested."""
     rows = _network_rows(file) if isinstance(file, NetworkFile) else _unit_rows(file, is_whole, network)
     proof = "its hash holds" if is_whole else "not proven: it carries no sha256; anybody may have changed it"
     return [*rows, ("as exported", proof)]

@@ -22,7 +22,7 @@ from softcal.db.registry import Registry
 
 @dataclass(frozen=True, eq=False)
 class ExportedUnit:
-    """What was written for one unit, or why something was not.
+    """Written files of one unit, or the reason for their absence.
 
     Args:
         files: names of the files in the folder.
@@ -56,7 +56,7 @@ def export_units(
     Args:
         formats: names of `softcal.app.export.names.formats`.
         out: folder; files of other units in it stay, and stay in its manifest.
-        on_unit: told after each unit.
+        on_unit: called after each unit.
         folder_name: where the files go, as the registry remembers it; None: this folder.
 
     Raises:
@@ -97,7 +97,7 @@ def export_units(
 
 
 def lot_serials(registry: Registry, lot_id: str, options: ExportOptions) -> list[str]:
-    """Return the calibrated units of a lot that are released (`InputError`: there is none)."""
+    """Return the released calibrated units of a lot; raise `InputError` without any."""
     units = [unit for unit in registry.lots.units(lot_id) if unit.revision is not None]
     serials = [unit.serial for unit in units if unit.verdict and options.releases(unit.verdict)]
     if not serials:
@@ -106,12 +106,12 @@ def lot_serials(registry: Registry, lot_id: str, options: ExportOptions) -> list
 
 
 def exported_file_record(unit: CalibratedUnit) -> Mapping[str, object]:
-    """Return what the registry remembers of the files of a unit that were given out."""
+    """Return the registry's record of the exported files of a unit."""
     return {"revision": unit.stored.revision, "map_sha256": unit.state.map_sha256, "verdict": unit.verdict}
 
 
 def withdraw_given(registry: Registry, lot_ids: Sequence[str]) -> list[Recall]:
-    """Take files that no longer hold out of the folders of this computer; return what is recalled."""
+    """Remove files that are no longer valid from the folders of this computer; return the recalled ones."""
     recalls, here = list_recalls(registry, lot_ids), socket.gethostname()
     for folder_name, lot_id in sorted({(one.place, one.lot) for one in recalls if one.host == here}):
         if not (Path(folder_name) / NAME).is_file():
@@ -126,7 +126,7 @@ def withdraw_given(registry: Registry, lot_ids: Sequence[str]) -> list[Recall]:
 def _export(
     unit: CalibratedUnit, writers: Mapping[str, Writer], out: Path, manifest: Manifest, key: SigningKey | None
 ) -> ExportedUnit:
-    """Write what a unit has of each format, take away what it has no more."""
+    """Write the files of a unit in each format, and remove files that it no longer has."""
     fit, serial = unit.state.fit, unit.serial
     contents: dict[str, bytes] = {}
     refusal = None

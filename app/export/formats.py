@@ -1,4 +1,4 @@
-"""One function per export format: a calibrated unit in, the contents of its files out."""
+"""Export formats: one function each, from a calibrated unit to the contents of its files."""
 
 import json
 import re
@@ -30,7 +30,7 @@ Writer = Callable[[CalibratedUnit], dict[str, bytes]]
 
 
 def runtime_header() -> bytes:
-    """Return softsensor.h, from the checkout or from where the wheel put it."""
+    """Return softsensor.h, from the checkout or from the installed wheel."""
     places = (
         Path(__file__).parents[2] / "firmware" / "softsensor" / "softsensor.h",
         Path(sys.prefix) / "share" / "softcal" / "softsensor.h",
@@ -42,7 +42,7 @@ def runtime_header() -> bytes:
 
 
 def _json_files(unit: CalibratedUnit) -> dict[str, bytes]:
-    """Where only the device form is refused, `device` says why: the map itself is for PCs too."""
+    """Return the JSON files; without a device form `device` is the reason, as the map itself is for PCs too."""
     unit.check_usable()
     values: dict[str, object] = {"schema": "softcal.calibration/1", "calibration": calibration_values(unit)}
     files = {}
@@ -190,7 +190,7 @@ WRITERS: Mapping[str, Writer] = {
 
 
 def writer_of(name: str) -> Writer:
-    """Return what writes a format; it raises `UnitRefused` where result, verdict or map of a unit forbid such a file.
+    """Return the writer of a format; it raises `UnitRefused` if result, verdict or map forbid such a file.
 
     `InputError`: no such format, or a plug-in that cannot be loaded or takes a name.
     """

@@ -40,7 +40,7 @@ class FileEntry:
 
     @classmethod
     def read(cls, row: Mapping[str, Any]) -> "FileEntry":
-        """Read one row; a manifest may come from elsewhere, so a name must stay in the folder."""
+        """Return one row; a name must stay in the folder, as a manifest may be foreign."""
         entry = cls(**row)
         if not isinstance(entry.name, str) or not PLAIN_NAME.fullmatch(entry.name) or entry.name in (NAME, SIGNATURE):
             raise ValueError(f"{entry.name!r} is no name of a file in this folder")
@@ -49,14 +49,14 @@ class FileEntry:
 
 @dataclass
 class Manifest:
-    """Files by name and units by serial; `signed_on`, which the signature covers, is None where nobody signed."""
+    """Files by name and units by serial; `signed_on`, which the signature covers, is None without a signature."""
 
     files: dict[str, FileEntry]
     units: dict[str, Mapping[str, object]]
     signed_on: date | None = None
 
     def check_lot(self, unit: UnitKey) -> None:
-        """Raise `InputError` where the folder has files of this serial of another lot, which no device tells apart."""
+        """Raise `InputError` if the folder has files of this serial of another lot, as no device distinguishes them."""
         lot_id = self.units.get(unit.serial, {}).get("lot", unit.lot_id)
         if lot_id != unit.lot_id:
             raise InputError(
@@ -65,7 +65,7 @@ class Manifest:
             )
 
     def remove(self, folder: Path, names: Collection[str]) -> None:
-        """Take files out of the folder and out of its manifest."""
+        """Remove files from the folder and its manifest."""
         for name in names:
             (folder / name).unlink(missing_ok=True)
             del self.files[name]
@@ -85,7 +85,7 @@ class Manifest:
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Read a folder's manifest; an empty one where there is none yet.
+    """Return a folder's manifest; an empty one for a new folder.
 
     `InputError`: no manifest of softcal; it lists a file twice, or one elsewhere.
     """
@@ -123,7 +123,7 @@ def withdraw_units(folder: Path, lot_id: str, released: Collection[str], verdict
     """Remove the files of units of a lot that are not released; return the serials of those that had some.
 
     Args:
-        folder: an export folder; nothing happens where there is none yet.
+        folder: an export folder; nothing happens without one.
         released: serials whose files stay.
         verdicts: today's word of every unit that may have files here.
     """

@@ -9,7 +9,7 @@ GROUP = "softcal.exporters"
 
 
 def formats() -> tuple[str, ...]:
-    """Return every format: softcal's own, then those of plug-ins, whose code is not loaded yet."""
+    """Return every format: softcal's own, then those of plug-ins, without loading their code."""
     return (*FORMATS, *(point.name for point in installed(GROUP) if point.name not in FORMATS))
 
 

@@ -1,4 +1,4 @@
-"""Ed25519 signatures beside manifest and certificates: made with one key, checked with many."""
+"""Ed25519 signatures of manifest and certificates: signed by one key, checked against several."""
 
 import hashlib
 import os
@@ -29,7 +29,7 @@ RING_KEYS = {"name", "file", "valid_from", "valid_until"}
 
 @dataclass(frozen=True)
 class TrustedKey:
-    """A public key somebody trusts (`valid_from`, `valid_until`: first day it signs, first day it no longer does)."""
+    """A trusted public key with its validity (`valid_from`; `valid_until` is the first day after it)."""
 
     key: Ed25519PublicKey
     name: str
@@ -53,7 +53,7 @@ def open_signing_key(
     Args:
         key_file: the key, encrypted or not.
         passphrase_file: its first line opens the key, else SOFTCAL_SIGNING_PASSPHRASE.
-        ask: asks a person for the passphrase where there is neither; None: there is nobody to ask.
+        ask: asks a person for the passphrase if neither source has it; None: no person to ask.
 
     Raises:
         InputError: no key, another kind of key, or a passphrase that is missing or wrong.
@@ -119,10 +119,10 @@ def _trusted(file: Path, name: str, valid_from: date | None = None, valid_until:
 
 
 def check_signature(content: bytes, signature: bytes, trusted: Sequence[TrustedKey], signed_on: date | None) -> str:
-    """Return whose signature it is, by name and fingerprint.
+    """Return name and fingerprint of the signing key.
 
     Args:
-        signed_on: what the signed content says of the day; None where it says nothing.
+        signed_on: date in the signed content, or None.
 
     Raises:
         InputError: it is of none of the keys, or its key was not valid on that day.

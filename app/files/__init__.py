@@ -1,1 +1,1 @@
-"""What softcal reads and writes on disk, a module a kind of file; bad input ends in one line."""
+"""Files that softcal reads and writes, one module per kind; bad input ends in one line."""

@@ -16,7 +16,7 @@ def read_anchors(path: Path, serials: Collection[str], options: TableOptions = D
     """Read the anchors of a lot by serial.
 
     Raises:
-        InputError: no such table, a unit that the lot does not have, or nobody's loads.
+        InputError: no such table, a unit outside the lot, or loads without a unit.
     """
     table = read_table(path, options, is_requested={"serial", "output", "reference"}.__contains__)
     output, reference = table.finite_numbers("output"), table.finite_numbers("reference")
@@ -35,7 +35,7 @@ def read_anchors(path: Path, serials: Collection[str], options: TableOptions = D
 
 
 def write_anchors(path: Path, loads: Mapping[str, Anchors]) -> None:
-    """Write the known loads of units as `read_anchors` reads them."""
+    """Write the known loads of units in the format of `read_anchors`."""
     serials = [serial for serial, one in loads.items() for _ in one.output]
     output, reference = (
         np.concatenate([np.asarray(getattr(one, name), np.float64) for one in loads.values()])

@@ -1,4 +1,4 @@
-"""Write a file whole or not at all. Every writer of softcal goes through here."""
+"""Atomic writing of files, used by every writer of softcal."""
 
 import os
 import shutil
@@ -12,9 +12,9 @@ from softcal.core.errors import InputError
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Give a path beside `path`; when the block ends well, sync it and rename it into place.
+    """Yield a temporary path next to `path`; if the block succeeds, sync it and rename it into place.
 
-    When the block raises, the temporary file is removed and `path` is as it was before.
+    If the block raises, the temporary file is removed and `path` is unchanged.
 
     Raises:
         InputError: the folder cannot be made or written to.
@@ -40,7 +40,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def whole_folder(path: Path) -> Iterator[Path]:
-    """Give a folder beside `path`; when the block ends well, rename it into place.
+    """Yield a temporary folder next to `path`; if the block succeeds, rename it into place.
 
     Raises:
         InputError: `path` is there and not empty, or the folder cannot be made.

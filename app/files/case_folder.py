@@ -63,8 +63,7 @@ OTHER_NAMES = {"output": "output_V", "reference": "force_N"}
 
 
 def open_table(path: Path, readout: ReadoutMetadata, options: TableOptions = DETECT) -> Case:
-    """Read one plain table as the only run of a case; the electronics it does
-    not say.
+    """Return one plain table as the only run of a case, with the electronics that it does not state.
 
     Args:
         path: columns `force_N, output_V` or those of an audit, `stage_mm` and `t_s` where there are

@@ -1,4 +1,4 @@
-"""What to import: columns, files, rows and the lot they are to become, and one unit as it was read."""
+"""Plan of an import: columns, files, rows, the lot, and one imported unit."""
 
 import fnmatch
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,7 @@ from softcal.core.recording import Array, LabelledRecording, OutputRecording
 
 @dataclass(frozen=True)
 class Columns:
-    """Which columns of the tables hold what.
+    """Column names of the tables.
 
     Args:
         output: the output column; with `*` or `?` many, each becomes a unit of that name. Brackets are those of a unit.
@@ -51,7 +51,7 @@ class Columns:
 
 @dataclass(frozen=True)
 class ImportPlan:
-    """What to import and what the lot is to be.
+    """Files to import and the lot to create.
 
     Args:
         lot: facts of the lot; stamps of a table must have its `sample_rate_Hz`, which makes them where it has none.
@@ -83,7 +83,7 @@ class ImportPlan:
 
 @dataclass(frozen=True, eq=False)
 class ImportedUnit:
-    """One unit as read.
+    """One unit as read from its file.
 
     Args:
         file: its output, and of a source its reference.
@@ -99,7 +99,7 @@ class ImportedUnit:
 
     @property
     def reference(self) -> Array | None:
-        """(n,) beside the samples of `labelled`; None where none was read."""
+        """Reference (n,) of the samples of `labelled`, or None."""
         return (self.audit or self.file).inspected.reference
 
     def labelled(self, reference_unit: str) -> LabelledRecording:

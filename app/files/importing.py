@@ -36,11 +36,11 @@ from softcal.core.recording import Array, LabelledRecording
 
 @dataclass(frozen=True, eq=False)
 class ImportedLot:
-    """What an import wrote, and what of the tables it did not use.
+    """Result of an import, with the unused parts of the tables.
 
     Args:
         units, audits: serials of the target units, and of those whose references are kept.
-        layouts: what was detected of each file, in one line; "" where it has the plain form.
+        layouts: detected layout of each file, in one line; "" for the plain form.
         remarks: what is odd but no error, such as one recording under two serials.
         reference_range: range of the source's reference, in its unit.
     """
@@ -54,7 +54,7 @@ class ImportedLot:
 
 
 def tables_of(path: Path) -> list[Path]:
-    """Return a file as it is, and of a folder its tables; a lot folder's lie in source/ and units/.
+    """Return a file, or the tables of a folder; those of a lot folder are in source/ and units/.
 
     Raises:
         InputError: a folder without a table.
@@ -117,7 +117,7 @@ def import_lot(plan: ImportPlan, folder: Path) -> ImportedLot:
 
 
 def compare_audits(plan: ImportPlan, units: Mapping[str, ImportedUnit]) -> tuple[Reason, ...]:
-    """Return what tells that an audit is in another unit of measure than the source, or of the other sign."""
+    """Return findings that an audit has another unit of measure or sign than the source."""
     source, unit = units.get(plan.lot.source), plan.lot.reference_unit
     labelled: dict[str, LabelledRecording] = {}
     for serial, one in units.items():
@@ -130,7 +130,7 @@ def compare_audits(plan: ImportPlan, units: Mapping[str, ImportedUnit]) -> tuple
 
 
 def _named_units(plan: ImportPlan) -> tuple[list[tuple[Path, str, ImportedUnit]], list[NotUsed]]:
-    """Read the units of a plan by the name of their file in the lot, and say which files name no unit."""
+    """Read the units of a plan by file name, and report files whose name is no serial."""
     rows: list[tuple[Path, str, ImportedUnit]] = []
     for path, serial, unit in _read(plan):
         if isinstance(unit, InputError):
@@ -155,8 +155,9 @@ def _named_units(plan: ImportPlan) -> tuple[list[tuple[Path, str, ImportedUnit]]
 
 @dataclass(frozen=True, eq=False)
 class LookedAt:
-    """What one table, or one column of it, would become: a unit as read, or why it is refused. It
-    has no serial where the table as a whole cannot be read.
+    """Preview of one table, or one column of it: a unit as read, or the reason of a refusal.
+
+    A table that cannot be read as a whole has no serial.
     """
 
     path: Path
@@ -170,7 +171,7 @@ class LookedAt:
 
 
 def look_through(plan: ImportPlan) -> list[LookedAt]:
-    """Read every unit and say which would be refused and why; a plan without those can be imported."""
+    """Read every unit and return refusals with reasons; a plan without refusals can be imported."""
     looked, rows = [], list(_read(plan))
     problems = _name_problems([(path, serial) for path, serial, _ in rows])
     for (path, serial, unit), name_problem in zip(rows, problems, strict=True):
@@ -185,7 +186,7 @@ def look_through(plan: ImportPlan) -> list[LookedAt]:
 
 
 def _name_problems(named: Sequence[tuple[Path, str]]) -> list[Reason | None]:
-    """Return for each (file, serial) why it names no unit: no serial, or one that is given twice; None where it does.
+    """Return for each (file, serial) why it names no unit (no serial, or a repeated one), else None.
 
     A table that cannot be read has no serial, "", and no problem here.
     """
@@ -208,7 +209,7 @@ def _name_problem(serial: str, same: Sequence[str]) -> Reason | None:
 
 
 def _read(plan: ImportPlan) -> Iterator[tuple[Path, str, "ImportedUnit | InputError"]]:
-    """Yield every unit of a plan with its file and serial; in place of one that is refused, or of a table, why."""
+    """Yield every unit of a plan with its file and serial, or the error of a refused unit or table."""
     columns, renamed = plan.columns, set[str]()
     others = (columns.reference, columns.stage)
     for k, path in enumerate(plan.files):

@@ -1,4 +1,4 @@
-"""What `softcal inspect` shows of a table: its layout, its time, and every finding of the look at its recording."""
+"""Inspection of a table for `softcal inspect`: layout, time, and findings of the recording."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -38,7 +38,7 @@ def inspect_file(path: Path, names: ColumnNames, reference: str | None) -> FileR
 
 
 def summary_rows(file: FileRecording) -> list[tuple[str, object]]:
-    """Return what a table holds as rows of name and value."""
+    """Return the inspection of a table as rows of name and value."""
     recording, inspection = file.recording, file.inspected.inspection
     masked = ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in inspection.masked.counts.items())
     ranges = [(f"range of {name}", _range(file, name)) for name in file.columns if name != "t_s"]
@@ -62,7 +62,7 @@ def finding_rows(file: FileRecording) -> list[tuple[object, ...]]:
 
 
 def compare_files(source: FileRecording, file: FileRecording) -> list[str]:
-    """Return what a recording shows beside the source's: another unit of measure, sign or place of its output.
+    """Return findings of a recording relative to the source: unit of measure, sign, level of its output.
 
     Raises:
         InputError: the source has no reference, or its reference can label nothing.
@@ -77,10 +77,10 @@ def compare_files(source: FileRecording, file: FileRecording) -> list[str]:
 
 
 def inspection_json(file: FileRecording, beside: Sequence[str] = ()) -> dict[str, object]:
-    """Return what a table holds as the JSON of `softcal inspect --json` (schema `softcal.inspection/1`).
+    """Return the inspection of a table as the JSON of `softcal inspect --json` (schema `softcal.inspection/1`).
 
     Args:
-        beside: what it shows beside the source's recording.
+        beside: findings relative to the source's recording.
     """
     inspection = file.inspected.inspection
     return {
@@ -116,7 +116,7 @@ def _findings(file: FileRecording) -> list[dict[str, object]]:
 
 
 def _number(value: float) -> float | str | None:
-    """Return a number as JSON has it: an empty cell has none."""
+    """Return a number for JSON; None for an empty cell."""
     if np.isnan(value):
         return None
     return value if np.isfinite(value) else str(value)

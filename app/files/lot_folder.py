@@ -30,7 +30,7 @@ GOLDEN = "golden"
 
 @dataclass(frozen=True, kw_only=True)
 class LotFolder(LotToml):
-    """What a lot's `lot.toml` says, and where its recordings lie. Nothing else is read before it is asked for.
+    """Content of a lot's `lot.toml`, and the paths of its recordings, which are read on request.
 
     Args:
         root: the folder; nothing outside it is read as a recording of a unit.
@@ -53,7 +53,7 @@ class LotFolder(LotToml):
     problems: Mapping[str, Reason] = field(default_factory=dict)
 
     def read_anchors(self) -> Mapping[str, Anchors]:
-        """Read the known loads of the lot's units by serial; empty where there are none.
+        """Return the known loads of the lot's units by serial; empty without any.
 
         Raises:
             InputError: the table cannot be read, or names a unit that the lot does not have.
@@ -64,16 +64,16 @@ class LotFolder(LotToml):
         return self._labelled(self.source_path, self.lot.source)
 
     def inspect_sources(self) -> dict[str, FileRecording]:
-        """Read and inspect the recordings of the sources, by serial, the lot's own source first."""
+        """Return the inspected recordings of the sources by serial, the lot's own source first."""
         paths = {self.lot.source: self.source_path, **self.more_source_paths}
         return {serial: self._inspect(path, serial) for serial, path in paths.items()}
 
     def source_remarks(self) -> list[str]:
-        """Return what the look at the recordings of the sources shows, one line each with file and line."""
+        """Return the findings of the recordings of the sources, one line each with file and line."""
         return [f"{one.table.path.name}: {remark}" for one in self.inspect_sources().values() for remark in one.remarks]
 
     def check_name(self, row: str) -> None:
-        """Raise `InputError` where a unit's file names no serial, or one that another file names, too."""
+        """Raise `InputError` if a unit's file name is no serial, or the serial of another file."""
         if row in self.problems:
             raise InputError(self.problems[row])
 
@@ -87,13 +87,13 @@ class LotFolder(LotToml):
         return None if path is None else self._labelled(path, serial)
 
     def readable_audits(self) -> Iterator[LabelledRecording]:
-        """Give every audit that can be read; what cannot be is told as its unit's result."""
+        """Yield every readable audit; an unreadable audit is reported in its unit's result."""
         for serial, path in self.audit_paths.items():
             with suppress(InputError):
                 yield self._labelled(path, serial)
 
     def read_golden(self) -> OutputRecording | LabelledRecording | None:
-        """Read the golden run, with its reference if it has one."""
+        """Return the golden run, with its reference if it has one."""
         if self.golden_path is None:
             return None
         golden = self._inspect(self.golden_path, self.golden_serial, with_reference=False)

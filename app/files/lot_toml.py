@@ -1,4 +1,4 @@
-"""lot.toml: what it says of a lot, read whole, written, and stated anew in parts."""
+"""lot.toml: reading, writing, and changing of its parts."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -45,7 +45,7 @@ KNOWN_KEYS = {
 
 @dataclass(frozen=True, kw_only=True)
 class LotToml:
-    """What `lot.toml` says.
+    """Content of `lot.toml`.
 
     Args:
         line: how differently the line presses units, where it states that.
@@ -68,10 +68,10 @@ class LotToml:
 
 
 def read_lot_toml(folder: Path) -> LotToml:
-    """Return what a folder's `lot.toml` says.
+    """Return the content of a folder's `lot.toml`.
 
     Raises:
-        InputError: there is none, or it cannot be read.
+        InputError: the file is missing or unreadable.
     """
     path = folder / NAME
     content = read_toml(path, "`softcal import` writes one", folder)
@@ -183,7 +183,7 @@ def write_lot_toml(
 
 @contextmanager
 def _opened(folder: Path) -> Iterator[tomlkit.TOMLDocument]:
-    """Give the document of `lot.toml` to change, and write it; its comments and all else stay."""
+    """Yield the document of `lot.toml` for changes, then write it; comments and other keys stay."""
     path = folder / NAME
     document = tomlkit.parse(path.read_text(encoding="utf-8"))
     yield document
@@ -197,7 +197,7 @@ def restate_limit(folder: Path, rmse: float) -> None:
 
 
 def restate_measured_at(folder: Path, measured_at: Mapping[str, datetime | None]) -> None:
-    """Write into `lot.toml` when audits were measured, UTC; None takes out what was stated of an older one."""
+    """Write the times of audits into `lot.toml`, UTC; None removes the stated time of an older one."""
     with _opened(folder) as document:
         stated = {**document.get("audit", {}), **measured_at}
         if stated := {serial: at for serial, at in stated.items() if at is not None}:
@@ -207,7 +207,7 @@ def restate_measured_at(folder: Path, measured_at: Mapping[str, datetime | None]
 
 
 def restate_reference(folder: Path, reference: Reference | None) -> None:
-    """Write into `lot.toml` what the source was compared with this time."""
+    """Write the present reference of the source into `lot.toml`."""
     if stated := _stated(reference):
         with _opened(folder) as document:
             document.setdefault("reference", tomlkit.table()).update(stated)

@@ -1,4 +1,4 @@
-"""When a recording was measured: by its own absolute stamps, else as a person states it."""
+"""Time of measurement of a recording: from its absolute stamps, else as stated."""
 
 from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
@@ -13,14 +13,14 @@ EARLIEST_YEAR = 1970
 
 
 def parse_instant(name: str, text: str) -> datetime:
-    """Return a date, or a date and time, as UTC; without a zone it is local time, and a date is its beginning.
+    """Return a date, or a date and time, as UTC; without a zone it is local time, and a date is midnight.
 
     Args:
         name: what states it, for the message.
         text: ISO 8601.
 
     Raises:
-        InputError: it is none, or lies in the future.
+        InputError: invalid, or in the future.
     """
     expected = "an ISO date or date and time was expected, such as 2026-01-31 or 2026-01-31T14:30+01:00"
     try:
@@ -35,10 +35,10 @@ def parse_instant(name: str, text: str) -> datetime:
 
 
 def measured_at(file: FileRecording, stated: datetime | None = None) -> datetime | None:
-    """Return when a recording was measured, UTC: by its own stamps, else as stated, else None.
+    """Return the time of measurement, UTC: by the recording's stamps, else as stated, else None.
 
     Raises:
-        InputError: its stamps lie in the future, or contradict what is stated, by more than a day.
+        InputError: its stamps lie in the future, or contradict the stated time, by more than a day.
     """
     if file.start is None:
         return stated
@@ -52,7 +52,7 @@ def measured_at(file: FileRecording, stated: datetime | None = None) -> datetime
 
 
 def measured_at_row(file: FileRecording, row: int) -> datetime | None:
-    """Return when a row of a table was measured by its own stamps, UTC; None where they are not absolute."""
+    """Return the time of a table's row by its stamps, UTC; None for stamps that are not absolute."""
     if (at := measured_at(file)) is None:
         return None
     t_s = file.t_s[file.rows]
@@ -61,7 +61,7 @@ def measured_at_row(file: FileRecording, row: int) -> datetime | None:
 
 
 def local_time_remarks(starts: Mapping[Path, Start | None]) -> tuple[str, ...]:
-    """Return one remark on the files whose stamps state no zone; nothing where there is none."""
+    """Return one remark on the files whose stamps state no zone, or an empty list."""
     names = [path.name for path, start in starts.items() if start is not None and start.is_local]
     if not names:
         return ()

@@ -1,4 +1,4 @@
-"""What a person gave that was not used, and why: files, rows, columns and audits; and how a terminal lists it."""
+"""Unused inputs with reasons: files, rows, columns and audits; and their list on a terminal."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ MAX_NAMES = 8
 
 @dataclass(frozen=True)
 class NotUsed:
-    """One thing that was given and not used.
+    """One unused input.
 
     Args:
         name: of the file or the column, else the serial whose rows or audit these are.
@@ -32,7 +32,7 @@ class NotUsed:
 
 
 def not_used_lines(items: Iterable[NotUsed]) -> list[str]:
-    """Return what was not used, a line for each kind and reason: `not used: columns a, b of 3 files: ...`."""
+    """Return the unused inputs, a line for each kind and reason: `not used: columns a, b of 3 files: ...`."""
     groups: dict[tuple[str, str], list[NotUsed]] = {}
     for item in items:
         groups.setdefault((item.kind, str(item.why)), []).append(item)

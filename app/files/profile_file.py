@@ -37,7 +37,7 @@ def read_profile(path: Path) -> Profile:
 
 
 def profile_toml(profile: Profile) -> str:
-    """Return the file of a profile; read again, it is the same profile."""
+    """Return the TOML text of a profile, from which it can be read back."""
     rows: list[list[float]] = []
     at_mm = 0.0
     for segment in profile.segments:

@@ -37,7 +37,7 @@ NO_TIME = "there is no column of time such as 't_s'; name it with --time-column,
 
 @dataclass(frozen=True)
 class ColumnNames:
-    """Which columns of a table hold a recording, and how the table is laid out.
+    """Column names of a recording in a table, and the layout of the table.
 
     Args:
         time: name of the column of time; None takes the one that the file has.
@@ -67,7 +67,7 @@ PLAIN = ColumnNames()
 
 @dataclass(frozen=True, eq=False)
 class FileRecording:
-    """A recording, and the rows of the table that it was built from.
+    """A recording, with the rows of its table.
 
     Args:
         columns: `t_s`, `output`, `reference` and `stage_mm` where there are such, each (n,) with NaN where a sample is
@@ -86,7 +86,7 @@ class FileRecording:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a person should know of the table, its time and its samples."""
+        """Remarks for people on the table, its time and its samples."""
         return (*self.reading_remarks, *map(str, summarise(self.inspected.inspection, self.lines)))
 
     @property
@@ -117,7 +117,7 @@ class FileRecording:
 
 
 def read_times(table: Table, names: ColumnNames, rate_Hz: float | None) -> tuple[Array, list[str], Start | None]:
-    """Return (n,) time in s, NaN where a stamp is missing, remarks, and when it began where its stamps are absolute.
+    """Return (n,) times in s, NaN for a missing stamp, remarks, and the start of absolute stamps.
 
     Args:
         rate_Hz: declared rate; makes the time where the table has no column of it.
@@ -137,7 +137,7 @@ def read_times(table: Table, names: ColumnNames, rate_Hz: float | None) -> tuple
 def read_timed(
     path: Path, names: ColumnNames, is_requested: Callable[[str], bool], content: bytes | None = None
 ) -> tuple[Table, ColumnNames]:
-    """Read the requested columns of a table; where no heading is that of a time, the cells tell the column of it.
+    """Return the requested columns of a table; without a time heading the cells decide the time column.
 
     Returns:
         The table, and the names with that of the time.
@@ -158,7 +158,7 @@ def read_timed(
 def time_by_cells(
     table: Table, names: ColumnNames, is_requested: Callable[[str], bool], content: bytes | None = None
 ) -> tuple[str | None, str]:
-    """Return the column of time that no heading tells, and that it was taken; None where there is none, or no need."""
+    """Return the time column by its cells, with a remark; None without one, or without need."""
     outputs = [column for column in table.columns if column.name == names.output and column.cells.dtype.kind == "f"]
     if names.time is not None or any(is_time_heading(name) or name == INDEX for name in table.names) or not outputs:
         return None, ""
@@ -176,7 +176,7 @@ def time_by_cells(
 
 
 def check_rate(path: Path, t_s: Array, rate_Hz: float) -> None:
-    """Refuse a declared rate that is not that of the time stamps, with `InputError`."""
+    """Raise `InputError` if a declared rate contradicts the time stamps."""
     shown_Hz = median_rate_Hz(t_s)
     if abs(shown_Hz / rate_Hz - 1) > RATE_TOLERANCE:
         raise InputError(
@@ -186,7 +186,7 @@ def check_rate(path: Path, t_s: Array, rate_Hz: float) -> None:
 
 
 def clock_of(table: Table, names: ColumnNames, rate_Hz: float | None) -> Clock | None:
-    """Return what reads the time of a table: of the named column, else of the one it has; None where there is none."""
+    """Return the clock of a table's named time column, else of its detected one; None without one."""
     name = names.time
     if name is None:
         with naming(table.path):
@@ -226,11 +226,11 @@ def inspect_recording(
     with_reference: bool = False,
     config: InspectionConfig = InspectionConfig(),  # noqa: B008 - frozen
 ) -> FileRecording:
-    """Read and inspect a recording; its reference is looked at only where it is asked for.
+    """Return an inspected recording; its reference is inspected only on request.
 
     Args:
         sample_rate_Hz: rate that the time stamps must have; None takes the declared one of `names`, else theirs.
-        config: what is masked; of the method that calibrates the unit.
+        config: thresholds of masking, from the calibration method of the unit.
 
     Raises:
         InputError: the table cannot be read, or is no recording.
@@ -258,10 +258,10 @@ def build_from_table(
     with_reference: bool = False,
     config: InspectionConfig = InspectionConfig(),  # noqa: B008 - frozen
 ) -> FileRecording:
-    """Build an inspected recording out of columns of a table; rows without a time are none of it.
+    """Return an inspected recording of columns of a table, without rows that lack a time.
 
     Raises:
-        InputError: a column is missing or holds text, or what is left is no recording.
+        InputError: a column is missing or contains text, or the remaining rows are no recording.
     """
     columns = {"t_s": t_s, **_columns(table, names, with_reference=with_reference)}
     timed = np.flatnonzero(np.isfinite(t_s))
@@ -298,7 +298,7 @@ def _columns(table: Table, names: ColumnNames, *, with_reference: bool) -> dict[
 def read_columns(path: Path, names: ColumnNames, *, with_reference: bool) -> tuple[dict[str, Array], Start | None]:
     """Return `output`, `lines` and, where the table has them, `t_s`, `reference` and `stage_mm`, and when they begin.
 
-    Each column is (n,); NaN stands where a value is missing; rows without a time are left out.
+    Each column is (n,); NaN for a missing value; rows without a time are left out.
 
     Raises:
         InputError: the file is no table, or lacks a column.
@@ -314,7 +314,7 @@ def read_columns(path: Path, names: ColumnNames, *, with_reference: bool) -> tup
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Put the file's name before the text of any `InputError` raised inside the block."""
+    """Prepend the file's name to the text of any `InputError` raised inside the block."""
     try:
         yield
     except InputError as error:
@@ -339,7 +339,7 @@ def write_columns(path: Path, columns: Sequence[tuple[str, Array | Sequence[str]
 
 
 def write_rows(path: Path, file: FileRecording, rows: tuple[int, int] | None = None) -> None:
-    """Write what a table holds of a recording as a lot folder has it: each row that has a time, empty cells empty.
+    """Write the rows of a recording that have a time in the format of a lot folder, empty cells empty.
 
     Args:
         rows: (start, stop) of data rows, counted from 0; None takes all.
@@ -367,7 +367,7 @@ def replace_table(path: Path, write: Callable[[Path], None]) -> bool:
 
 
 def write_recording(path: Path, recording: OutputRecording | LabelledRecording) -> None:
-    """Write a recording as a lot folder holds it: `t_s, output`, reference and stage."""
+    """Write a recording in the format of a lot folder: `t_s, output`, reference and stage."""
     raw = recording.unlabelled if isinstance(recording, LabelledRecording) else recording
     columns = [("t_s", raw.t_s), ("output", raw.output)]
     if isinstance(recording, LabelledRecording):

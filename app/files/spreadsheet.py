@@ -13,7 +13,7 @@ FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 
 def guarded(cell: object) -> object:
-    """Return a cell that a spreadsheet shows as it is: an apostrophe before what would run."""
+    """Return a cell that a spreadsheet shows as text: an apostrophe before a formula."""
     return f"'{cell}" if isinstance(cell, str) and cell.startswith(FORMULA_STARTS) else cell
 
 

@@ -1,4 +1,4 @@
-"""Long streams on disk, piece by piece: `t_s, output` in, estimates out."""
+"""Long streams on disk in pieces: `t_s, output` as input, estimates as output."""
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -48,7 +48,7 @@ class Stream:
         self.remarks: list[str] = []
 
     def pieces(self) -> Iterator[tuple[Array, Array]]:
-        """Yield `t_s` and `output` in pieces, every row of the file; what is empty is NaN.
+        """Yield `t_s` and `output` in pieces, every row of the file; NaN for an empty cell.
 
         Raises:
             InputError: no such file or columns, a text for a number, time that goes back, or fewer rows than a window.
@@ -80,7 +80,7 @@ class Stream:
         self.remarks += [] if clock is None else clock.remarks
 
     def _named(self) -> ColumnNames:
-        """Return the names of the columns with that of the time, which the first piece tells where no heading does."""
+        """Return the column names with the time column, which the first piece decides without a heading."""
         names = self._names
         if names.time is not None:
             return names
@@ -91,7 +91,7 @@ class Stream:
 
 
 def count_rows(path: Path) -> int:
-    """Return about how many rows a file holds; 0 where only reading it would tell."""
+    """Return the approximate number of rows of a file; 0 if only reading it would tell."""
     suffix = path.suffix.lower()
     if suffix in PARQUET:
         from pyarrow.lib import ArrowInvalid
@@ -107,7 +107,7 @@ def count_rows(path: Path) -> int:
 
 @contextmanager
 def estimate_writer(path: Path) -> Iterator[Callable[[Estimate], None]]:
-    """Give what writes estimates piece by piece; `path` appears when the block has ended well."""
+    """Yield a writer of estimates in pieces; `path` appears if the block succeeds."""
     import pandas as pd
 
     is_parquet, is_first = path.suffix.lower() in PARQUET, True

@@ -56,7 +56,7 @@ def read_section(where: str, kind: type[Section], table: object, folder: Path = 
 
 
 def typed(key: str, hint: Any, value: object, folder: Path = Path()) -> Any:
-    """Return a value of TOML as its field wants it; a file lies beside the one that names it.
+    """Return a TOML value in the type of its field; a relative path refers to the folder of the file.
 
     Raises:
         InputError: it is something else.
@@ -79,7 +79,7 @@ def typed(key: str, hint: Any, value: object, folder: Path = Path()) -> Any:
 
 
 def check_known(where: str, names: Iterable[str], known: tuple[str, ...]) -> None:
-    """Raise `InputError` at a name that is none of the known ones."""
+    """Raise `InputError` for a name outside the valid names."""
     for name in names:
         if name not in known:
             near = get_close_matches(name, known, n=1)

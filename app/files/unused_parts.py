@@ -1,4 +1,4 @@
-"""Find what of a person's files an import, an audit or a batch does not use, and say why."""
+"""Unused parts of a person's files in an import, an audit or a batch, with reasons."""
 
 import csv
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,7 +23,7 @@ MAX_HEADER_BYTES = 1 << 16
 
 
 def unread_files(path: Path) -> list[NotUsed]:
-    """Return what of a folder to import is no table, or lies in a folder inside it that is not looked into."""
+    """Return the files of a folder that are no table, or lie in a subfolder that is not read."""
     if not path.is_dir():
         return []
     folders = [folder for folder in (path, path / "source", path / "units") if folder.is_dir()]
@@ -40,7 +40,7 @@ def unread_files(path: Path) -> list[NotUsed]:
 def unused_of_import(
     plan: "ImportPlan", units: Sequence[tuple[Path, str, "ImportedUnit"]]
 ) -> tuple[list[str], tuple[NotUsed, ...]]:
-    """Return the serials of targets whose references are kept as audits, and what of the tables is not used."""
+    """Return the serials of targets whose references become audits, and the unused parts of the tables."""
     audits: list[str] = []
     items: dict[NotUsed, None] = {}
     for path, serial, unit in units:

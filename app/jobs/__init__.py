@@ -1,1 +1,1 @@
-"""Long work that a page orders and another process does."""
+"""Jobs: long work that a page requests and another process performs."""

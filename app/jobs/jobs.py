@@ -1,4 +1,4 @@
-"""What another process computes for a page: a lot, f, a comparison, a gap, a check, files.
+"""Jobs of pages: calibration of a lot, training of f, a comparison, a gap diagnosis, a check, an export.
 
 A job reads its request from the registry, tells how far it is, and leaves its result there. What it registers (a
 network) it registers as any command would.
@@ -43,7 +43,7 @@ REPORT_S = 0.4
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a job leaves: a sentence, JSON values, arrays."""
+    """Result of a job: a sentence, JSON values, arrays."""
 
     message: str
     result: Mapping[str, Any] = field(default_factory=dict)
@@ -63,20 +63,20 @@ class Teller:
         self._board, self._job_id, self._told_s = board, job_id, 0.0
 
     def __call__(self, fraction: float, message: str, trace: Mapping[str, Any] | None = None) -> None:
-        """Tell fraction (0 ... 1), a sentence and live values."""
+        """Report the completed fraction (0 ... 1), a sentence and live values."""
         if time.monotonic() - self._told_s >= REPORT_S:
             self._told_s = time.monotonic()
             self._board.report(self._job_id, fraction, message, trace)
 
     def step(self, fraction: float, name: str, **values: object) -> None:
-        """Tell a step by the key of its text, `step.NAME`, for screens of any language."""
+        """Report a step by the key of its text, `step.NAME`, for screens of any language."""
         self(fraction, "", {"step": name, "values": values})
 
 
 def run_job(registry: Registry, job_id: str, on_cancel: Callable[[], None]) -> RunState:
-    """Do a job and return how it ended: always with a result, or a line that says why not. Once
-    somebody wants it stopped and it is marked so, another thread calls `on_cancel`, which ends the
-    process.
+    """Perform a job and return how it ended: with a result, or a line with the error.
+
+    After a stop request another thread calls `on_cancel`, which ends the process.
 
     Raises:
         InputError: there is no such job, or it was taken already.
@@ -152,7 +152,7 @@ def newest_source(registry: Registry, lot_id: str) -> LabelledRecording:
     """Return the newest labelled recording of a lot's source.
 
     Raises:
-        InputError: there is none yet.
+        InputError: no source yet.
     """
     entries = registry.recordings.of_lot(lot_id, kind="source")
     if not entries:
@@ -208,7 +208,7 @@ def check(registry: Registry, job: Job, tell: Teller) -> Outcome:
 
 
 def lot_watch(tell: Steps, begin: float = 0.0) -> Watch:
-    """Return a watch that tells training and units as one bar from `begin` to 1."""
+    """Return callbacks that map training and units of a lot to one progress from `begin` to 1."""
     trained = begin + TRAINING * (1 - begin)
 
     def on_epoch(report: EpochReport) -> None:
@@ -242,7 +242,7 @@ def demo(registry: Registry, job: Job, tell: Teller) -> Outcome:
 
 
 def calibrate(registry: Registry, job: Job, tell: Teller) -> Outcome:
-    """Calibrate every unit of a lot, or again; request: lot, map. What is known is not computed anew."""
+    """Calibrate every unit of a lot; request: lot, map. Stored results are not computed again."""
     from softcal.app.batch.batch import run_batch
     from softcal.app.batch.lot_intake import lot_files, network_of
 
@@ -262,7 +262,7 @@ def archives_folder() -> Path:
 
 
 def archive_path(job: Job) -> Path:
-    """Return where the archive of a job lies, as long as it is kept."""
+    """Return the path of a job's archive, while it is stored."""
     return archives_folder() / f"{job.job_id}.zip"
 
 

@@ -1,4 +1,4 @@
-"""Start a process of its own for a job or a simulated station: it goes on when the page or its server ends."""
+"""Start of a separate process for a job or a simulated station, which outlives the page and its server."""
 
 import os
 import subprocess
@@ -27,7 +27,7 @@ def start_job(registry: Registry, kind: str, request: Mapping[str, Any], actor: 
 
 
 def launch(job_id: str, on_end: Callable[[], None] = lambda: None) -> None:
-    """Start the process of a job, on one core, on the registry of the environment; it outlives this one.
+    """Start the process of a job, on one core, with the registry of the environment; it outlives this process.
 
     `on_end` is called in a thread once the process has ended, however it did.
     """

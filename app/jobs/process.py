@@ -1,4 +1,4 @@
-"""A job in a process of its own, `python -m softcal.app.jobs.process ID`."""
+"""A job in a separate process, `python -m softcal.app.jobs.process ID`."""
 
 import os
 import sys
@@ -8,7 +8,7 @@ from softcal.app.jobs.jobs import run_job
 
 
 def main(job_id: str) -> None:
-    """Do one job of the registry of the environment."""
+    """Perform one job of the registry of the environment."""
     with open_chosen_registry(None) as registry:
         # Whatever a job registers is registered whole or not at all: it can be ended anywhere.
         run_job(registry, job_id, on_cancel=lambda: os._exit(0))

@@ -31,7 +31,7 @@ class JobRunner:
         self._lock = threading.RLock()
 
     def submit(self, job_id: str) -> None:
-        """Start a job now, or once others have ended; one that was taken already changes nothing."""
+        """Start a job now, or after others have ended; a job that was taken already is unchanged."""
         with self._lock:
             if job_id in self._running or job_id in self._waiting:
                 return
@@ -41,7 +41,7 @@ class JobRunner:
                 self._start()
 
     def adopt(self) -> None:
-        """Take over the jobs that a server left behind when it ended, the oldest first."""
+        """Take over the jobs of an ended server, the oldest first."""
         now = datetime.now(UTC)
         for job in reversed(self._board.jobs("calibrate", count=2 * MAX_WAITING)):
             if job.state is RunState.QUEUED and job.is_lost(now):
@@ -70,7 +70,7 @@ class JobRunner:
             self._start()
 
     def _beat(self) -> None:
-        """Give a sign of life of what waits, so that it is not taken for lost."""
+        """Write a heartbeat for waiting jobs, so that they do not count as lost."""
         with self._lock, suppress(SoftcalError):
             self._timer = None
             try:

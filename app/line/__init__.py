@@ -1,1 +1,1 @@
-"""The production line: the rig, the resident station, what the operator's screen may order."""
+"""The production line: the rig, the resident station, orders of the operator's screen."""

@@ -19,8 +19,7 @@ RECALIBRATION, DATES = "basic_recalibration", ("date", "dateTime", "valueXMLList
 
 
 def certificate_from(given: Mapping[str, Any], dcc: Path | None) -> CellCertificate:
-    """Return the certificate that options give (None where nothing was given); what they leave out
-    comes from the DCC.
+    """Return the certificate of the options, or None without options. The DCC gives the values that the options lack.
 
     Raises:
         InputError: the file is no DCC, or something is missing; all of it is named.
@@ -82,7 +81,7 @@ def _day(text: str | None) -> date | None:
 
 
 def _serial(root: ET.Element) -> str | None:
-    """The item's serial number: what is marked as one, else what the manufacturer calls it."""
+    """Return the item's serial number: the marked identification, else the manufacturer's."""
     identifications = [] if (item := root.find(".//{*}item")) is None else item.findall(".//{*}identification")
     marked = [each for each in identifications if "basic_serialNumber" in each.get("refType", "").split()]
     makers = [each for each in identifications if _text(each, "issuer") == "manufacturer"]

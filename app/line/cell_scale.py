@@ -1,4 +1,4 @@
-"""The load cell's scale, found with dead weights and written back into the station."""
+"""Scale of the load cell by dead weights, written into the station file."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -15,7 +15,7 @@ from softcal.station.drivers.hx711 import Hx711Config
 def calibrate_cell(
     config: StationConfig, masses_kg: Sequence[float], wait_for: Callable[[float], None]
 ) -> tuple[CellCalibration, StationConfig]:
-    """Return the load cell's scale by the weights put on it, and the station with that scale.
+    """Return the scale of the load cell by dead weights, and the station with that scale.
 
     Args:
         masses_kg: weights in the order they are put on; 0 is the unloaded cell.

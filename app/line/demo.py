@@ -1,4 +1,4 @@
-"""The main job on a simulated station: press, train, map, judge, register, export."""
+"""The main job on a simulated station: press, train, map, decide, register, export."""
 
 import multiprocessing
 import threading
@@ -48,7 +48,7 @@ SEED = 20201900178
 
 @dataclass(frozen=True)
 class RecordedLot:
-    """A lot as the station records it: source, units, and audits that decide about them."""
+    """A lot recorded by the station: source, units, and audits."""
 
     source: LabelledRecording
     units: Mapping[str, OutputRecording]
@@ -57,7 +57,7 @@ class RecordedLot:
 
 @dataclass(frozen=True)
 class PressTimes:
-    """How long each kind of run presses, in s."""
+    """Duration of each kind of run in s."""
 
     source_s: float = 170.0
     unit_s: float = 25.0
@@ -66,7 +66,7 @@ class PressTimes:
 
 @dataclass(frozen=True)
 class DemoConfig:
-    """What the demo shows; an audit must last long enough to train a fair own calibration on it.
+    """Configuration of the demo; an audit must last long enough to train a fair own calibration.
     `twin` is the nominal unit, of a diagnosis for example; None draws one.
     """
 
@@ -81,7 +81,7 @@ class DemoConfig:
 
     @property
     def runs(self) -> int:
-        """How often the station presses: the source once, a unit twice."""
+        """Number of presses of the station: one for the source, two for a unit."""
         return 1 + 2 * self.units
 
 
@@ -130,7 +130,7 @@ def press_simulated_lot(
     engine: EngineChoice | None = None,
     on_share: Callable[[float], None] | None = None,
 ) -> RecordedLot:
-    """Press every unit of a simulated lot, the source first, each over the serial lines of a station of its own.
+    """Press every unit of a simulated lot, the source first, each over the serial lines of its own station.
     The seed is of mounting, noise and profiles. Equal seeds give equal recordings, however many workers press.
     `on_share` is told every half a second which share is pressed, by a thread of its own.
 
@@ -161,7 +161,7 @@ def press_simulated_lot(
 
 @dataclass(frozen=True, eq=False)
 class _Recorded:
-    """What one unit was recorded in: its only run, or its run without a reference and its audit."""
+    """Recordings of one unit: its only run, or its run without a reference and its audit."""
 
     run: StationRecording
     labelled: StationRecording
@@ -169,7 +169,7 @@ class _Recorded:
 
 @contextmanager
 def _polled(report: Callable[[], None]) -> Iterator[None]:
-    """Report every half a second: whoever gives out work hears nothing of it until it is done."""
+    """Report progress every half second, as worker processes report only at their end."""
     is_over = threading.Event()
 
     def run() -> None:

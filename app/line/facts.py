@@ -1,4 +1,4 @@
-"""Where a line stands, read from the registry alone: every screen shows the same.
+"""State of a line, read from the registry alone, so that every screen shows the same.
 
 The unit that waits, the last sentence and the badge lie there, too, a row a station: they outlive a restart.
 """
@@ -52,13 +52,13 @@ class Note:
 
 @dataclass(frozen=True)
 class Place:
-    """What stands at a line.
+    """Session of a line between its runs.
 
     Args:
-        version: counts the changes; 0 where nobody was there yet.
+        version: counts the changes; 0 before the first.
         after_run: the newest run when the unit in the hand last changed or became unknown; None: nothing since its
             run. Once there is a newer run, it alone says what stands at the line.
-        serial: scanned and not pressed yet; "" where nobody knows which unit is in the hand.
+        serial: scanned and not pressed yet; "" if it is uncertain which unit is in the hand.
         is_golden: whether that serial is a golden unit, pressed to check the station.
         is_new: whether the lot has neither that serial nor one that looks like it.
         is_confirmed: whether a person has said yes to a unit that is new, or has a result already.
@@ -80,7 +80,7 @@ class Place:
     badged_at: datetime | None = None
 
     def emptied(self, newest_run: str) -> "Place":
-        """Return the place once nobody knows which unit is in the hand."""
+        """Return the session after the unit in the hand became uncertain."""
         return replace(self, after_run=newest_run, serial="", is_golden=False, is_new=False, is_confirmed=False)
 
     def is_badge_over(self, now: datetime) -> bool:
@@ -88,7 +88,7 @@ class Place:
 
 
 def read_place(places: LinePlaces, station: str) -> Place:
-    """Return what stands at the line of a station."""
+    """Return the session of the line of a station."""
     version, values = places.read(station)
     if not values:
         return Place(version)
@@ -101,14 +101,15 @@ def read_place(places: LinePlaces, station: str) -> Place:
 
 
 def write_place(places: LinePlaces, station: str, place: Place) -> bool:
-    """Put another place there; False, and nothing changed, where a screen was first."""
+    """Replace the session; return False without a change if another screen was first."""
     values = asdict(place) | {"badged_at": place.badged_at.isoformat() if place.badged_at else None}
     return places.write(station, values.pop("version"), values)
 
 
 def state_of(beat: Heartbeat, now: datetime, is_alive: bool | None) -> str:
-    """Return what a station is doing, as every screen says it; `ready`: it takes a unit now. None
-    for `is_alive`: whether its process lives cannot be seen from here.
+    """Return the state of a station for every screen; `ready` means that it takes a unit.
+
+    None for `is_alive` means that its process cannot be checked from this machine.
     """
     patience = HUNG_AFTER if is_alive else STATION_SILENT_AFTER
     is_there = is_alive is not False and not is_silent(beat.at, now, patience)
@@ -117,11 +118,11 @@ def state_of(beat: Heartbeat, now: datetime, is_alive: bool | None) -> str:
 
 @dataclass(frozen=True)
 class Screen:
-    """One screen of a line.
+    """Kind of screen of a line.
 
     Args:
         station: chosen; "" leaves it to the only one.
-        seen: version of the place that it showed at the key; None where nobody can say.
+        seen: version of the session on the screen at the key press; None if unknown.
         until_s: `time.monotonic()` after which it says that the key was not taken.
     """
 
@@ -133,8 +134,9 @@ class Screen:
 
 @dataclass(frozen=True)
 class LotAtLine:
-    """What a line needs to know of a lot. By the released network a unit gets its verdict; `counts`
-    has its units by verdict, `none` without.
+    """Data of a lot that a line needs.
+
+    The released network gives the verdict of a unit; `counts` has its units by verdict, `none` without.
     """
 
     lot: Lot
@@ -149,14 +151,14 @@ class LotAtLine:
 
 @dataclass(frozen=True)
 class LineFacts:
-    """Where a line stands.
+    """State of a line.
 
     Args:
         stations: every station that ever gave a sign of life.
-        heartbeat: of the chosen one; None where there is none.
+        heartbeat: of the chosen station, or None.
         runs: newest runs of the station, newest first.
         results: in this lot, oldest first, of the unit that waits, else of the unit pressed last.
-        standings: where the units of the runs, and the one that waits, stand, by serial.
+        standings: status of the units of the runs, and of the waiting unit, by serial.
     """
 
     now: datetime
@@ -178,17 +180,17 @@ class LineFacts:
 
     @property
     def station_state(self) -> str:
-        """What the station is doing, by `state_of`; "" where none is chosen."""
+        """State of the station by `state_of`; "" without a chosen station."""
         return state_of(self.heartbeat, self.now, self.is_alive) if self.heartbeat else ""
 
     @property
     def is_answering(self) -> bool:
-        """Whether the service is there: its process is seen to live, or its beat is fresh."""
+        """Whether the service runs: its process is alive, or its heartbeat is fresh."""
         return self.station_state not in ("", SILENT, StationState.OFF)
 
     @property
     def is_stopped(self) -> bool:
-        """Whether somebody must acknowledge before anything moves, also where its beat is late."""
+        """Whether a person must acknowledge a stop before any motion, also with a late heartbeat."""
         return self.heartbeat is not None and self.heartbeat.state is StationState.STOPPED
 
     @property
@@ -203,9 +205,7 @@ class LineFacts:
 
     @property
     def result_run(self) -> LineRun | None:
-        """The newest run, where what came of it stands at the line; None before one, or where another unit may be in
-        the hand since.
-        """
+        """Newest run whose result the line shows. None before one, or if another unit may be in the hand since."""
         run = None if self.active or self.is_in_doubt else self.newest
         if run is None or run[1].state is not RunState.DONE or self.load is not None:
             return run
@@ -218,15 +218,15 @@ class LineFacts:
 
     @property
     def serial(self) -> str:
-        """The unit that was scanned and not pressed yet; "" where nobody knows it."""
+        """Serial of the scanned unit before its press; "" if it is uncertain."""
         is_same_service = self.heartbeat is not None and self.place.process == self.heartbeat.process
         return self.place.serial if self.is_in_doubt and is_same_service else ""
 
     @property
     def load_step(self) -> int:
-        """Number, from 1, of the known load that is read next on the last unit; 0 for none.
+        """Number, from 1, of the next known load of the last unit; 0 without one.
 
-        Not after a restart of the service: nobody knows what happened meanwhile.
+        Not after a restart of the service, as events in between are unknown.
         """
         if self.newest is None or self.active is not None or self.is_in_doubt or self.is_stopped:
             return 0
@@ -255,14 +255,14 @@ class LineFacts:
 
     @property
     def retests_left(self) -> int:
-        """How often the unit that `results` are of may be pressed again."""
+        """Number of further presses allowed for the unit that `results` refer to."""
         if self.lot is None or not self.results:
             return 0
         return self.lot.rules.retests_left(self.results[-1].verdict, len(self.results))
 
     @property
     def open_question(self) -> str:
-        """What a person must say yes to before the unit that waits is pressed; "" for nothing."""
+        """Question that a person must confirm before the waiting unit is pressed; "" without one."""
         if not self.serial or self.is_golden:
             return ""
         if self.results and self.retests_left == 0:
@@ -278,7 +278,7 @@ class LineFacts:
 
     @property
     def note(self) -> Note | None:
-        """The sentence about the last scan, as long as it matters."""
+        """Sentence about the last scan, while it applies."""
         note = self.place.note
         if note is None or note.run != self.newest_run:
             return None
@@ -290,8 +290,7 @@ class LineFacts:
 def read_line(
     registry: Registry, screen: Screen, look_at_lot: Callable[[Registry, str], LotAtLine] | None = None
 ) -> LineFacts:
-    """Read where a line stands; a screen that asks twice a second gives a `look_at_lot` that
-    remembers.
+    """Return the state of a line. A screen that polls twice a second gives a `look_at_lot` with a cache.
 
     Raises:
         RegistryError: the registry is away.
@@ -325,7 +324,7 @@ def read_line(
 
 
 def standing_of(facts: LineFacts, run: LineRun) -> tuple[UnitStanding, ...]:
-    """Return where the units of a run stand now, the worst first; none where it decided none."""
+    """Return the status of the units of a run, the worst first; none if the run decided none."""
     order, progress = run
     if not order.kind.is_about_unit or facts.lot is None or order.lot_id != facts.lot.id:
         return ()
@@ -337,7 +336,7 @@ def standing_of(facts: LineFacts, run: LineRun) -> tuple[UnitStanding, ...]:
 
 
 def read_lot(registry: Registry, lot_id: str) -> LotAtLine:
-    """Read what a line needs to know of a lot."""
+    """Return the data of a lot that a line needs."""
     lot = registry.lots.get(lot_id)
     counts = registry.pages.verdict_counts(lot.id)
     return LotAtLine(lot, registry.lots.line_rules(lot), registry.networks.released(lot.id), counts)

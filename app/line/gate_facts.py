@@ -1,4 +1,4 @@
-"""What the registry knows of a station, for its gate; and the golden check that opens it."""
+"""State of a station for its gate, from the registry; and the golden check that opens the gate."""
 
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -41,8 +41,10 @@ SHIFT = timedelta(hours=8)
 
 @dataclass(frozen=True)
 class GateRules:
-    """How strict this line is. A golden unit must have been pressed within `shift`. A bench in
-    development may do without certificate and golden unit; a line may not.
+    """Strictness of the gate of this line.
+
+    A golden unit must have been pressed within `shift`. A bench in development may omit certificate and golden unit; a
+    line may not.
     """
 
     warm_up: timedelta = timedelta(minutes=15)
@@ -57,7 +59,7 @@ RIG_ONLY = GateRules(timedelta(0), needs_certificate=False, needs_golden=False)
 
 
 class StationGate:
-    """The gate of one station: asked anew for every order, from what registry and rig say then."""
+    """Gate of one station, evaluated for every order from registry and rig."""
 
     def __init__(self, registry: Registry, station: str, config: StationConfig, rules: GateRules) -> None:
         self._registry, self._station, self._config, self._rules = registry, station, config, rules
@@ -93,7 +95,7 @@ class StationGate:
         return may_run(facts, kind)
 
     def override(self, actor: str, reason: str) -> None:
-        """Open the gate for a shift in spite of its reasons; the audit trail has it."""
+        """Open the gate for a shift in spite of its reasons, with an entry in the audit trail."""
         if not reason.strip():
             raise InputError(Reason("gate.needs_reason"))
         until = datetime.now(UTC) + self._rules.shift
@@ -114,14 +116,14 @@ def check_golden(
     source: SourceModel | None = None,
     lot_id: str | None = None,
 ) -> GoldenRun:
-    """Judge a run of a golden unit against its own history, and store it.
+    """Decide a run of a golden unit by its control chart, and store the check.
 
     The value is the error of the unit's estimates against the load cell; once it has run often enough, it must lie
     within three sigma of its own control chart, before that below the limit of its lot.
 
     Args:
         source: where the golden unit is the source of a lot itself, which f reads without a map.
-        lot_id: of the unit; needed where its serial stands in several lots.
+        lot_id: of the unit; required if several lots have its serial.
 
     Raises:
         InputError: the unit is no source and has no calibration in the registry.

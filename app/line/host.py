@@ -44,24 +44,22 @@ INTERRUPTED = Reason("run.interrupted")
 
 
 class Fixture(Protocol):
-    """What holds the unit: a person on a real station, a program on the simulated one; by default
-    the person.
-    """
+    """Holder of the unit: a person on a real station, a program on the simulated one. The default is the person."""
 
     def mount(self, serial: str) -> None:
-        """Put the unit of this serial under the stage."""
+        """Put the unit of this serial into the fixture."""
         return None
 
     def put_on(self, load: float) -> None:
-        """Put a known load on the unit, in its lot's reference unit; 0 takes all off."""
+        """Put a known load on the unit, in its lot's reference unit; 0 removes all loads."""
         return None
 
     def follow(self, phase: str) -> None:
-        """Take the phase a run is in."""
+        """Receive the phase of a run."""
         return None
 
     def inject(self, name: str) -> Reason:
-        """Break something, and say what will happen."""
+        """Inject a fault, and return a description of it."""
         ...
 
 
@@ -74,7 +72,7 @@ class HandFixture(Fixture):
 
 
 class StationHost:
-    """One station and its registry, joined.
+    """A station joined with its registry.
 
     A thread of its own, the desk, writes heartbeat and progress and answers. A slow or absent
     registry never keeps the service from watching force and travel. Another one, the ear, only
@@ -110,7 +108,7 @@ class StationHost:
         self._service = make_service(self._report, self._is_stop_wanted.is_set)
 
     def run(self, goes_on: Callable[[], bool]) -> None:
-        """Serve until `goes_on` says no; a run is stopped then, and the ports given back.
+        """Serve until `goes_on` returns False; then stop the run and release the ports.
 
         Raises:
             InputError: another process serves this station.
@@ -150,8 +148,9 @@ class StationHost:
         self._beat()
 
     def _patience(self) -> timedelta:
-        """Return how long another owner must have been silent: no time where it is gone. One that
-        seems silent may be busy, or have another clock: while it beats, it is there.
+        """Return the time for which another owner must have been silent: none if its process is gone.
+
+        An owner that seems silent may be busy, or have another clock: while its heartbeat changes, it is alive.
         """
         before = self._queue.heartbeat(self._station)
         if before is None or before.state is StationState.OFF or before.process == self._process:
@@ -198,7 +197,7 @@ class StationHost:
         return Progress(order.order_id, RunState.ERROR, "", 1.0, code="E-INTERNAL", message=(message,))
 
     def _store_late(self) -> None:
-        """Keep what was recorded; what the registry cannot take is tried at every turn."""
+        """Store a recording; a recording that the registry cannot take is stored later."""
         while self._late:
             order, recording = self._late[0]
             try:
@@ -216,7 +215,7 @@ class StationHost:
         self._say_ends()
 
     def _report(self, progress: Progress) -> None:
-        """Take progress from the service; the end of a run is written at once."""
+        """Write the progress of the service; the end of a run is written at once."""
         if progress.state.is_active:
             self._fixture.follow(progress.phase)
             before = self._newest
@@ -304,7 +303,7 @@ class StationHost:
         self._queue.report(Progress(order.order_id, state, "", 1.0, code=code, message=(message,)))
 
     def _beat_or_give_way(self) -> None:
-        """Beat; where a station has two owners, whoever was silent too long gives way."""
+        """Write a heartbeat; of two owners of a station, the one that was silent too long ends."""
         try:
             self._beat()
         except InputError as error:

@@ -1,4 +1,4 @@
-"""The operator's use cases: take a scan, order what it means. No Streamlit here.
+"""Use cases of the operator: take a scan and send its order. No Streamlit here.
 
 START alone ever orders a run or a reading. It presses only the unit that was scanned since the last run, stop, refusal
 or restart: after any of these nobody knows which unit is in the hand, and it is asked for. Where the card asks for a
@@ -34,15 +34,16 @@ BADGE_MARK = " (badge)"
 
 @dataclass(frozen=True)
 class Step:
-    """What a scan leads to; the order is given to the station once the place is written."""
+    """Result of a scan; its order is sent once the session is written."""
 
     place: Place
     order: Order | None = None
 
 
 def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") -> LineFacts:
-    """Do what a scan means; what it led to stands at the line, for every screen. `actor` has shown
-    who they are at this screen; "" leaves it to the badge.
+    """Perform the action of a scan and store the result at the line, for every screen.
+
+    `actor` has signed in at this screen; "" leaves the name to the badge.
 
     Raises:
         RegistryError: the registry is away; nothing was ordered.
@@ -78,8 +79,9 @@ def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") ->
 
 
 def order_stop(registry: Registry, station: str) -> bool:
-    """Tell a station to stop its run and return whether something runs; every way gives the same
-    order: a run is told once. It reads no more than it must: the stop key does not wait for what a
+    """Order a station to stop its run and return whether something runs.
+
+    Repeated requests are one order. It reads as little as possible, so that the stop key does not wait for what a
     screen shows.
 
     Raises:
@@ -220,7 +222,7 @@ def _start_refusal(facts: LineFacts, screen: Screen) -> Note | None:
 
 
 def _confirm(facts: LineFacts, screen: Screen, who: str) -> Step:
-    """Take what stands there as read: a stop, a run that broke, a question. Nothing moves."""
+    """Confirm a stop, an aborted run, or a question. Nothing moves."""
     if facts.active is not None:
         return Step(_told(facts, Note("busy_key", _running(facts))))
     emptied = facts.place.emptied(facts.newest_run)
@@ -243,7 +245,7 @@ def _stop(facts: LineFacts, screen: Screen, who: str) -> Step:
 
 
 def _cancel(facts: LineFacts, screen: Screen, who: str) -> Step:
-    """Put the unit that waits aside; which one is in the hand then nobody knows."""
+    """Discard the waiting unit; the unit in the hand is then uncertain."""
     if facts.active is not None:
         return Step(_told(facts, Note("busy_key", _running(facts))))
     is_open = bool(facts.serial) or facts.load is not None

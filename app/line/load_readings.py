@@ -1,4 +1,4 @@
-"""The known loads of the unit that was pressed last: which were read, what is wrong with one."""
+"""Known loads of the unit pressed last: accepted readings, and the error of a rejected one."""
 
 from collections.abc import Sequence
 
@@ -22,7 +22,7 @@ DIGITS = 7
 
 
 class LoadReadings:
-    """What was read on one unit since its run; the next run, or the service's end, ends it."""
+    """Readings of known loads since a unit's run; the next run or the end of the service discards them."""
 
     def __init__(self, config: ReadingConfig = ReadingConfig()) -> None:  # noqa: B008 - frozen
         self._config = config
@@ -36,14 +36,14 @@ class LoadReadings:
         self._levels: dict[int, float] = {}
 
     def begin(self, order: Order, unit: OutputRecording, loads: Sequence[KnownLoad], reference_unit: str) -> Reason:
-        """Begin with a unit that was pressed; return what its run says: loads are wanted."""
+        """Start the readings of a pressed unit; return the request for its loads as the result of its run."""
         self.forget()
         self._unit, self._lot_id, self._reference_unit = unit, order.lot_id, reference_unit
         self._loads = tuple(loads)
         return reason(WANTED, step=0, **self._asked)
 
     def check(self, order: Order) -> None:
-        """Refuse a reading that is not the one that is due: of that unit, step and load."""
+        """Refuse a reading of another unit, step or load than the next."""
         step, value = ordered_load(order.reason)
         unit = self._unit
         is_due = unit is not None and (unit.serial, self._lot_id) == (order.serial, order.lot_id)
@@ -53,8 +53,9 @@ class LoadReadings:
             raise InputError(reason("load.lost", serial=order.serial))
 
     def take(self, order: Order, output: Array, model: SourceModel | None) -> Reason | tuple[OutputRecording, Anchors]:
-        """Take one reading, (n,) of output; return what the run says or, with the last load, the
-        unit's recording and all its loads.
+        """Accept one reading, (n,) of output.
+
+        Return the result of the run or, with the last load, the unit's recording and all its loads.
         """
         self.check(order)
         step = ordered_load(order.reason)[0]
@@ -84,7 +85,7 @@ class LoadReadings:
 
     @property
     def _asked(self) -> dict[str, Value]:
-        """What every answer carries: the loads as they were when the unit was pressed."""
+        """Return the common part of every answer: the loads at the time of the press."""
         return {"loads": loads_text(self._loads), "of": len(self._loads), "unit": self._reference_unit}
 
 
@@ -92,7 +93,7 @@ def check_stated(loads: Sequence[KnownLoad], source: LabelledRecording, config: 
     """Refuse loads, before any was read, that the calibration could not use.
 
     Raises:
-        InputError: out of the source's range, one twice, or known less well than needed.
+        InputError: out of the source's range, a repeated load, or too large an uncertainty.
     """
     check_values(source, np.array([load.value for load in loads]), NOTHING, config)
     most = COVERAGE * config.load_error * float(np.ptp(source.reference))

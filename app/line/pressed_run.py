@@ -1,6 +1,6 @@
-"""What becomes of a run: a recording, with it a trained network, a verdict or a golden check.
+"""Results of a run: a recording, and a trained network, a verdict or a golden check.
 
-Where the lot asks for known loads, a unit is judged once they were read, and not before.
+If the lot requires known loads, the verdict of a unit follows their readings.
 """
 
 from collections.abc import Callable
@@ -55,7 +55,7 @@ Outcome = tuple[str, tuple[Reason, ...]]
 
 
 class RunKeeper:
-    """Takes finished runs of one station into the registry and calibrates what was pressed.
+    """Stores finished runs of one station in the registry and calibrates the pressed units.
 
     Args:
         reference: what the station compares sources with; None where nobody said.
@@ -77,7 +77,7 @@ class RunKeeper:
         self._loads = LoadReadings()
 
     def check(self, order: Order) -> None:
-        """Refuse an order whose run could not be kept; asked before anything moves."""
+        """Refuse an order whose run could not be stored, before any motion."""
         if order.kind is OrderKind.LOAD:
             self._loads.check(order)
             return
@@ -105,7 +105,7 @@ class RunKeeper:
                 check_stated(loads, source.source, source.method.map.anchors)
 
     def keep(self, order: Order, recording: StationRecording | RestReading, tell: Tell) -> Progress:
-        """Store a finished run and do what follows from it; return how the order ended.
+        """Store a finished run with its consequences; return how the order ended.
 
         Raises:
             RegistryError: the registry is away; doing it again later stores nothing twice.
@@ -205,7 +205,7 @@ class RunKeeper:
         return replace(done, message=message, recording_sha256=source.sha256)
 
     def _store(self, order: Order, unit: OutputRecording, recording: StationRecording) -> str:
-        """Store what a unit showed, with the method that proved it; return its hash."""
+        """Store a recording with the method of its checks; return its hash."""
         return self._registry.recordings.add(
             order.lot_id, unit, "unit", actor=order.actor or None, proof_method=recording.proof_method
         )
@@ -241,6 +241,6 @@ class RunKeeper:
 
 
 def released_network(registry: Registry, lot_id: str) -> NetworkEntry | None:
-    """Return the shared network that a lot's units are judged by, None where none is released."""
+    """Return the released network of a lot, or None."""
     state = registry.networks.released(lot_id)
     return state.network if state else None

@@ -1,4 +1,4 @@
-"""The qualification of a station: its page, and what the registry keeps of it for the gate."""
+"""Qualification of a station: its page, and its row for the gate."""
 
 import math
 from dataclasses import dataclass
@@ -16,11 +16,11 @@ HEAD = ("figure", "value", "unit", "at most", "is")
 
 @dataclass(frozen=True)
 class QualificationPage:
-    """A qualification with where and when it was made.
+    """A qualification with its station and time.
 
     Args:
         station: its name, as orders call it.
-        specimen: what was pressed, in words.
+        specimen: the pressed unit, in words.
         days: so long it holds.
     """
 
@@ -33,7 +33,7 @@ class QualificationPage:
 
     @property
     def due_on(self) -> date:
-        """First day on which it holds no longer."""
+        """First day on which the qualification is no longer valid."""
         return self.made_at.date() + timedelta(days=self.days)
 
     @property
@@ -48,7 +48,7 @@ class QualificationPage:
 
     @property
     def verdict(self) -> str:
-        """One line: passed or not, and until when."""
+        """One line: passed or not, and the end of validity."""
         refusal = self.qualification.refusal
         if self.qualification.is_passed:
             return f"PASSED, valid until {self.due_on}"
@@ -93,7 +93,7 @@ class QualificationPage:
 
 
 def keep_qualification(registry: Registry, page: QualificationPage, actor: str | None = None) -> None:
-    """Keep a page for the gate of its station; the newest counts."""
+    """Store a qualification for the gate of its station; the newest is in force."""
     facts = {"station": page.station, "is_passed": page.qualification.is_passed, "due_on": page.due_on}
     registry.declarations.declare(
         "station_qualifications", facts | {"page": page.to_json()}, action="qualify", actor=actor
@@ -101,6 +101,6 @@ def keep_qualification(registry: Registry, page: QualificationPage, actor: str |
 
 
 def newest_qualification(registry: Registry, station: str) -> QualificationAtGate | None:
-    """Return what the newest page of a station says; None where it was never qualified."""
+    """Return the newest qualification of a station, or None."""
     kept = registry.declarations.newest("station_qualifications", station)
     return None if kept is None else QualificationAtGate(kept["is_passed"], kept["due_on"])

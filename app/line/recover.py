@@ -1,4 +1,4 @@
-"""What runs that were cut off left on the disk: finished ones as recordings, others marked."""
+"""Recovery of interrupted runs from their spools: finished runs become recordings, others are marked."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,7 @@ from softcal.station.record.spool import SpooledRun, read_spool
 
 @dataclass(frozen=True)
 class Recovered:
-    """One spool that was found: "done" or how it ended, and one file per channel of a finished run."""
+    """One recovered spool: "done" or its end, and one file per channel of a finished run."""
 
     spool: Path
     serial: str
@@ -29,7 +29,7 @@ class Recovered:
 
 
 def recover(folder: Path, out: Path) -> list[Recovered]:
-    """Write what the spools of a folder hold: finished runs as recordings, others marked.
+    """Write the content of the spools of a folder: finished runs as recordings, others marked.
 
     Spools stay where they are: deleting them is a decision of a person. One that cannot be read is
     named and keeps no other from being recovered. A file that is another recording is not written
@@ -79,8 +79,9 @@ def _recover(path: Path, out: Path) -> Recovered:
 
 
 def _aborted_columns(run: SpooledRun, end: str) -> list[tuple[str, Any]]:
-    """Return every channel at the times of the first one that spoke. The others are read between
-    two of their samples, and are empty before and after all.
+    """Return every channel at the times of the first channel with samples.
+
+    The others are interpolated between two of their samples, and empty outside.
     """
     polls = [Sample(poll.host_s, None, (poll.position_mm,)) for poll in run.polls]
     leading = run.output or run.force or polls

@@ -1,4 +1,4 @@
-"""The rig: find it, test it, press a unit and write its recording."""
+"""The rig: find devices, test them, press a unit and write its recording."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -47,11 +47,11 @@ PARTS = {"stage": Reason("part.stage"), "readout": Reason("part.readout"), "forc
 def chosen_bench(
     station_file: Path | None, simulated_seed: int | None, simulated_channels: int = 1, twin: "Twin | None" = None
 ) -> Iterator[Bench]:
-    """Open the simulated bench where a seed is given, else the one the station file describes.
+    """Return the simulated bench if a seed is given, else the bench of the station file.
 
     Args:
         simulated_channels: units under the simulated stage, one per channel.
-        twin: what stands under the simulated stage, and is like the others; None: drawn.
+        twin: unit under the simulated stage, equal to the others; None: drawn.
 
     Raises:
         InputError: neither is given, or the file cannot be read.
@@ -74,8 +74,9 @@ def chosen_bench(
 
 
 def find_devices(ports: Sequence[str]) -> list[DeviceIdentity]:
-    """Return what answers at these ports, or at all USB serial ports where none is given. One that
-    cannot be opened stands in the list with the reason.
+    """Return the devices at these ports, or at all USB serial ports by default.
+
+    A port that cannot be opened is listed with the reason.
 
     Raises:
         NoReply: there is no port, or some that were named cannot be opened; all of them are named.
@@ -126,7 +127,7 @@ def station_of(devices: Sequence[DeviceIdentity], choose: Choose | None = None) 
 def _only(
     devices: Sequence[DeviceIdentity], role: str, taken: list[DeviceIdentity], choose: Choose | None
 ) -> DeviceIdentity | None:
-    """Return the one device of a role; where two may be it, a person decides."""
+    """Return the only device of a role; of two candidates a person chooses."""
     matching = [device for device in devices if device.role == role]
     streams = [device for device in devices if not device.role and device.channels and device not in taken]
     if len(matching) == 1 or not (matching or (streams and role in BARE and choose)):
@@ -153,7 +154,7 @@ def _and(parts: Sequence[Reason]) -> Reason:
 
 @dataclass(frozen=True)
 class StationCheck:
-    """What `softcal station check` found."""
+    """Result of `softcal station check`."""
 
     config: StationConfig
     devices: tuple[DeviceIdentity, ...]
@@ -201,7 +202,7 @@ def check_station(
 
 @dataclass(frozen=True)
 class WrittenRun:
-    """What one run left behind: recording, files, and what a person should know of them."""
+    """Result of one run: recording, files, and remarks for people."""
 
     recording: StationRecording
     files: tuple[Path, ...]
@@ -260,14 +261,14 @@ def record_to_files(
 
 
 def station_reference(config: StationConfig) -> Reference | None:
-    """Return what a station compares sources with today: its load cell; None without one."""
+    """Return the present reference of a station, its load cell, or None."""
     if config.force is None:
         return None
     return Reference(cell=config.force.serial or "not named", used_on=datetime.now(UTC).astimezone().date())
 
 
 def with_response(reference: Reference | None, recording: StationRecording) -> Reference | None:
-    """Return a reference with what the low pass of its cell leaves in this recording."""
+    """Return a reference with the error by the low pass of its cell in this recording."""
     return None if reference is None else replace(reference, bandwidth=recording.alignment.force_response_N)
 
 
@@ -280,8 +281,9 @@ def check_labels(recording: StationRecording, lot: Lot) -> None:
 
 
 def _lot_of(paths: Sequence[Path], serials: Sequence[str], bench: Bench, with_reference: bool) -> Lot | None:
-    """Return the lot whose folder a recording goes to, None for none; refuse one that it could not use, before anything
-    moves.
+    """Return the lot of a recording's folder, or None.
+
+    Refuse a recording that the lot could not use, before any motion.
     """
     folder = paths[0].parent
     if folder.name not in FOLDER_OF.values() or not (folder.parent / "lot.toml").is_file():
@@ -301,7 +303,7 @@ def _lot_of(paths: Sequence[Path], serials: Sequence[str], bench: Bench, with_re
 
 
 def _state_source(source: Path, recording: StationRecording, reference: Reference | None) -> list[str]:
-    """Write the lot.toml of a source in LOT/source/, so that a batch takes it; return remarks."""
+    """Write the lot.toml of a source in LOT/source/, so that a batch can read the folder; return remarks."""
     folder = source.parent.parent
     if not (folder / "lot.toml").exists():
         lot = Lot(folder.resolve().name, source.stem, recording.sample_rate_Hz, output_unit=recording.output_unit)
@@ -323,7 +325,7 @@ def spool_folder(option: Path | None) -> Path:
 
 
 def run_json(run: WrittenRun) -> dict[str, object]:
-    """Return what is known of a run as JSON values; NaN becomes null."""
+    """Return the metadata of a run as JSON values; NaN becomes null."""
     recording = run.recording
     alignment = {key: value if np.isfinite(value) else None for key, value in asdict(recording.alignment).items()}
     return {
@@ -343,7 +345,7 @@ def run_json(run: WrittenRun) -> dict[str, object]:
 
 
 def columns(recording: StationRecording, channel: int = 0) -> list[tuple[str, Array]]:
-    """Return the columns of a lot folder's file, rounded far below what the devices resolve."""
+    """Return the columns of a lot folder's file, rounded far below the devices' resolution."""
     named = [("t_s", np.round(recording.t_s, 6)), ("output", np.round(recording.output[:, channel], 7))]
     if recording.force_N is not None:
         named.append(("reference", np.round(recording.force_N, 6)))

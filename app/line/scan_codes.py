@@ -1,4 +1,4 @@
-"""What a scan means, behind scanners' and GS1 prefixes; and whether a serial is a slip of the hand.
+"""Meaning of a scan, without prefixes of scanners and GS1; and detection of a mistyped serial.
 
 Sources: AIM symbology identifiers (ISO/IEC 15424: `]`, a letter, a modifier); GS1 General Specifications, section 3
 (application identifiers 01, 10, 21 and the dates), section 7.8 (FNC1 as ASCII 29 between fields of variable length).
@@ -25,12 +25,12 @@ COMMANDS = ("START", "STOP", "REPEAT", "OK", "CANCEL")
 
 @dataclass(frozen=True)
 class Scan:
-    """One scan, understood.
+    """A parsed scan.
 
     Args:
         kind: serial, golden (the serial of a golden unit), lot, badge, command, or unreadable.
         value: the serial as scanned, the lot's id, the operator's name, the command.
-        lot_id: that a GS1 label names beside the serial; "" without.
+        lot_id: lot of a GS1 label; "" without one.
     """
 
     kind: str
@@ -39,7 +39,7 @@ class Scan:
 
 
 def read_scan(text: str) -> Scan:
-    """Return what a scan means."""
+    """Return the meaning of a scan."""
     raw = text.strip(" \t\r\n")
     prefix = AIM_PREFIX.match(raw)
     bare = raw[prefix.end() :] if prefix else raw
@@ -91,7 +91,7 @@ def shape(serial: str) -> str:
 
 
 def lots_of(registry: Registry, serial: str) -> set[str]:
-    """Return the lots that a serial stands in."""
+    """Return the lots that have a serial."""
     try:
         return {unit.lot_id for unit in registry.lots.units(serial=serial)}
     except InputError:

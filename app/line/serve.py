@@ -1,4 +1,4 @@
-"""A resident station: rig, gate and registry, joined and served until somebody says no."""
+"""A resident station: rig, gate and registry, served until a stop request."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -31,13 +31,13 @@ SIMULATED_RIG = StationConfig(
 
 @dataclass(frozen=True)
 class Serving:
-    """What a resident station is started with.
+    """Settings of a resident station.
 
     Args:
         station_file: the rig; None for the simulated one.
         simulated_seed: of the simulated rig and its units; None for a real one.
         speed: simulated seconds per second.
-        source_profile, unit_profile: files of profiles, where others are wanted.
+        source_profile, unit_profile: files of profiles that replace the default ones.
         override: an engineer's reason to run in spite of the gate.
     """
 
@@ -63,7 +63,7 @@ class Serving:
 
 
 def serve(registry: Registry, serving: Serving, spools: Path, goes_on: Callable[[], bool]) -> None:
-    """Own the ports of a station and perform its orders until `goes_on` says no.
+    """Own the ports of a station and perform its orders until `goes_on` returns False.
 
     Raises:
         InputError: no station is named, its file cannot be read, or another process serves it.

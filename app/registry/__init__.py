@@ -1,1 +1,1 @@
-"""What the registry says of itself and of quality: maintenance, studies, yields, support, trims."""
+"""Maintenance and quality figures of the registry: checks, studies, yields, support, trims."""

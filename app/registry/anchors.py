@@ -1,4 +1,4 @@
-"""The last rows of the audit trail, written down elsewhere: who cuts it is found out here."""
+"""Anchors: the last rows of the audit trail stored outside the registry, which reveal a truncated trail."""
 
 import json
 from contextlib import closing
@@ -17,13 +17,13 @@ SCHEMA = "softcal.audit-heads/1"
 
 
 def anchor_json(registry: Registry, why: str) -> dict[str, object]:
-    """Return the last row of every chain as JSON values, to be kept elsewhere."""
+    """Return the last row of every chain as JSON values, to be stored elsewhere."""
     at = datetime.now(UTC).isoformat(timespec="seconds")
     return {"schema": SCHEMA, "registry": registry.origin, "at": at, "why": why, "heads": registry.trail.heads()}
 
 
 def remember(registry: Registry, why: str) -> None:
-    """Append the last rows to the file of this computer, where it can be written."""
+    """Append the last rows to the anchor file of this computer, if it is writable."""
     line = json.dumps(anchor_json(registry, why), sort_keys=True)
     try:
         with (data_folder() / NAME).open("a", encoding="utf-8") as file:
@@ -33,7 +33,7 @@ def remember(registry: Registry, why: str) -> None:
 
 
 def remembered(registry: Registry) -> list[Anchor]:
-    """Return what this computer wrote down of a registry, as far as it can be read."""
+    """Return the anchors of a registry on this computer, as far as they can be read."""
     try:
         lines = (data_folder() / NAME).read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError, SoftcalError):

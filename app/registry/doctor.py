@@ -1,4 +1,4 @@
-"""What support needs to know of an installation, without secrets."""
+"""Diagnostic data of an installation for support, without secrets."""
 
 import os
 import platform
@@ -23,7 +23,7 @@ Facts = dict[str, object]
 
 
 def examine(url_option: str | None) -> tuple[Facts, list[str]]:
-    """Return what is known of this installation, and what is wrong with it in words."""
+    """Return the diagnostic data of this installation, with its faults in words."""
     problems: list[str] = []
     packages: dict[str, str | None] = dict.fromkeys(PACKAGES)
     for name in PACKAGES:

@@ -13,7 +13,7 @@ from softcal.db.registry import Registry
 
 @dataclass(frozen=True, eq=False)
 class FileEstimate:
-    """The estimates of a file, a row for each of its rows, and the file as it was read."""
+    """Estimates of a file, one row for each of its rows, and the layout of the file."""
 
     estimate: Estimate
     file: FileRecording

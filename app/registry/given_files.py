@@ -1,4 +1,4 @@
-"""Files of units that were given out: where they went, and which of them no longer hold."""
+"""Exported files of units: their folders, and files that are no longer valid."""
 
 import socket
 from collections.abc import Mapping, Sequence
@@ -34,7 +34,7 @@ class Recall:
 
 
 def remember_files(registry: Registry, units: Mapping[UnitKey, Mapping[str, object]], place: str) -> None:
-    """Store that files of units with these revisions, maps and verdicts were given out; each goes to one place once."""
+    """Store the export of files of units with these revisions, maps and verdicts; each goes to one folder once."""
     rows = [{**vars(key), "host": socket.gethostname(), "place": place, **facts} for key, facts in units.items()]
     try:
         with registry.transaction():
@@ -47,7 +47,7 @@ def remember_files(registry: Registry, units: Mapping[UnitKey, Mapping[str, obje
 
 
 def list_recalls(registry: Registry, lot_ids: Sequence[str]) -> list[Recall]:
-    """Return what was given out of lots and no longer holds, the newest files of each unit and place.
+    """Return exported files of lots that are no longer valid, the newest files of each unit and folder.
 
     A unit's verdict is worse than it was, or another map is in use.
     """

@@ -1,4 +1,4 @@
-"""Which golden run of the source a unit was pressed beside: kept with its recording, as known loads are.
+"""Golden run of the source for a unit, stored with the unit's recording like known loads.
 
 One home for it. A station finds it when a unit is pressed, a lot folder brings it, and every later calibration of that
 recording crosses the same bridge.
@@ -21,7 +21,7 @@ def golden_of(registry: Registry, lot_id: str, serials: Collection[str]) -> Mapp
 
 
 def store_golden_of(registry: Registry, lot_id: str, of: Mapping[str, tuple[str, str]], *, actor: str | None) -> None:
-    """Keep which golden run recordings belong to; what is known gets no row.
+    """Store the golden run of recordings; a stored golden run gets no second row.
 
     Args:
         of: hash of a unit's recording → (serial, hash of the golden run).
@@ -52,7 +52,7 @@ def sources_of(registry: Registry, lot_id: str) -> set[str]:
 
 
 def bridge_over(registry: Registry, model: SourceModel, golden_sha256: str) -> Bridge | str:
-    """Return a kept golden run as its sitting's units are compared with it, or why not."""
+    """Return a stored golden run in the form for comparison with the units of its sitting, or a refusal."""
     try:
         return make_bridge(model, registry.recordings.get(golden_sha256))
     except InputError as error:
@@ -60,7 +60,7 @@ def bridge_over(registry: Registry, model: SourceModel, golden_sha256: str) -> B
 
 
 def golden_lot(registry: Registry, serial: str, lot_id: str = "") -> str | None:
-    """Return the lot whose source a serial is and whose network is released; None where it is no source.
+    """Return the lot with a released network whose source a serial is, or None.
 
     Raises:
         AmbiguousUnit: the sources of several lots have the serial, they differ, and no lot is named.

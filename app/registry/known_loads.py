@@ -1,4 +1,4 @@
-"""Known loads of a lot's units: read at rest, kept with the recording they belong to.
+"""Known loads of a lot's units, read at rest and stored with their recording.
 
 One home for all of them: the line reads them, a file or a page brings them, and every calibration of that recording
 takes them from here, so that none is put into use without them.
@@ -16,7 +16,7 @@ from softcal.db.registry import Registry
 
 @dataclass(frozen=True, eq=False)
 class UnitLoads:
-    """The known loads that belong to one recording.
+    """Known loads of one recording.
 
     Args:
         where: `line`, `file` or `page`.
@@ -31,7 +31,7 @@ class UnitLoads:
 
 
 def known_loads(registry: Registry, lot_id: str, serials: Collection[str] | None = None) -> Mapping[str, UnitLoads]:
-    """Return known loads by the hash of the recording they belong to; the newest of each.
+    """Return the newest known loads by the hash of their recording.
 
     Args:
         serials: of these units of the lot; None is all that have a recording.
@@ -49,7 +49,7 @@ def known_loads(registry: Registry, lot_id: str, serials: Collection[str] | None
 def store_loads(
     registry: Registry, lot_id: str, loads: Mapping[str, tuple[str, Anchors]], where: str, *, actor: str | None = None
 ) -> int:
-    """Keep known loads that are new, all or none; return of how many recordings.
+    """Store new known loads, all or none; return the number of their recordings.
 
     Args:
         loads: hash of a recording → (serial, loads).

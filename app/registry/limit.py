@@ -1,4 +1,4 @@
-"""The limit that a lot's units are judged by: stated, or from the source's own error."""
+"""Limit of a lot: stated, or from the source's own error."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from softcal.db.registry import Registry
 
 
 def lot_limit(registry: Registry, lot_id: str) -> Limit:
-    """Return the lot's limit; where none is stated, the one that its source's error gives.
+    """Return the lot's limit; without a stated limit the one from its source's error.
 
     Raises:
         InputError: none was stated, and no unit was calibrated yet.

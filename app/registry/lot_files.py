@@ -15,7 +15,7 @@ from softcal.db.registry import Registry
 
 
 def write_lot_folder(registry: Registry, lot_id: str, folder: Path) -> dict[str, list[str]]:
-    """Write the newest recording of each unit and kind, and its known loads, or nothing.
+    """Write the newest recording of each unit and kind with its known loads as a lot folder, or nothing.
 
     The golden run is written where every unit belongs to the same one: a folder has one. Of several sittings the
     registry alone knows which unit belongs to which.

@@ -1,4 +1,4 @@
-"""Recordings of a lot that the registry keeps: sources of networks, and audits."""
+"""Recordings of a lot in the registry: sources of networks, and audits."""
 
 from softcal.app.registry.golden import golden_of
 from softcal.core.errors import InputError
@@ -31,19 +31,19 @@ def source_recording(registry: Registry, network_id: str) -> LabelledRecording:
 
 
 def source_of_lot(registry: Registry, lot: Lot) -> LabelledRecording | None:
-    """Return the newest recording of a lot's source with its reference; None where there is none."""
+    """Return the newest recording of a lot's source with its reference, or None."""
     entries = [one for one in registry.recordings.of_lot(lot.id, lot.source) if one.kind == "source"]
     recording = registry.recordings.get(entries[-1].sha256) if entries else None
     return recording if isinstance(recording, LabelledRecording) else None
 
 
 def source_model(registry: Registry, network_id: str, method: Method) -> SourceModel:
-    """Return the source of a network as units are compared with it; make it once for all."""
+    """Return the source of a network in the form for comparison with units; build it once for all units."""
     return make_source_model(source_recording(registry, network_id), registry.networks.get(network_id), method=method)
 
 
 def unlabelled(recording: OutputRecording | LabelledRecording) -> OutputRecording:
-    """Return what a fit may see of a recording."""
+    """Return the part of a recording that a fit may use."""
     return recording.unlabelled if isinstance(recording, LabelledRecording) else recording
 
 
@@ -74,6 +74,6 @@ def measure_unit(registry: Registry, state: UnitState, audit: LabelledRecording)
 
 
 def audit_of(registry: Registry, entry: RecordingEntry | None) -> LabelledRecording | None:
-    """Read an audit; None where there is none."""
+    """Return an audit, or None."""
     recording = None if entry is None else registry.recordings.get(entry.sha256)
     return recording if isinstance(recording, LabelledRecording) else None

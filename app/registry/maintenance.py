@@ -1,4 +1,4 @@
-"""What keeps the registry whole: upgrade, check, backup, restore, synchronisation."""
+"""Maintenance of the registry: upgrade, check, backup, restore, synchronisation."""
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -16,7 +16,7 @@ from softcal.db.schema.database import check_schema, open_database, schema_of
 
 
 def upgrade(url: str) -> str | None:
-    """Make the tables in an empty database; return the schema a registry had before, None where it was empty.
+    """Create the tables in an empty database; return the schema before, None of an empty database.
 
     `RegistryError`: it cannot be opened, or it has a schema that this version does not know; nothing changed.
     """
@@ -28,7 +28,7 @@ def upgrade(url: str) -> str | None:
 
 @dataclass(frozen=True)
 class Verification:
-    """What `registry verify` found.
+    """Result of `registry verify`.
 
     Args:
         heads: last row of each chain; written down elsewhere they prove that nothing was cut.
@@ -46,7 +46,7 @@ def verify(
     files: Sequence[Path] = (),
     on_step: Callable[[str], None] = lambda _: None,
 ) -> Verification:
-    """Check a registry against its schema, its audit trail, and what is written elsewhere.
+    """Check a registry against its schema, its audit trail, and anchors outside it.
 
     Args:
         is_quick: leave out what reads every page and blob.
@@ -65,6 +65,6 @@ def back_up_registry(registry: Registry, path: Path) -> None:
 
 
 def synchronise_with(registry: Registry, other_url: str) -> SyncReport:
-    """Bring a registry and the one behind another URL together, both ways."""
+    """Synchronise a registry with the one at another URL, in both directions."""
     with open_registry(other_url, registry.settings) as other:
         return synchronise(registry, other)

@@ -1,4 +1,4 @@
-"""What a quality manager asks: gauge studies, capability, yields and golden units."""
+"""Quality figures: gauge studies, capability, yields and golden units."""
 
 import csv
 from collections.abc import Sequence

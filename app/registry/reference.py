@@ -1,4 +1,4 @@
-"""What the source of a lot was compared with: stated once, completed from the registry."""
+"""Reference of a lot's source: stated once, completed from the registry."""
 
 from dataclasses import fields, replace
 from datetime import UTC, datetime
@@ -13,7 +13,7 @@ from softcal.db.registry import Registry
 def state_reference(
     registry: Registry, lot_id: str, reference: Reference | None, source: LabelledRecording, actor: str | None = None
 ) -> Reference | None:
-    """Keep what is stated of a lot's reference, and return what is in force for its units.
+    """Store the stated reference of a lot, and return the reference in force for its units.
 
     Args:
         source: recorded with it: at its RMS load the reference's U counts.
@@ -29,13 +29,13 @@ def state_reference(
 
 
 def lot_reference(registry: Registry, lot_id: str) -> Reference | None:
-    """Return what was stated last; None where nobody said."""
+    """Return the last stated reference of a lot, or None."""
     facts = registry.declarations.newest("lot_references", lot_id)
     return None if facts is None else Reference(**{one.name: facts[one.name] for one in fields(Reference)})
 
 
 def reference_expanded(registry: Registry, lot_id: str) -> float | None:
-    """Return U of a lot's reference, in the reference unit; None where nobody stated it."""
+    """Return the expanded uncertainty U of a lot's reference, in the reference unit, or None."""
     reference, facts = lot_reference(registry, lot_id), registry.declarations.newest("lot_references", lot_id)
     return None if reference is None or facts is None else reference.expanded(facts["source_rms"])
 

@@ -1,4 +1,4 @@
-"""Recordings that stand under more than one serial, among those of the registry."""
+"""Recordings of the registry that occur under more than one serial."""
 
 from collections.abc import Collection, Iterable
 

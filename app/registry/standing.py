@@ -1,4 +1,4 @@
-"""How a unit stands: a refusal newer than its calibration leaves it no map to give out.
+"""Status of a unit: a refusal newer than its calibration leaves no map to export.
 
 Whoever gives out files, warns at use or shows a verdict asks here: all say the same word.
 """
@@ -11,7 +11,7 @@ from softcal.db.registry import Registry
 
 
 def standing_of(registry: Registry, stored: StoredCalibration) -> UnitStanding:
-    """Return how the unit of a calibration stands now; `summary` is None after a refusal."""
+    """Return the present status of the unit of a calibration; `summary` is None after a refusal."""
     standing_now = registry.pages.standings(stored.lot_id, [stored.serial]).get(stored.serial)
     nothing = UnitStanding(stored.serial, UNDECIDED, (plain("none of its calibrations is in use"),), stored.made_at)
     return nothing if standing_now is None else standing_now

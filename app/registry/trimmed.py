@@ -1,4 +1,4 @@
-"""Trims of a unit: known loads behind its fitted map, and behind the map of every later fit of that recording.
+"""Trims of a unit: known loads adjust its fitted map, and the map of every later fit of that recording.
 
 A trim is a measured fact of its unit. Whoever calibrates the recording again, its loads go behind the new map, or the
 unit says why they do not. It changes this unit alone.
@@ -40,7 +40,7 @@ def store_trim(registry: Registry, stored: StoredCalibration, loads: Anchors, ac
 
 
 def trim_state(registry: Registry, stored: StoredCalibration, loads: Anchors) -> Trim:
-    """Return what known loads make of a unit's fitted map; nothing is stored.
+    """Return the state of a unit after a trim of its fitted map; nothing is stored.
 
     Raises:
         InputError: the loads cannot be of this unit.
@@ -55,7 +55,7 @@ def trim_state(registry: Registry, stored: StoredCalibration, loads: Anchors) ->
 
 
 def put_trim(registry: Registry, stored: StoredCalibration, new: Trim, why: str, actor: str | None) -> None:
-    """Put a unit with a trim into use; an audit that is newer than its loads is scored by the trimmed map."""
+    """Put a unit with a trim into use; an audit newer than its loads measures the trimmed map."""
     state = replace(stored.state, trim=new)
     entry = newest_audits(registry, stored.lot_id, stored.serial).get(stored.serial)
     audit = None if entry is None or entry.sha256 == new.audit_sha256 else audit_of(registry, entry)
@@ -66,7 +66,7 @@ def put_trim(registry: Registry, stored: StoredCalibration, new: Trim, why: str,
 
 @contextmanager
 def trim_stored(registry: Registry, lot_id: str, serial: str, actor: str | None) -> Iterator[None]:
-    """Put the trim of a unit behind another calibration that comes into use: both, or neither.
+    """Apply the trim of a unit to another calibration that comes into use: both, or neither.
 
     Loads of another recording are left out: they say how the unit was when that one was made. So are loads that the new
     map cannot take; the unit says why.
@@ -96,7 +96,7 @@ def trim_stored(registry: Registry, lot_id: str, serial: str, actor: str | None)
 
 
 def _trim_in_use(registry: Registry, lot_id: str, serial: str) -> Trim | None:
-    """Return what the calibration in use of a unit was trimmed by; None where it was not."""
+    """Return the trim of the calibration in use of a unit, or None."""
     if not registry.calibrations.was_decided_by(DECIDED_BY, lot_id, serial):
         return None
     try:

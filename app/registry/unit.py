@@ -1,4 +1,4 @@
-"""A calibrated unit as the registry keeps it: what its estimate f∘γ is made of."""
+"""A calibrated unit of the registry, with the parts of its estimate f∘γ."""
 
 from dataclasses import dataclass
 
@@ -28,7 +28,7 @@ def calibrated_unit(
     """Return the lot, the shared network and the calibration of a unit.
 
     Raises:
-        InputError: the registry has no calibration of the serial, or it stands in several lots and none is named.
+        InputError: the registry has no calibration of the serial, or several lots have it and no lot is given.
     """
     stored = registry.calibrations.get(serial, revision, lot_id=lot_id)
     network = registry.networks.get(stored.state.fit.network_id)
@@ -40,7 +40,7 @@ REASON = "the source unit itself: the shared network needs no map"
 
 @dataclass(frozen=True, eq=False)
 class UnitInUse:
-    """All that following a unit needs from the registry.
+    """Data of the registry that drift tracking of a unit needs.
 
     Args:
         revision: of the calibration it starts from.
@@ -55,7 +55,7 @@ class UnitInUse:
 
 
 def unit_in_use(registry: Registry, serial: str, revision: int | None = None, lot_id: str | None = None) -> UnitInUse:
-    """Return a unit as the registry knows it. The source of a lot has the identity as its map.
+    """Return a unit of the registry. The source of a lot has the identity as its map.
 
     Raises:
         InputError: the registry has no calibration of the serial, and it is not the source of a lot with a network.
@@ -69,7 +69,7 @@ def unit_in_use(registry: Registry, serial: str, revision: int | None = None, lo
 
 
 def _register_source(registry: Registry, serial: str, lot_id: str | None) -> None:
-    """Give the source of a lot its calibration: f itself with the identity map."""
+    """Store the calibration of a lot's source: f itself with the identity map."""
     lots = [lot for lot in registry.lots.all() if lot.source == serial and lot_id in (None, lot.id)]
     sources = {entry.sha256: lot.id for lot in lots for entry in registry.recordings.of_lot(lot.id, serial, "source")}
     trained = [entry for entry in registry.networks.all() if entry.training.get("source_recording_sha256") in sources]

@@ -1,1 +1,1 @@
-"""The REST interface: its server, what stands before it, its routes, and its answers (`v1`)."""
+"""The REST interface: server, checks before the routes, routes, and answers (`v1`)."""

@@ -1,4 +1,4 @@
-"""What stands before the REST routes: which hosts, whose token, how long a head and a body may be and may take.
+"""Checks before the REST routes: host, token, and size and time limits of header and body.
 
 One ASGI layer that refuses before a byte of a body is read, and the protocol that lets half-sent heads go. What it
 refuses it refuses as every other error: one line of `application/problem+json`.
@@ -40,7 +40,7 @@ class Front:
     """ASGI middleware: host, token, size of the body, and ETag of an answer.
 
     Args:
-        user_of: returns the account of a token (`InputError`: it is none that holds).
+        user_of: returns the account of a token (`InputError`: no valid token).
         hosts: names under which this server may be asked, without port.
     """
 
@@ -48,7 +48,7 @@ class Front:
         self._app, self._user_of, self._hosts = app, user_of, frozenset(host.lower() for host in hosts)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Refuse, or hand on with the account in `state.user`, the whole body, and an ETag for what comes back."""
+        """Refuse a request, or pass it on with the account in `state.user` and the whole body, and add an ETag."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
@@ -104,7 +104,7 @@ class _Refused(Exception):
 
 
 async def _read_body(receive: Receive, headers: Headers) -> bytes:
-    """Return the body; one that is too long or too slow is `_Refused`, half of one is never handed on."""
+    """Return the body; raise `_Refused` if it is too long or too slow, and never pass on a partial body."""
     length, body = headers.one("content-length"), bytearray()
     announced = int(length) if length.isdigit() else 0
     try:
@@ -131,7 +131,7 @@ def _replay(body: bytes, receive: Receive) -> Receive:
 
 
 class _Answer:
-    """Holds an answer until it is whole, then sends it with its ETag, or 304 where the asker has it already."""
+    """Buffers a complete answer, then sends it with its ETag, or 304 if the client has it already."""
 
     def __init__(self, send: Send, known: str) -> None:
         self._send, self._known, self._body = send, known, bytearray()
@@ -169,7 +169,7 @@ class BoundedProtocol(H11Protocol):
     _head_timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin to wait for the first head; where the house is full the oldest waiting connection goes."""
+        """Start the timeout of the first header; at the limit of connections close the one waiting longest."""
         super().connection_made(transport)
         self._await_head()
         if len(self.connections) > MAX_CONNECTIONS:
@@ -196,13 +196,13 @@ class BoundedProtocol(H11Protocol):
             self._end_wait()
 
     def on_response_complete(self) -> None:
-        """Begin to wait for the next head."""
+        """Start the timeout of the next header."""
         if not self.transport.is_closing():
             self._await_head()
         super().on_response_complete()
 
     def send_400_response(self, msg: str) -> None:  # noqa: V105
-        """Refuse what is no HTTP, as every other error."""
+        """Refuse a request that is no HTTP, as every other error."""
         answer = problem(400, f"a request of HTTP/1.1 with a head of at most {MAX_HEAD // 1024} KiB was expected")
         headers = [*answer.raw_headers, (b"connection", b"close")]
         start = h11.Response(status_code=400, headers=headers, reason=b"Bad Request")

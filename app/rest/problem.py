@@ -1,4 +1,4 @@
-"""An error of the REST interface, as RFC 9457 writes it."""
+"""Errors of the REST interface as problem details of RFC 9457."""
 
 from collections.abc import Mapping
 
@@ -30,7 +30,7 @@ TITLES = {
 
 
 def problem(status: int, detail: str, headers: Mapping[str, str] | None = None) -> JSONResponse:
-    """Return an error as an answer; one that passes says when to ask again."""
+    """Return an error as an answer; a transient error has a Retry-After header."""
     answer = ProblemAnswer(title=TITLES.get(status, "Error"), status=status, detail=detail)
     later = {"Retry-After": str(AGAIN_AFTER_S)} if status in (429, 503) else {}
     return JSONResponse(answer.model_dump(), status, {**later, **(headers or {})}, PROBLEM)

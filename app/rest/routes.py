@@ -54,7 +54,7 @@ After = Annotated[str, Query(max_length=2000, description="`next` of the last an
 
 
 def _rows_before(after: str) -> int:
-    """Return how many rows come before a page (`InputError`: no answer gave this cursor)."""
+    """Return the number of rows before a page; raise `InputError` for an unknown cursor."""
     if after and not (after.isascii() and after.isdigit() and len(after) < 10):
         raise InputError(f"cursor {after[:60]!r}: give what the last answer named `next`, or nothing for the beginning")
     return int(after or 0)
@@ -115,7 +115,7 @@ def _gives(media_type: str, what: str) -> dict[int | str, dict[str, Any]]:
 
 
 def _known_query(request: Request) -> None:
-    """Refuse a query that the path does not know, or that was given twice: it would be passed over in silence."""
+    """Refuse an unknown or repeated query parameter, which would otherwise be ignored."""
     fields = {field.alias: field.field_info.annotation for field in request.scope["route"].dependant.query_params}
     given = [name for name, _ in request.query_params.multi_items()]
     for name in given:
@@ -131,7 +131,7 @@ routes = APIRouter(dependencies=[Depends(_known_query)])
 
 @routes.get("/me", response_model=answers.AccountAnswer, tags=["account"])
 def me(user: SignedIn) -> dict[str, Any]:
-    """Say whose token this is."""
+    """Return the account of this token."""
     known = {"account": user.name, "role": user.role, "permissions": sorted(permissions(user))}
     return known | {"version": version("softcal")}
 
@@ -145,13 +145,16 @@ def lots(registry: Known, _: Looking, after: After = "", limit: Limit = 50) -> d
 
 @routes.get("/lots/{lot}", response_model=answers.LotAnswer, responses=_may_fail(404), tags=["lots"])
 def lot_of(registry: Known, _: Looking, lot: LotId) -> dict[str, Any]:
-    """Tell of one lot."""
+    """Return one lot."""
     return _lot_json(registry, registry.lots.get(lot))
 
 
 @routes.get("/lots/{lot}/release", response_model=answers.ReleaseAnswer, responses=_may_fail(404), tags=["lots"])
 def release(registry: Known, _: Looking, lot: LotId) -> dict[str, Any]:
-    """Say where a lot stands: what is released and by what, what waits, what was withdrawn. Nothing is decided anew."""
+    """Return the release of a lot: released units with their evidence, waiting units, withdrawn units.
+
+    Decides nothing.
+    """
     standing = lot_standing(registry, lot)
     if standing.decided is None:
         return {"lot": lot, "release": None, "provenance": None}
@@ -180,7 +183,7 @@ def units(
 
 @routes.get("/lots/{lot}/units/{serial}", response_model=answers.UnitAnswer, responses=_may_fail(404), tags=["units"])
 def unit_of_lot(registry: Known, _: Looking, lot: LotId, serial: Serial) -> dict[str, Any]:
-    """Tell of one unit of a lot."""
+    """Return one unit of a lot."""
     return unit_json(_unit(registry, lot, serial))
 
 
@@ -193,7 +196,7 @@ def unit_of_lot(registry: Known, _: Looking, lot: LotId, serial: Serial) -> dict
 def revisions(
     registry: Known, _: Looking, lot: LotId, serial: Serial, after: After = "", limit: Limit = 100
 ) -> dict[str, Any]:
-    """Tell every calibration of a unit, and which one is in use."""
+    """Return every calibration of a unit, and the revision in use."""
     _unit(registry, lot, serial)
     shown, following = _page(registry.calibrations.history(serial, lot), after, limit)
     proofs = registry.recordings.proof_methods(lot, serial)
@@ -214,7 +217,7 @@ def files(
     format: Annotated[str, Path(pattern=r"^[A-Za-z0-9_-]{1,32}$", description="json, c, blob, hex, onnx, pdf, dcc")],
     conditional: Annotated[bool, Query(description="conditional units have their files, too")] = False,
 ) -> Response:
-    """Export the files of a unit, which the audit trail keeps; a unit that is not released is refused (409)."""
+    """Export the files of a unit with an entry in the audit trail; refuse a unit that is not released (409)."""
     _unit(registry, lot, serial)
     release = Release.CONDITIONAL if conditional else Release.PASS
     options = ExportOptions(release=release, lot_id=lot)
@@ -240,7 +243,7 @@ def files(
     tags=["files"],
 )
 def results(registry: Known, _: Looking, lot: LotId) -> Response:
-    """Give the results of a lot as Parquet, a row a unit."""
+    """Return the results of a lot as Parquet, one row per unit."""
     content = parquet_bytes(lot_results(registry, lot))
     return Response(content, 200, media_type=PARQUET)
 
@@ -253,7 +256,7 @@ def units_of_serial(
     after: After = "",
     limit: Limit = 50,
 ) -> dict[str, Any]:
-    """Tell of a serial in every lot it stands in: a unit is known by lot and serial."""
+    """Return a serial in every lot that has it: lot and serial identify a unit."""
     shown, following = _page(registry.lots.units(serial=serial), after, limit)
     return {"units": [unit_json(unit) for unit in shown], "next": following}
 
@@ -271,7 +274,7 @@ def start(
         str | None, Header(pattern=r"^[\x21-\x7e]{1,255}$", description="the same key again is the same job")
     ] = None,
 ) -> dict[str, Any]:
-    """Start a batch over a lot. Ask the job how far it is; a key makes it safe to ask twice."""
+    """Start a batch over a lot. Poll the job for its progress; a repeated request with one key is one job."""
     registry.lots.get(wanted.lot)
     family = {} if wanted.map is None else {"map": check_family(wanted.map)}
     request, board = {"lot": wanted.lot, **family}, registry.job_board
@@ -301,7 +304,7 @@ JobId = Annotated[str, Path(pattern=r"^[0-9a-f]{32}$")]
 
 @routes.get("/jobs/{job_id}", response_model=answers.JobAnswer, responses=_may_fail(404), tags=["jobs"])
 def job_of(registry: Known, _: Looking, job_id: JobId) -> dict[str, Any]:
-    """Tell how far a job is, and its result once it is done."""
+    """Return the progress of a job, and its result at the end."""
     return _job_json(registry.job_board.job(job_id))
 
 
@@ -309,7 +312,7 @@ def job_of(registry: Known, _: Looking, job_id: JobId) -> dict[str, Any]:
     "/jobs/{job_id}/cancel", response_model=answers.JobAnswer, status_code=202, responses=_may_fail(404), tags=["jobs"]
 )
 def cancel(registry: Known, _: Calibrating, job_id: JobId) -> dict[str, Any]:
-    """Ask a job to stop; what it has registered stays. One that is over stays as it ended."""
+    """Request a stop of a job; registered results stay. A finished job stays as it ended."""
     registry.job_board.cancel(job_id)
     return _job_json(registry.job_board.job(job_id))
 
@@ -343,7 +346,7 @@ def events(
     kind: Annotated[list[Literal["verdict", "alert", "change"]], Query()] = ["verdict", "alert"],  # noqa: B006
     limit: Limit = 100,
 ) -> dict[str, Any]:
-    """Give events in their order. `change` is the rest of the audit trail, for who may read it."""
+    """Return events in order. `change` covers the rest of the audit trail, for roles that may read it."""
     if CHANGE in kind:
         _needs("audit")(user)
     page = events_after(registry, cursor_of(after), limit, [name for name in KINDS if name in kind])

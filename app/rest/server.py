@@ -62,7 +62,7 @@ def rest_app(registry: Registry, hosts: Sequence[str] = ("127.0.0.1", "localhost
 
     @app.get("/health", include_in_schema=False)
     def health() -> dict[str, str]:
-        """Say that the server answers; open to everybody, and tells nothing else."""
+        """Return that the server answers; open to everybody, without further data."""
         return {"status": "ok"}
 
     app.openapi = lambda: openapi_document(app)  # type: ignore[method-assign]
@@ -70,7 +70,7 @@ def rest_app(registry: Registry, hosts: Sequence[str] = ("127.0.0.1", "localhost
 
 
 def openapi_document(app: FastAPI) -> dict[str, Any]:
-    """Return the OpenAPI document; made once."""
+    """Return the OpenAPI document, built once."""
     if app.openapi_schema is None:
         made = get_openapi(title=app.title, version=app.version, description=app.description, routes=app.routes)
         for path in made["paths"].values():
@@ -108,7 +108,7 @@ def _answer(_: Request, error: Exception) -> JSONResponse:
 
 @dataclass(frozen=True)
 class ServingOptions:
-    """How the API is served.
+    """Settings of the API server.
 
     Args:
         registry: URL of the registry; None takes the default.
@@ -137,9 +137,9 @@ class ServingOptions:
 
 
 def serve_api(options: ServingOptions, on_first_write: Callable[[str], None]) -> None:
-    """Serve until Ctrl-C; `on_first_write` gets the registry's URL once something was written to it.
+    """Serve until Ctrl-C; `on_first_write` gets the registry's URL after the first write.
 
-    `InputError`: nobody can listen there. `RegistryError`: the registry cannot be opened.
+    `InputError`: unusable address. `RegistryError`: the registry cannot be opened.
     """
     url = registry_url(options.registry)
     # A job is a process of its own; it finds the registry there.

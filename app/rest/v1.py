@@ -1,4 +1,4 @@
-"""What the REST answers hold, as OpenAPI shows it; the values come from the use cases."""
+"""Answers of the REST interface, as OpenAPI documents them; the values come from the use cases."""
 
 from typing import Annotated, Any, Literal
 
@@ -21,7 +21,7 @@ class _Answer(BaseModel):
 
 
 class ProblemAnswer(_Answer):
-    """An error, as RFC 9457 writes it; `detail` is the line the command would say."""
+    """An error, as RFC 9457 writes it; `detail` is the error line of the command."""
 
     type: str = "about:blank"
     title: str
@@ -30,7 +30,7 @@ class ProblemAnswer(_Answer):
 
 
 class AccountAnswer(_Answer):
-    """Whose token this is, and what the role allows."""
+    """Account of this token, and the rights of its role."""
 
     account: str
     role: Roles
@@ -63,7 +63,7 @@ class LotPageAnswer(_Page):
 
 
 class ReleaseAnswer(_Answer):
-    """What is promised about the units nobody measured, as `softcal lot release --json` says it; null without units."""
+    """Release by sample, as in `softcal lot release --json`; null without units."""
 
     lot: str
     release: dict[str, Any] | None
@@ -71,7 +71,7 @@ class ReleaseAnswer(_Answer):
 
 
 class UnitAnswer(_Answer):
-    """A unit of a lot, as `softcal registry list --json` says it; errors in the reference unit of the lot."""
+    """A unit of a lot, as in `softcal registry list --json`; errors in the reference unit of the lot."""
 
     lot_id: str
     serial: str
@@ -98,7 +98,7 @@ class UnitPageAnswer(_Page):
 
 
 class UnitsAnswer(_Page):
-    """A serial in every lot it stands in."""
+    """A serial in every lot that has it."""
 
     units: list[UnitAnswer]
 
@@ -139,7 +139,7 @@ class RevisionAnswer(_Answer):
 
 
 class RevisionsAnswer(_Page):
-    """Every calibration of a unit, as `softcal registry history --json` says it."""
+    """Every calibration of a unit, as in `softcal registry history --json`."""
 
     lot: str
     serial: str
@@ -147,7 +147,7 @@ class RevisionsAnswer(_Page):
 
 
 class JobRequest(_Answer):
-    """A batch over a lot of the registry: train or reuse f, fit every unit, verdicts. What is known is not repeated."""
+    """A batch over a lot of the registry: f, maps and verdicts. Stored results are not computed again."""
 
     kind: Literal["calibrate"] = "calibrate"
     lot: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .+-]{0,63}$")]
@@ -155,7 +155,7 @@ class JobRequest(_Answer):
 
 
 class JobAnswer(_Answer):
-    """A job and how far it is. `is_lost`: its process gives no sign of life."""
+    """A job with its progress. `is_lost`: its process has no heartbeat."""
 
     job_id: str
     kind: JobKinds
@@ -177,7 +177,7 @@ class JobsAnswer(_Page):
 
 
 class StationAnswer(_Answer):
-    """A station: its state (`silent` without a sign of life), the unit it presses and the last one it judged."""
+    """A station: its state (`silent` without a heartbeat), the unit in the fixture and the last decided unit."""
 
     station: str
     state: StationStates
@@ -198,7 +198,7 @@ class StationsAnswer(_Page):
 
 
 class OrderAnswer(_Answer):
-    """An order to a station and how far it is."""
+    """An order to a station with its progress."""
 
     order_id: str
     station: str
@@ -222,7 +222,7 @@ class OrdersAnswer(_Page):
 
 
 class EventAnswer(_Answer):
-    """An event as CloudEvents 1.0 writes it; `id` is the same for ever."""
+    """An event as CloudEvents 1.0 writes it; `id` never changes."""
 
     specversion: Literal["1.0"]  # noqa: V107
     id: str
@@ -235,7 +235,7 @@ class EventAnswer(_Answer):
 
 
 class EventsAnswer(_Answer):
-    """Events in their order; `next` is what to give as `after`. Where `is_end` is true, ask again later with it."""
+    """Events in order; give `next` as `after`. If `is_end` is true, repeat the request later."""
 
     events: list[EventAnswer]
     next: str
@@ -243,7 +243,7 @@ class EventsAnswer(_Answer):
 
 
 class AlertAnswer(_Answer):
-    """An alert: its kind, what it is about (`values`), and its sentence by language."""
+    """An alert: its kind, its values (`values`), and its sentence by language."""
 
     kind: str
     lot: str | None

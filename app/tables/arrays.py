@@ -1,4 +1,4 @@
-"""Named arrays of a binary file, into a table: which group is meant, how large it is, what its cells are."""
+"""Named arrays of a binary file as a table: choice of the group, size limit, conversion of cells."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ MAX_ROUNDING = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """One array of a file before it is read.
+    """Metadata of one array of a file.
 
     Args:
         name: its heading.
@@ -36,7 +36,7 @@ class Channel:
 
 
 def refused_channel(name: str, refusal: str, rows: int = 0) -> Channel:
-    """Return a channel that cannot be read: who asks for it learns why."""
+    """Return a channel that cannot be read; its error is raised on request."""
 
     def refuse() -> NDArray[Any]:
         raise InputError(refusal)
@@ -51,10 +51,10 @@ def choose_group(
     is_requested: IsRequested,
     kind: str,
 ) -> str:
-    """Return the name of the group that is meant: the declared one, the only one, the one with all requested names.
+    """Return the requested group: the declared one, the only one, or the one with all requested names.
 
     Args:
-        kind: what the format calls a group, such as "group" or "variable".
+        kind: the format's word for a group, such as "group" or "variable".
 
     Raises:
         InputError: no such group, none at all, or several and none declared.
@@ -92,7 +92,7 @@ def choose_group(
 def read_channels(
     path: Path, channels: Sequence[Channel], options: TableOptions, is_requested: IsRequested, layout: str = ""
 ) -> Table:
-    """Return the requested channels as a table; without a request those of the longest length.
+    """Return the requested channels as a table; without a request the channels of the greatest length.
 
     Raises:
         InputError: a name twice, requested channels of unequal length, too many cells, or cells that are no column.

@@ -25,7 +25,7 @@ REPEATED_ROW, REPEATED_CELL = f"{TABLE}number-rows-repeated", f"{TABLE}number-co
 
 
 def read_calamine(file: BinaryIO, path: Path, options: TableOptions, is_requested: IsRequested) -> Grid:
-    """Return the cells of the declared sheet, or of the only one that holds a table.
+    """Return the cells of the declared sheet, or of the only sheet with a table.
 
     Raises:
         InputError: no such sheet, several with a table, a password, a damaged file, or too many cells.

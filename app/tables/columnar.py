@@ -1,4 +1,4 @@
-"""Parquet, Feather and Arrow files, no larger than allowed: what they unpack to is counted before it is read.
+"""Parquet, Feather and Arrow files within the size limit, which is checked on the unpacked size before reading.
 
 What is counted is what the reader would have to make, never what the file says of itself alone: few kB of repeated
 values unpack to more than any memory holds.
@@ -166,7 +166,7 @@ def _array(column: "pa.ChunkedArray") -> NDArray[Any]:
 
 
 def _unpacked_bytes(message: "pa.ipc.Message") -> int:
-    """Return how many bytes the buffers of a record batch unpack to, as each one's own first 8 bytes say.
+    """Return the unpacked size of a record batch in bytes, from the first 8 bytes of each buffer.
 
     Arrow allocates that many and refuses a buffer that unpacks to another number. Layout: Message.fbs and Schema.fbs of
     Arrow's columnar format; a flatbuffer's table begins with the offset back to its table of fields.

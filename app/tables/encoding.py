@@ -1,4 +1,4 @@
-"""Which characters the bytes of a text file are."""
+"""Detection of the encoding of a text file."""
 
 import codecs
 import re
@@ -32,7 +32,7 @@ CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f\x7f-\x9f\ufffd]")
 
 @dataclass(frozen=True)
 class Encoding:
-    """The name of an encoding, and what a person should know of how it was found."""
+    """Name of an encoding, with a remark on its detection."""
 
     name: str
     remark: str = ""
@@ -43,7 +43,7 @@ class Encoding:
 
 
 def is_text(head: bytes) -> bool:
-    """Whether the beginning of a file is lines of plain text, whatever its name says."""
+    """Return whether the beginning of a file is plain text, whatever its name."""
     return b"\n" in head and not head.lstrip().startswith(b"<") and head.isascii() and b"\0" not in head
 
 

@@ -64,7 +64,7 @@ def grid_table(grid: Grid, path: Path, options: TableOptions, is_requested: IsRe
 
 
 def _decimal(rows: Sequence[Sequence[Any]], path: Path, options: TableOptions) -> str:
-    """Return the decimal mark of numbers that stand as text in a sheet."""
+    """Return the decimal mark of the numbers that a sheet stores as text."""
     if options.decimal is not None:
         return options.decimal
     texts = [cell.strip() for row in rows for cell in row if isinstance(cell, str)]
@@ -98,7 +98,7 @@ def _cells(rows: Sequence[Sequence[Any]], k: int) -> NDArray[Any]:
 def choose_sheet(
     path: Path, heads: Mapping[str, Sequence[Sequence[Any]]], options: TableOptions, is_requested: IsRequested
 ) -> tuple[str, tuple[str, ...]]:
-    """Return the sheet that is meant, and a remark where it is one of several.
+    """Return the requested sheet, with a remark if the workbook has several.
 
     Args:
         heads: first rows of each sheet, in the order of the workbook.

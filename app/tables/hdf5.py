@@ -26,7 +26,7 @@ Groups = dict[str, list[Channel]]
 
 
 def read_hdf5(file: BinaryIO, path: Path, options: TableOptions, is_requested: IsRequested) -> Table:
-    """Return the requested columns of the group that holds samples, or of the one that is declared.
+    """Return the requested columns of the declared group, or of the group with samples.
 
     Raises:
         InputError: several groups hold samples and none is declared, data of another file, object references,
@@ -61,7 +61,7 @@ def _groups(path: Path, root: "h5py.Group") -> Iterator[tuple[str, "h5py.Group"]
 
 
 def members(path: Path, group: "h5py.Group", kind: type) -> list[str]:
-    """Return the names of a group's own members of a kind, in the order in which they were written where it is stored.
+    """Return the names of a group's direct members of a kind, in order of writing if the file stores it.
 
     Raises:
         InputError: a member that lies in another file.

@@ -1,4 +1,4 @@
-"""Which row of a grid names its columns, which rows hold units, and where the data begin."""
+"""Header of a grid: row of names, rows of units, first row of data."""
 
 import re
 from collections import Counter
@@ -176,7 +176,7 @@ def _header_row(
 
 
 def _is_mixed_header(row: Sequence[Any], width: int, decimal: str) -> bool:
-    """Whether a row with numbers names columns: a text first, whole numbers (of units) after it."""
+    """Return whether a row with numbers is a header: a text first, then integers (numbered units)."""
     cells = [_name(cell) for cell in row]
     while cells and not cells[-1]:
         cells.pop()
@@ -206,7 +206,7 @@ def _unit(cell: str) -> str | None:
 
 
 def _below(rows: Sequence[Sequence[Any]], row: int, first: int, width: int, decimal: str) -> Heading:
-    """Return the heading whose names stand in `row`; rows of units follow, then data."""
+    """Return the heading with its names in `row`; rows of units follow, then data."""
     start = row + 1
     while start < first and not _may_be_data(rows[start], decimal):
         start += 1
@@ -232,7 +232,7 @@ def _has_number(rows: Sequence[Sequence[Any]], k: int, decimal: str) -> bool:
 
 
 def _may_be_data(row: Sequence[Any], decimal: str) -> bool:
-    """Whether a row below the names holds samples, if with a text in one; a scope writes numbers beside units."""
+    """Return whether a row below the names is data, even with one text cell; oscilloscopes write numbers with units."""
     kinds = [cell_kind(cell, decimal) for cell in row]
     has_numbers = any(
         kind in (Kind.NUMBER, Kind.STAMP) and _unit(str(cell)) is None for cell, kind in zip(row, kinds, strict=True)
@@ -249,7 +249,7 @@ def _without(rows: Sequence[Sequence[Any]], width: int, first: int) -> Heading:
 def _refuse_counted(
     rows: Sequence[Sequence[Any]], lines: Sequence[int], first: int, path: Path, is_requested: IsRequested
 ) -> None:
-    """Refuse a first row 0, 1, 2, ...: numbered columns or a sample, nobody can tell."""
+    """Refuse an ambiguous first row 0, 1, 2, ...: numbers of columns or a sample."""
     if first >= len(rows) or first > 0:
         return
     cells = [_name(cell) for cell in rows[first]]
@@ -265,7 +265,7 @@ def _name(cell: Any) -> str:
 
 
 def refuse_doubles(names: Sequence[str], path: Path, is_requested: IsRequested = None) -> None:
-    """Refuse a requested name that stands twice: nobody can say which column is meant."""
+    """Refuse a requested name that two columns have."""
     for name, count in Counter(names).items():
         if count > 1 and name and (is_requested is None or is_requested(name)):
             raise InputError(

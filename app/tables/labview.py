@@ -1,4 +1,4 @@
-"""What LabVIEW states above the samples of an .lvm file: where its headers end, and the step of its time."""
+"""Header of a LabVIEW .lvm file: end of its headers, and step of its time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class StatedClock:
     step_s: float
 
     def column(self, rows: int, first: int) -> Column:
-        """Return the time of so many rows, of which the first has so many rows before it."""
+        """Return the times of a number of rows, given the number of rows before them."""
         return Column(STATED_TIME, "s", self.start_s + self.step_s * np.arange(first, first + rows))
 
     def __str__(self) -> str:
@@ -39,7 +39,7 @@ def header_ends(lines: Sequence[str]) -> list[int]:
 
 
 def find_stated_clock(header: Sequence[Sequence[str]], decimal: str, path: Path) -> StatedClock | None:
-    """Return the time that the cells of a header state; None where it states none.
+    """Return the clock that the cells of a header state, or None.
 
     Raises:
         InputError: its channels have different steps or starts.
@@ -62,7 +62,7 @@ def find_stated_clock(header: Sequence[Sequence[str]], decimal: str, path: Path)
 
 
 def refuse_segments(lines: Sequence[str], path: Path) -> None:
-    """Refuse more segments where the header states the time: nothing says when the later ones began."""
+    """Refuse several segments with a stated clock, because the start of the later segments is unknown."""
     if header_ends(lines):
         raise InputError(
             f"{path}: it has several segments and no column {TIME!r}, so their gaps are not stated; save it with X "

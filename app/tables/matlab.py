@@ -38,7 +38,7 @@ Groups = dict[str, list[Channel]]
 
 
 def read_matlab(file: BinaryIO, path: Path, options: TableOptions, is_requested: IsRequested) -> Table:
-    """Return the requested columns of the variable that holds samples, or of the one that is declared.
+    """Return the requested columns of the declared variable, or of the variable with samples.
 
     Raises:
         InputError: several variables hold samples and none is declared, an object that only MATLAB can open, or too
@@ -155,7 +155,7 @@ def _refused(path: Path, name: str, problem: str) -> Channel:
 
 
 def _object(path: Path, name: str, kind: str) -> Channel:
-    """Return a variable that only MATLAB can open, with what opens it there."""
+    """Return a variable that only MATLAB can open, with the MATLAB call that converts it."""
     cure = CURES.get(kind, "save('{stem}_vectors.mat', ...) of its parts as vectors").format(name=name, stem=path.stem)
     return _refused(
         path,

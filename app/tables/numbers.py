@@ -1,4 +1,4 @@
-"""Cells into numbers: which text is a number, and what stands for a missing sample."""
+"""Conversion of cells to numbers: notations of numbers and of missing samples."""
 
 import re
 from collections import Counter
@@ -62,14 +62,14 @@ SUMMARY_WORDS = frozenset(
 
 
 def is_summary(cells: Sequence[Any]) -> bool:
-    """Whether a row below the samples says in its first filled cell of what it is a summary."""
+    """Return whether a row below the samples is a summary, such as a mean, by its first filled cell."""
     first = next((cell for cell in cells if cell is not None and str(cell).strip()), None)
     word = re.match(r"[^\W\d_]*", first.strip().lower()) if isinstance(first, str) else None
     return word is not None and word[0] in SUMMARY_WORDS
 
 
 class Kind(Enum):
-    """What one cell is."""
+    """Kind of one cell."""
 
     EMPTY = auto()
     NUMBER = auto()
@@ -78,7 +78,7 @@ class Kind(Enum):
 
 
 def cell_kind(cell: Any, decimal: str = ".", missing: Sequence[str] = ()) -> Kind:
-    """Return what a cell of a text file or a sheet is."""
+    """Return the kind of a cell of a text file or a sheet."""
     if cell is None:
         return Kind.EMPTY
     if isinstance(cell, str):
@@ -96,18 +96,18 @@ def cell_kind(cell: Any, decimal: str = ".", missing: Sequence[str] = ()) -> Kin
 
 
 def is_missing(text: str, missing: Sequence[str] = ()) -> bool:
-    """Whether a text stands for a missing sample: nothing, NaN, beyond all numbers, or declared."""
+    """Return whether a text is a missing sample: empty, NaN, out of range, or declared."""
     bare = text.strip()
     return not bare or bare in missing or (small := bare.lower()) in NOT_A_NUMBER or small in INFINITE
 
 
 def is_no_sample(text: str, missing: Sequence[str] = ()) -> bool:
-    """Whether a text stands for a missing sample among numbers: as `is_missing`, or a word of `MISSING_WORDS`."""
+    """Return whether a text among numbers is a missing sample: as in `is_missing`, or one of `MISSING_WORDS`."""
     return is_missing(text, missing) or text.strip().lower() in MISSING_WORDS
 
 
 def missing_words_remark(column: str, cells: Any, missing: Sequence[str]) -> list[str]:
-    """Return a remark where cells of a column hold words of `MISSING_WORDS` that nobody declared: which, how often.
+    """Return a remark on undeclared cells of a column with a word of `MISSING_WORDS`: word and count.
 
     Args:
         cells: (n,) array of objects, or an arrow array of texts.
@@ -127,7 +127,7 @@ def missing_words_remark(column: str, cells: Any, missing: Sequence[str]) -> lis
 
 
 def unit_number(cell: Any, decimal: str) -> tuple[str, str] | None:
-    """Return number and unit of a text such as `0.52 V`; None where it is none."""
+    """Return number and unit of a text such as `0.52 V`, or None."""
     match = UNIT_NUMBER.fullmatch(cell.strip()) if isinstance(cell, str) else None
     if match is None or match["unit"].lower() not in UNITS or not NUMBER[decimal].fullmatch(match["number"]):
         return None
@@ -135,7 +135,7 @@ def unit_number(cell: Any, decimal: str) -> tuple[str, str] | None:
 
 
 def written_numbers(cells: NDArray[Any], decimal: str, missing: Sequence[str]) -> tuple[Array, str, str] | None:
-    """Return texts that are numbers in another way of writing, their unit, and what was taken off.
+    """Return texts that are numbers in another notation, their unit, and the removed characters.
 
     A minus of a text editor, digits of full width, `="0.52"`; `0x1F` in every cell; one unit behind every
     number; marks between thousands where they can be nothing else. None where a cell is none of these, or two readings
@@ -171,7 +171,7 @@ def _plain(text: str) -> str:
 
 
 def _thousands_mark(texts: Sequence[str], decimal: str) -> str:
-    """Return the mark between thousands; "" where there is none, or where it may be a decimal mark."""
+    """Return the thousands separator; "" without one, or if it may be a decimal mark."""
     marked = [text for text in texts if not NUMBER[decimal].fullmatch(text)]
     marks = {match["mark"] for text in marked if (match := THOUSANDS.fullmatch(text))}
     if len(marks) != 1 or not all(THOUSANDS.fullmatch(text) for text in marked):
@@ -186,7 +186,7 @@ def _other(decimal: str) -> str:
 
 
 def _has_other_mark(texts: Sequence[str], decimal: str) -> bool:
-    """Whether all of a column has the other decimal mark, and none of it can be a mark between thousands alone."""
+    """Return whether a whole column has the other decimal mark, which cannot be a thousands separator."""
     is_other = all(NUMBER[_other(decimal)].fullmatch(text) for text in texts)
     return is_other and not all(THOUSANDS.fullmatch(text) for text in texts if _other(decimal) in text)
 
@@ -253,7 +253,7 @@ def texts_to_numbers(texts: Any, decimal: str = ".", missing: Sequence[str] = ()
 
 
 def _arrow_texts(texts: Iterable[str]) -> Any:
-    """Return texts as an arrow array; pyarrow's own conversion looks for pandas, which takes half a second to load."""
+    """Return texts as an arrow array, without pyarrow's search for pandas, which takes half a second."""
     import pyarrow as pa
 
     builder = pa.lib.StringBuilder()
@@ -262,7 +262,7 @@ def _arrow_texts(texts: Iterable[str]) -> Any:
 
 
 def shown(cell: object) -> str:
-    """Return a cell as an error message shows it."""
+    """Return a cell as text for an error message."""
     text = str(cell)
     return "nothing or nan" if text in ("nan", "None", "<NA>", "NaT") else repr(text[:40])
 

@@ -1,4 +1,4 @@
-"""What a person declares about the layout of a table; what is not declared is detected."""
+"""Declared layout of a table; undeclared parts are detected."""
 
 from dataclasses import dataclass
 
@@ -8,16 +8,16 @@ MAX_CELLS = 20_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class TableOptions:
-    """The declared layout of a table. None stands for: detect it.
+    """Declared layout of a table; None means detection.
 
     Args:
-        delimiter: what stands between two cells of a text file: one character, or "tab" or "blanks".
+        delimiter: separator of cells of a text file: one character, or "tab" or "blanks".
         decimal: "." or ",".
         encoding: name of a text encoding, such as "utf-16" or "latin-1".
         header_row: line of the file that holds the names of the columns, counted from 1; 0 where no line does.
         sheet: name of a sheet of a workbook, of a group of a .tdms or .h5 file, or of a variable of a .mat file.
         time_format: unit of the time column ("s", "ms", "us", "ns", "min"), "iso", "excel", or a strptime pattern.
-        missing: texts that stand for a missing sample, beside an empty cell and NaN.
+        missing: texts of a missing sample, in addition to an empty cell and NaN.
         max_cells: a larger table is refused before it is read.
     """
 

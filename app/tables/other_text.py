@@ -1,4 +1,4 @@
-"""Texts that are no tables of samples, named by what they are: frames of a CAN bus, JSON."""
+"""Texts that are no tables of samples, with their format: frames of a CAN bus, JSON."""
 
 import json
 import re
@@ -26,7 +26,7 @@ CAN_CURE = (
 
 
 def refuse_other_text(lines: Sequence[str], path: Path) -> None:
-    """Refuse a text that is no table, with what it is and what makes a table of it."""
+    """Refuse a text that is no table, with its format and a way to convert it."""
     head = [line for line in lines if line.strip()][:HEAD_LINES]
     if sum(CAN_FRAME.fullmatch(line) is not None for line in head) > len(head) / 2:
         raise InputError(f"{path}: a log of candump: {CAN_CURE}")

@@ -1,4 +1,4 @@
-"""The one reader: a file, or its bytes, into a table, whatever program wrote it."""
+"""Reader of tables: a file or its bytes, whatever program wrote it."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -52,10 +52,10 @@ def read_table(
     content: bytes | None = None,
     is_requested: IsRequested = None,
 ) -> Table:
-    """Read a table: its names, its cells, and how it is laid out.
+    """Return a table: names, cells, and detected layout.
 
     Args:
-        content: the bytes of the file where somebody has read them already.
+        content: the bytes of the file, if already read.
         is_requested: tells whether a column is asked for; others are not read where the format allows it.
 
     Raises:
@@ -78,7 +78,7 @@ def column_names(path: Path, options: TableOptions = DETECT) -> tuple[str, ...]:
 
 
 def table_pieces(path: Path, options: TableOptions, is_requested: IsRequested, rows: int) -> Iterator[Table]:
-    """Yield a table in pieces of about so many rows where it is a text file, else as one.
+    """Yield a table in pieces of about a number of rows for a text file, else in one piece.
 
     Raises:
         InputError: as `read_table`, for a row that cannot be read once its piece is reached.
@@ -92,7 +92,7 @@ def table_pieces(path: Path, options: TableOptions, is_requested: IsRequested, r
 
 
 def _reader(file: BinaryIO, path: Path) -> Reader:
-    """Return what reads a file that is open at its beginning: by its suffix, and as text what is text."""
+    """Return the reader of an open file by its suffix, or the text reader for plain text."""
     head, suffix = file.read(HEAD_BYTES), path.suffix.lower()
     file.seek(0)
     if is_text(head):
@@ -106,7 +106,7 @@ def _reader(file: BinaryIO, path: Path) -> Reader:
 
 @contextmanager
 def _refusing(path: Path, content: bytes | None) -> Iterator[None]:
-    """Refuse what is no table, and turn what a reader raises for a damaged file into one line."""
+    """Refuse a file that is no table, and turn a reader's exception for a damaged file into one line."""
     if content is None and not path.is_file():
         raise InputError(
             f"{path}: {'a folder where a file was expected' if path.is_dir() else 'there is no such file'}"

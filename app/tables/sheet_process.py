@@ -1,4 +1,4 @@
-"""Print the cells of a workbook as JSON: a process of its own, as a damaged file may end the one that reads it.
+"""Print the cells of a workbook as JSON, in a separate process, as a damaged file may crash its reader.
 
 Nothing of softcal is imported here, so that it starts at once.
 """
@@ -17,7 +17,7 @@ KINDS = {kind.__name__: kind for kind in (datetime, date, time)}
 
 
 def main(max_cells: int) -> None:
-    """Read a workbook from standard input; print {name of sheet: rows}, or how many cells it has where too many."""
+    """Read a workbook from standard input; print {sheet: rows}, or the number of cells above the limit."""
     from python_calamine import CalamineWorkbook
 
     with suppress(ImportError, OSError, ValueError):
@@ -40,7 +40,7 @@ def _encode(cell: Any) -> dict[str, Any]:
 
 
 def decode(stored: dict[str, Any]) -> Any:
-    """Return a cell that JSON has no type for; everything else as it is (an `object_hook` of json)."""
+    """Return a cell of a type that JSON lacks; other values unchanged (an `object_hook` of json)."""
     if len(stored) == 1:
         kind, value = next(iter(stored.items()))
         if kind in KINDS and isinstance(value, str):

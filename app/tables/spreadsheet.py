@@ -14,7 +14,7 @@ from softcal.core.errors import InputError
 
 
 def read_excel(file: BinaryIO, path: Path, options: TableOptions, is_requested: IsRequested) -> Grid:
-    """Return the cells of the declared sheet, or of the only one that holds a table.
+    """Return the cells of the declared sheet, or of the only sheet with a table.
 
     Raises:
         InputError: no such sheet, several with a table, a formula without a stored value, or too many cells.
@@ -57,7 +57,7 @@ def _rows(worksheet: Any, path: Path, max_cells: int, limit: int | None = None) 
 
 
 def _refuse_formulas(file: BinaryIO, path: Path, name: str, rows: list[Any]) -> None:
-    """Refuse a formula whose value nobody has stored: it would read as an empty cell."""
+    """Refuse a formula without a stored value, which would read as an empty cell."""
     from openpyxl import load_workbook
     from openpyxl.utils import get_column_letter
 

@@ -58,7 +58,7 @@ YEAR_AND_HALF = re.compile(r"(?P<date>\d{4}\S+ +)(?P<hour>\d{1,2})(?P<rest>:[\d:
 
 
 def plain_stamp(text: str) -> str:
-    """Return a stamp in digits: no brackets around it, no name of a month, no half of a day behind a year."""
+    """Return a time stamp in digits, without brackets, names of months, or halves of a day."""
     text = text.strip()
     if text[:1] == "P" and (match := DURATION.fullmatch(text)):
         days, hours, minutes, seconds, fraction = (part or "0" for part in match.groups())
@@ -88,7 +88,7 @@ def plain_stamp(text: str) -> str:
 
 
 def _offset(match: re.Match[str]) -> str:
-    """Return the offset from UTC of a zone that a stamp names, such as `+09:00`; "" where it is not certain."""
+    """Return the UTC offset of the zone in a stamp, such as `+09:00`; "" if it is not certain."""
     if match["hours"] and match["zone"] in ("UTC", "GMT"):
         return f"{match['hours'][0]}{int(match['hours'][1:]):02}:{match['minutes'] or '00'}"
     if match["zone"] in OFFSETS:
@@ -101,7 +101,7 @@ def _offset(match: re.Match[str]) -> str:
 
 
 def zone_of(text: str) -> str:
-    """Return the name of a zone behind a stamp that is not certain; "" where there is none."""
+    """Return the name of an ambiguous zone in a stamp; "" without one."""
     match = NAMED_ZONE.fullmatch(text.strip())
     return "" if match is None or is_stamp(text) or not is_stamp(match["stamp"]) else match["zone"]
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Cells in rows, before anybody has said which of them are names: a text file or a sheet.
+    """Cells in rows before the detection of a header, from a text file or a sheet.
 
     Args:
         rows: cells of each row, which may have unequal lengths: text, a number, None, in sheets a date or time.
@@ -35,7 +35,7 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """One column as its file holds it.
+    """One column as stored in its file.
 
     Args:
         name: heading without the blanks around it.
@@ -57,7 +57,7 @@ class Table:
         columns: those that were asked for.
         names: all names of the file, asked for or not.
         lines: (n,) line of the file of each row, counted from 1.
-        layout: what was detected, in one line: "tabs; decimal comma; header in line 7; units in line 8".
+        layout: detected layout in one line: "tabs; decimal comma; header in line 7; units in line 8".
         remarks: what a person should know, one sentence each.
         decimal: mark in the texts of its columns.
     """
@@ -78,10 +78,10 @@ class Table:
         return any(column.name == name for column in self.columns)
 
     def column(self, name: str, cure: str = "") -> Column:
-        """Return a column by its name; `cure` says what else helps where it is missing.
+        """Return a column by its name; the error for a missing column adds `cure`.
 
         Raises:
-            InputError: there is none of this name; one with other capitals is named.
+            InputError: unknown name; a name with other capitals is suggested.
         """
         named = [column for column in self.columns if column.name == name]
         if len(named) == 1:
@@ -141,7 +141,7 @@ def _text(cell: Any) -> str:
 
 
 def missing_column(name: str, names: Sequence[str]) -> str:
-    """Return that there is no such column, and which there are: first what it may be."""
+    """Return the error for a missing column, with the existing columns, the likeliest first."""
     alike = [other for other in names if other.casefold().strip() == name.casefold().strip() and other != name]
     if alike:
         return f"there is no column {name!r}, it has {', '.join(map(repr, alike))}"

@@ -22,7 +22,7 @@ TIME = "t_s"
 
 
 def read_tdms(file: BinaryIO, path: Path, options: TableOptions, is_requested: IsRequested) -> Table:
-    """Return the requested channels of the group that holds samples, or of the one that is declared.
+    """Return the requested channels of the declared group, or of the group with samples.
 
     Raises:
         InputError: several groups hold samples and none is declared, waveforms of different steps, too many cells.

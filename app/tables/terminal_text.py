@@ -20,11 +20,11 @@ PAIR = re.compile(
 
 @dataclass(frozen=True)
 class TerminalLines:
-    """What a terminal adds to each line.
+    """Additions of a terminal program to each line.
 
     Args:
-        mark: what stands between the cells behind a stamp; "" where no stamp stands before the lines.
-        labels: names that stand before the values of each line, with the units behind them.
+        mark: separator of the cells behind a stamp; "" for lines without stamps.
+        labels: names in front of the values of each line, with the units behind them.
     """
 
     mark: str = ""
@@ -51,7 +51,7 @@ class TerminalLines:
         return ("\t" if self.mark == BLANKS else self.mark).join([*first, *cells])
 
     def to_layout(self, layout: TextLayout) -> TextLayout:
-        """Return the layout of such rows, with the names that stood before the values."""
+        """Return the layout of such rows, with the names in front of the values."""
         if not self.labels:
             return layout
         names, units = zip(*((("time", ""),) if self.mark else ()), *self.labels, strict=True)
@@ -60,7 +60,7 @@ class TerminalLines:
 
 
 def find_terminal_lines(lines: Sequence[str]) -> TerminalLines:
-    """Return what a terminal adds to each line of a file, of which the first lines are enough."""
+    """Return the additions of a terminal program to each line of a file, from its first lines."""
     head = [line for line in lines[:HEAD_LINES] if line.strip()]
     behind = [parts for line in head if (parts := _stamped(line))]
     is_stamped = len(behind) > len(head) / 2
@@ -73,7 +73,7 @@ def find_terminal_lines(lines: Sequence[str]) -> TerminalLines:
 
 
 def _stamped(line: str) -> tuple[str, str, str] | None:
-    """Return stamp, what follows it and the rest of a line such as `10:00:00.020 -> 0.3` or `[10:00:00.020] 0.3`."""
+    """Return stamp, separator and rest of a line such as `10:00:00.020 -> 0.3` or `[10:00:00.020] 0.3`."""
     match = STAMPED.fullmatch(line)
     return (match[1], match[2], match[3]) if match and is_stamp(match[1]) else None
 
@@ -83,7 +83,7 @@ def _labels(pairs: Sequence[tuple[str, str, str]]) -> tuple[tuple[str, str], ...
 
 
 def _pairs(text: str) -> list[tuple[str, str, str]]:
-    """Return name, value and unit of each pair that a text consists of; nothing where it holds anything else."""
+    """Return name, value and unit of each pair of a text that consists of pairs alone; else an empty list."""
     pairs, end = [], 0
     while end < len(text):
         match = PAIR.match(text, end)
@@ -95,7 +95,7 @@ def _pairs(text: str) -> list[tuple[str, str, str]]:
 
 
 def _mark(stamp: str, gap: str, rest: str) -> str:
-    """Return what stands between the cells behind a stamp; "" where the stamp is a cell as they are."""
+    """Return the separator of the cells behind a stamp; "" if the stamp is a cell itself."""
     words = rest.split()
     are_numbers = all(NUMBER["."].fullmatch(word) or NUMBER[","].fullmatch(word) for word in words)
     has_blanks = are_numbers and len(words) > 1 and "\t" not in rest

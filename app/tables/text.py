@@ -47,7 +47,7 @@ def read_text(file: BinaryIO, path: Path, options: TableOptions, is_requested: I
 def _laid_out(
     lines: list[str], path: Path, encoding: Encoding, options: TableOptions, is_requested: IsRequested
 ) -> tuple[list[str], TextLayout, TerminalLines]:
-    """Return rows without zero bytes, their layout, and what a terminal added to each of them."""
+    """Return rows without zero bytes, their layout, and the terminal's additions to each of them."""
     lines, remarks = _without_zeros(lines, path)
     refuse_other_text(lines, path)
     terminal = find_terminal_lines(lines)
@@ -66,7 +66,7 @@ def _decoded(file: BinaryIO, encoding: Encoding) -> Iterator[io.TextIOWrapper]:
 
 
 def _without_zeros(lines: list[str], path: Path) -> tuple[list[str], list[str]]:
-    """Take zero bytes off the end of a file, and return a remark on them; refuse them elsewhere."""
+    """Remove zero bytes at the end of a file with a remark; refuse zero bytes elsewhere."""
     remark = ""
     if not any("\0" in line for line in lines):
         return lines, []

@@ -1,4 +1,4 @@
-"""How a text file is laid out: delimiter, decimal mark, preamble, names and units, detected in its first lines."""
+"""Layout of a text file, detected in its first lines: delimiter, decimal mark, preamble, names and units."""
 
 import csv
 import re
@@ -30,7 +30,7 @@ COMMENT = re.compile(r"[# ]*(?:% +)?")
 
 @dataclass(frozen=True)
 class TextLayout:
-    """How a text file is laid out.
+    """Layout of a text file.
 
     Args:
         delimiter: one character, "blanks", or "" where there is one column only.
@@ -106,7 +106,7 @@ def detect_layout(
 
 
 def _has_times(heading: Heading, rows: Sequence[Sequence[str]], decimal: str) -> bool:
-    """Whether LabVIEW wrote a time beside its samples: the column may be missing or empty."""
+    """Return whether LabVIEW wrote a time column; it may be missing or empty."""
     names = heading.names
     if labview.TIME not in names:
         return labview.STATED_TIME in names
@@ -116,7 +116,7 @@ def _has_times(heading: Heading, rows: Sequence[Sequence[str]], decimal: str) ->
 
 
 def _numbered(names: Sequence[str], repeated: str) -> tuple[str, ...]:
-    """Return names in which the second one of a name that repeats, and those after it, have a number."""
+    """Return names with a number added to each repetition of a name."""
     return tuple(
         f"{name} {count}" if name == repeated and (count := names[: k + 1].count(name)) > 1 else name
         for k, name in enumerate(names)
@@ -145,7 +145,7 @@ def _shown_encoding(name: str) -> str:
 
 
 def _preamble(lines: Sequence[str], options: TableOptions) -> tuple[int, TableOptions]:
-    """Return how many lines certainly stand before the names, and the options with what these lines state."""
+    """Return the number of preamble lines, and the options with the values that these lines state."""
     delimiter, decimal = DECLARED.get(options.delimiter or "", options.delimiter), options.decimal
     if decimal not in (None, ".", ","):
         raise InputError(f"--decimal {decimal!r}: '.' or ',' was expected")
@@ -239,7 +239,7 @@ def _comma_or_decimal(texts: Sequence[str], path: Path) -> tuple[str, str]:
 
 
 def _refuse_thousands(rows: Sequence[Sequence[str]], delimiter: str, decimal: str, path: Path) -> None:
-    """Refuse `1,234` where nothing tells whether its mark is a decimal one."""
+    """Refuse `1,234` if the column does not decide whether its mark is decimal."""
     marked = [cell for row in rows for cell in row if decimal in cell and cell_kind(cell, decimal) is Kind.NUMBER]
     if decimal == "," and marked and all(THOUSANDS.fullmatch(cell) for cell in marked):
         raise InputError(f"{path}: {shown(marked[0])} may be in thousands or have a decimal comma; give --decimal")

@@ -1,4 +1,4 @@
-"""Which lines of a text file are rows of data, and what becomes of the others."""
+"""Rows of data in a text file, and the treatment of the other lines."""
 
 import csv
 import re
@@ -87,7 +87,7 @@ def data_of(
 
 
 def _words(text: str, width: int, decimal: str) -> list[str]:
-    """Return the cells of a line with blanks between them; words of one cell stand together, such as `no signal`."""
+    """Return the cells of a line separated by blanks, keeping words of one cell such as `no signal` together."""
     words = text.split()
     if len(words) <= width:
         return words
@@ -109,7 +109,7 @@ def _filled(lines: Sequence[str], offset: int) -> tuple[list[str], list[int]]:
 
 
 def _drop_comments(texts: list[str], numbers: list[int], layout: TextLayout) -> list[str]:
-    """Take lines that begin with # or % out, and return a remark on them.
+    """Remove lines that begin with # or %, and return a remark on them.
 
     A line of as many cells as the others is a broken row, whatever it begins with.
     """
@@ -122,7 +122,7 @@ def _drop_comments(texts: list[str], numbers: list[int], layout: TextLayout) -> 
 
 
 def _drop_repeats(texts: list[str], numbers: list[int], layout: TextLayout) -> list[str]:
-    """Take lines out that repeat what stands above the samples, and return a remark on each block of them.
+    """Remove lines that repeat lines above the samples, and return a remark on each block.
 
     A header that comes again, that of another block or segment: their first cells are the same texts.
     """
@@ -155,7 +155,7 @@ def _fit(
     layout: TextLayout,
     path: Path,
 ) -> None:
-    """Give each row the cells of the header, where only empty ones are too many or missing.
+    """Return each row with the cells of the header, if only empty cells are surplus or missing.
 
     Raises:
         InputError: a row is longer or shorter.
@@ -249,7 +249,7 @@ def _end_of_data(
 
 
 def _before_summary(texts: Sequence[str], stop: int, layout: TextLayout, delimiter: str) -> int:
-    """Return the number of rows before those of a summary at the end: their first filled cell says of what."""
+    """Return the number of rows before a summary at the end, found by its first filled cell."""
     while stop and len(texts) - stop < MAX_SUMMARY_ROWS and 0 not in layout.text_columns:
         cells = split(texts[stop - 1], delimiter)
         if any(cells) and not is_summary(cells):

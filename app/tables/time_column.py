@@ -1,4 +1,4 @@
-"""Which column of a table holds its time, and which the date beside it: by the heading, else by what the cells do."""
+"""Time column and date column of a table, by the heading, else by the cells."""
 
 import re
 from collections.abc import Sequence
@@ -68,14 +68,14 @@ def stated_unit(column: Column) -> str | None:
 
 
 def is_time_heading(name: str) -> bool:
-    """Whether a heading is that of a column of time."""
+    """Return whether a heading names a time column."""
     words = words_of(name)
     bare = tuple(word for word in words if word not in UNIT_OF and word not in PATTERN_WORDS)
     return bare in TIME_WORDS or (len(words) == 1 and words[0] in BARE_UNITS)
 
 
 def is_date_heading(name: str) -> bool:
-    """Whether a heading is that of a column of dates."""
+    """Return whether a heading names a date column."""
     first, *others = words_of(name) or ("",)
     return first in DATE_WORDS and PATTERN_WORDS.issuperset(others)
 
@@ -86,7 +86,7 @@ def is_clock_heading(name: str) -> bool:
 
 
 def find_time_column(names: Sequence[str], columns: Sequence[Column] = ()) -> str | None:
-    """Return the heading of the column of time; None where there is none.
+    """Return the heading of the time column, or None.
 
     Args:
         columns: cells of the table: an index of dates is a time, and a clock that stands still in most rows is none.
@@ -108,11 +108,11 @@ def find_time_column(names: Sequence[str], columns: Sequence[Column] = ()) -> st
 
 
 def find_time_by_cells(columns: Sequence[Column], output: Array, rate_Hz: float | None) -> tuple[str | None, str]:
-    """Return the column that rises as a clock does, and what shows that it is one; None where there is none.
+    """Return the column that rises like a clock, with its evidence, or None.
 
     Args:
         columns: those that may be it.
-        output: (n,) what was recorded beside them.
+        output: (n,) output of the same rows.
         rate_Hz: declared rate; tells the unit of a clock and the column that counts samples.
 
     Raises:
@@ -167,13 +167,13 @@ def _is_stamped(column: Column) -> bool:
 
 
 def _rising(column: Column) -> Array | None:
-    """Return a column of numbers that rises from row to row; None where it is none."""
+    """Return a column of numbers that rises from row to row, or None."""
     values = to_numbers(column.cells) if column.cells.dtype.kind in "iuf" else None
     return values if values is not None and len(values) > 2 and bool(np.all(np.diff(values) > 0)) else None
 
 
 def parts_per_second(column: Column) -> float | None:
-    """Return how many parts a second has in a column that counts them beside a clock of whole seconds; None elsewhere.
+    """Return the parts per second of a column that counts them next to a clock of whole seconds, or None.
 
     Whole numbers of ms below 1000, or fractional seconds below 1, which begin again.
     """

@@ -1,4 +1,4 @@
-"""The unit of a column of time that holds numbers: stated, told by their size, or by the sample rate."""
+"""Unit of a numeric time column: stated, by its size, or by the sample rate."""
 
 from pathlib import Path
 
@@ -27,12 +27,12 @@ CURE = "state its unit or pattern with --time-format (s, ms, us, ns, min, iso, e
 def number_unit(
     path: Path, column: Column, values: Array, time_format: str | None, declared_Hz: float | None
 ) -> tuple[str, str]:
-    """Return the unit of a column of time, and a remark where the sample rate told it.
+    """Return the unit of a time column, with a remark if the sample rate decided it.
 
     Args:
         values: (n,) its numbers.
         time_format: declared unit; None finds it.
-        declared_Hz: declared rate: of units that nobody states it tells the right one.
+        declared_Hz: declared rate, which decides between possible units.
 
     Raises:
         InputError: nothing tells the unit, or the numbers are dates.
@@ -68,7 +68,7 @@ def number_unit(
 
 
 def _unit_by_rate(step: float, rate_Hz: float) -> str:
-    """Return the one unit in which the step is that of a rate; "" where none or several are."""
+    """Return the only unit in which the step agrees with a rate; "" for none or several."""
     fitting = [unit for unit, per in PER_SECOND.items() if abs(per / step / rate_Hz - 1) <= RATE_TOLERANCE]
     return fitting[0] if len(fitting) == 1 else ""
 

@@ -55,7 +55,7 @@ MAX_MIDNIGHT_GAP_S = 600.0
 
 @dataclass(frozen=True)
 class Start:
-    """When the first sample of a recording was taken, UTC.
+    """Time of the first sample of a recording, UTC.
 
     Args:
         is_local: its stamps state no zone and were taken as local time of this computer.
@@ -67,14 +67,14 @@ class Start:
 
 @dataclass
 class Clock:
-    """Converts a column of time piece by piece; what it found in the first piece holds for the others.
+    """Converter of a time column in pieces; the layout detected in the first piece applies to all.
 
     Args:
         name: heading of the column.
         time_format: declared unit or pattern; None detects it.
         rate_Hz: declared rate: of units that nobody states it tells the right one.
         is_absolute: keeps dates as seconds since 1970 instead of since the first sample.
-        date: heading of the column of dates beside times of day.
+        date: heading of the date column next to times of day.
         rest_of_second: heading of the column that holds the rest of each whole second, and its parts a second.
         start: when the first sample was taken, once that was read; None where stamps are not absolute.
     """
@@ -96,7 +96,7 @@ class Clock:
         """Return (n,) seconds, NaN where the stamp is missing.
 
         Raises:
-            InputError: no such column, a stamp that is none, time that goes back, or a unit that nobody states.
+            InputError: no such column, an invalid stamp, decreasing time, or an undecided unit.
         """
         column = table.column(self.name, cure)
         cells, time_format = column.cells, self.time_format
@@ -121,9 +121,9 @@ class Clock:
         return self._forward(table, values, wraps)
 
     def _with_dates(self, table: Table, column: Column, pattern: str | None) -> Array | None:
-        """Return times of day with the dates beside them; None where the file has one text for a date that is none.
+        """Return times of day joined with their dates; None if the file has one constant text that is no date.
 
-        A date that stands in the first row alone holds for those below it.
+        A date in the first row alone applies to the rows below it.
         """
         dates = table.column(str(self.date)).cells
         if dates.dtype.kind not in "OM":
@@ -173,7 +173,7 @@ class Clock:
         return np.where(is_missing, np.nan, values)
 
     def _start_at(self, seconds: float, *, has_zone: bool) -> None:
-        """Keep when the first sample was taken; a clock that was never set shows a year before 2001."""
+        """Store the time of the first sample; a clock that was never set shows a year before 2001."""
         low, high = EPOCHS["s"]
         if self.start is None and low <= seconds < high:
             is_local = not has_zone and not UTC_WORDS & set(words_of(self.name))

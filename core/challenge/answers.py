@@ -1,4 +1,4 @@
-"""Read a diagnosis and judge it against the truth of its case: one word for each outcome."""
+"""Comparison of a diagnosis with the true causes of its case: one outcome per case."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ MIN_NAMED_PROBABILITY = 0.5
 
 @dataclass(frozen=True)
 class Answer:
-    """What a report says, read once.
+    """The answer of a report.
 
     Args:
         probabilities: stated probability of every effect of the catalogue.
@@ -45,7 +45,7 @@ class Answer:
 
     @property
     def candidates(self) -> frozenset[str]:
-        """Effects the report keeps in play: the named, the first, and those alike."""
+        """Effects that the report holds possible: the named, the first, and the ambiguous ones."""
         first = {self.first} if self.first and self.verdict == "ambiguous" else set()
         candidates = self.named | first
         return candidates.union(*(group for group in self.groups if group & candidates or not candidates))
@@ -91,12 +91,12 @@ def _number(value: object) -> float:
 
 @dataclass(frozen=True)
 class CaseScore:
-    """One case with its truth beside the answer.
+    """The answer for one case with its true causes.
 
     Args:
-        answer: what the report said, None where there is no report or it cannot be read.
+        answer: answer of the report, None without a readable report.
         explained_fraction: shrink on the run that was kept back, NaN where it was not computed.
-        unread: why a report cannot be read; empty where it can, or where there is none.
+        unread: reason why a report cannot be read; empty for a readable or missing report.
     """
 
     label: Label
@@ -106,12 +106,12 @@ class CaseScore:
 
     @property
     def truth(self) -> frozenset[str]:
-        """The catalogue's causes at work; an effect outside it is no truth anybody can name."""
+        """True causes within the catalogue; an effect outside the catalogue cannot be named."""
         return frozenset(c.effect for c in self.label.case.causes if c.effect in CATALOGUE)
 
     @property
     def is_visible(self) -> bool:
-        """Whether the causes stand out of the noise after a refit of the base."""
+        """Whether the signature of the causes exceeds the noise after a refit of the base."""
         return self.label.distance_sigma >= VISIBLE_SIGMA
 
     @property
@@ -165,6 +165,6 @@ class CaseScore:
 
     @property
     def is_stage_left_open(self) -> bool:
-        """Whether the report holds the place open between two stages, one that of a true cause."""
+        """Whether the report leaves two stages possible, one of them of a true cause."""
         stages = set(self.answer.stages) if self.answer else set()
         return len(stages) == 2 and not stages.isdisjoint(self.label.case.stages)

@@ -1,4 +1,4 @@
-"""Draw sealed cases: each line is a stratum with its own kind of rig, causes and runs."""
+"""Generator of sealed cases: each line is a stratum with its own kind of rig, causes and runs."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ MAINS_Hz = (50.0, 60.0)
 
 @dataclass(frozen=True)
 class Scope:
-    """What sizes are measured against on one rig."""
+    """Scales of effect sizes on one rig."""
 
     rig: Rig
     peak_N: float
@@ -42,7 +42,7 @@ def _signed(rng: Rng, centre: float) -> float:
 
 
 def _saturation(rng: Rng, scope: Scope, scale: float) -> dict[str, float]:
-    """One rail or the other, so far inside the used range that 4–12 % of it are lost at scale 1."""
+    """Return one rail or the other, so far inside the used range that 4–12 % of it are lost at scale 1."""
     lost_V = scale * rng.uniform(0.04, 0.12) * scope.span_V
     if rng.random() < 0.25:
         return {"low_V": scope.rest_V + lost_V, "high_V": scope.rig.vref_V}
@@ -50,7 +50,7 @@ def _saturation(rng: Rng, scope: Scope, scale: float) -> dict[str, float]:
 
 
 def alias_Hz(line_Hz: float, rate_Hz: float) -> float:
-    """Return where a line stands in the spectrum of samples."""
+    """Return the frequency at which sampling aliases a line, in Hz."""
     return float(abs(line_Hz - rate_Hz * round(line_Hz / rate_Hz)))
 
 
@@ -193,7 +193,7 @@ def draw_rig(rng: Rng, adc_bits: int | None = None) -> tuple[Rig, float]:
 
 
 def _add_coloured_noise(rng: Rng, rig: Rig, scope: Scope) -> Rig:
-    """Give output, force or both noise of 0.1–1 % of the range used that fades within 0.1–2 s."""
+    """Add coloured noise to output, force or both: 0.1–1 % of the used range, correlation time 0.1–2 s."""
     channel = rng.choice(["output", "force", "both"])
     share, fading_s = log_uniform(rng, 0.001, 0.01), log_uniform(rng, 0.1, 2.0)
     return replace(
@@ -303,7 +303,7 @@ def draw_case(seed: int, name: str, line: str) -> SealedCase:
 
 
 def draw_challenge(seed: int, count: int) -> list[SealedCase]:
-    """Draw a challenge of mixed lines, shuffled, so that neither name nor place tells anything.
+    """Draw a challenge of mixed lines, shuffled, so that name and order carry no information.
 
     Lines with a floor come first: each has `MIN_CASES` cases before any other has one.
     """

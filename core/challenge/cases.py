@@ -1,4 +1,4 @@
-"""A sealed case: a rig, its causes and runs, and how far the causes stand out of the noise."""
+"""A sealed case: a rig, its causes and runs, and the visibility of the causes in the noise."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -48,7 +48,7 @@ EXPERIMENTS = (*(name for name in PROTOCOLS if name not in NOT_PROPOSED), *SPECI
 
 @dataclass(frozen=True)
 class RunPlan:
-    """One run: a protocol or an experiment, and the seed of all that is random in it."""
+    """Plan of one run: a protocol or an experiment, and the seed of its random numbers."""
 
     protocol: str
     seed: int
@@ -56,7 +56,7 @@ class RunPlan:
 
 @dataclass(frozen=True, eq=False)
 class SealedCase:
-    """What the seal holds of one case.
+    """Content of the seal for one case.
 
     Args:
         line: the stratum it was drawn for.
@@ -68,7 +68,7 @@ class SealedCase:
             for nothing. `measure` gives what was measured, `write_runs` what the files have.
         turns_between_samples: the stage turns between two samples, so the pad goes up to 50 µm beyond the recorded
             path; otherwise the pad sees the recorded path, as the written model has it.
-        tare_N: what the load cell reads without load, in every run.
+        tare_N: reading of the load cell without load, in every run.
         seating: standard deviation from run to run of the logarithm of the unloaded resistance.
         seat_mm: standard deviation from run to run of where the surface is.
     """
@@ -116,7 +116,7 @@ class SealedCase:
         return replace(measured, columns={k: v for k, v in measured.columns.items() if k not in self.withheld})
 
     def write_runs(self, plans: Sequence[RunPlan]) -> list[RunOnFile]:
-        """Return runs as files have them, with the case's mistake; its own stand first in `plans`."""
+        """Return runs in the form of files, with the case's mistake; the case's own runs are first in `plans`."""
         runs, others = [self.measure(plan) for plan in plans], []
         if self.mistake and Mistake.from_text(self.mistake).what == "other_unit":
             unit = replace(self, rig=other_unit(self.rig, Mistake.from_text(self.mistake)))
@@ -174,7 +174,7 @@ _STEPS = {"u0_mm": 1e-3, "k1_N_mm": 1e-3, "k3_N_mm3": 1e-3, "r0_ohm": 1e-4, "kap
 
 
 def distance_sigma(case: SealedCase) -> float:
-    """How far the causes stand out of the noise: ‖what no base parameter can imitate‖ over it.
+    """Return the visibility in σ: the norm of the part of the signature that no base parameter can imitate.
 
     The clean signals with and without the causes are compared. The part that lies in the span of the base
     parameters' derivatives is taken out (first-order refit). 5 is about the least that can be seen.
@@ -194,7 +194,7 @@ def distance_sigma(case: SealedCase) -> float:
 
 
 def _residual_in_coloured_noise(case: SealedCase, columns: Array) -> float:
-    """Return how far the first column stands out of coloured noise, beyond what the others imitate.
+    """Return the visibility of the first column in coloured noise, projected off the other columns.
 
     Args:
         columns: (samples, 6) in units of the white noise, ordered as `_noiseless_channels` has them.
@@ -216,7 +216,7 @@ def _residual_in_coloured_noise(case: SealedCase, columns: Array) -> float:
 
 
 def _noiseless_channels(case: SealedCase) -> Array:
-    """All channels of all runs in units of their noise, without noise and rounding."""
+    """Return all channels of all runs in units of their noise, without noise and rounding."""
     parts = []
     for columns in _noiseless_runs(case):
         parts.append(columns["output_V"] / case.rig.floor_V)
@@ -256,7 +256,7 @@ SPREAD = {"u0_mm": 0.005, "k1_N_mm": 0.003, "k3_N_mm3": 0.003, "r0_ohm": 0.08, "
 
 @dataclass(frozen=True, eq=False)
 class LotRun:
-    """One recording of a lot: `source`, `units` or `audit`, and whose it is."""
+    """One recording of a lot: `source`, `units` or `audit`, and its unit."""
 
     place: str
     serial: str

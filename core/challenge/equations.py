@@ -1,4 +1,4 @@
-"""What makes a sealed rig differ from the base model, each cause on a hook of the chain.
+"""Equations by which a sealed rig differs from the base model, each cause at a hook of the chain.
 
 The 25 effects of TWIN.md's catalogue in its own equations, the same causes by other equations (a
 rig does not know which one it chose), and effects outside the catalogue: the honest answer to each
@@ -17,7 +17,7 @@ CATALOGUE_FORM, OUTSIDE_FORM = "catalogue", "outside"
 
 
 def equations(rows: Mapping[str, tuple[str, Apply]]) -> dict[str, Equation]:
-    """Return equations by their effect, from where and what each does."""
+    """Return equations by their effect, from tuples of hook and function."""
     return {effect: Equation(hook, apply) for effect, (hook, apply) in rows.items()}
 
 
@@ -62,7 +62,7 @@ def _channel_loop(loop: Apply) -> Apply:
 
 
 def completed_compressions(compression_mm: Array) -> Array:
-    """Count, at each point, the compressions that ended before: contact made and lost again."""
+    """Return the number of compressions that ended before each point: contact and loss of contact."""
     pressed = compression_mm > 0.0
     released = pressed[:-1] & ~pressed[1:]
     return np.concatenate([[0.0], np.cumsum(released)])
@@ -196,7 +196,7 @@ def _settling_reference(reference_V: Array, at: Moment, rate_per_s: float) -> Ar
 
 
 def _soft_clip(volts: Array, at: Moment, low_V: float, high_V: float) -> Array:
-    """An input stage that bends over the last 15 mV before it clips."""
+    """Return the output of an input stage that saturates smoothly over the last 15 mV before it clips."""
     knee_V = 0.015
     return np.maximum(low_V, high_V - knee_V * np.logaddexp(0.0, (high_V - volts) / knee_V))
 
@@ -282,7 +282,7 @@ def _permanent_set(contact_mm: Array, at: Moment, share: float) -> Array:
 
 
 def _adhesion(force_N: Array, at: Moment, pull_N: float, reach_mm: float) -> Array:
-    """On the way out the pad sticks: −Fa·exp(−δ/d) while the surfaces touch."""
+    """Return the force with adhesion during unloading: −Fa·exp(−δ/d) while the surfaces touch."""
     leaving = 0.5 * (1.0 - loop(at.compression_mm, 0.02))
     touching = at.compression_mm > 0.0
     return force_N - pull_N * np.exp(-at.compression_mm / reach_mm) * leaving * touching

@@ -1,4 +1,4 @@
-"""The shrink of the gap that a report's twin reaches on the run that was kept back.
+"""Shrink of the gap by a report's twin on a held-out run.
 
 The twin's numbers come from the report; the equations, the recording and the refit of the bare base
 are this package's own, so a mistake of the diagnosis cannot hide here.
@@ -62,7 +62,7 @@ UNFITTED: Mapping[str, Mapping[str, float]] = {
 
 
 def explained_fraction(case: SealedCase, report: Mapping[str, Any]) -> float:
-    """Return 1 − (after − floor)/(before − floor) on the kept-back run, channels in units of noise.
+    """Return 1 − (after − floor)/(before − floor) on the held-out run, channels in units of noise.
 
     Args:
         report: of schema `softcal.gap/1` with the fitted `base`; the twin has its named causes.
@@ -104,7 +104,7 @@ def with_base(rig: Rig, base: Mapping[str, float]) -> Rig:
 
 
 def _gap(case: SealedCase, measured: Measured, rig: Rig, causes: tuple[Cause, ...]) -> float:
-    """Sum over channels of (RMS residual − floor)/noise; the floor is what the true rig leaves."""
+    """Return the sum over channels of (RMS residual − floor)/noise; the floor is the residual of the true rig."""
     left = residual_rms(case, measured, rig, causes)
     min_share = residual_rms(case, measured, case.rig, case.causes)
     return sum(max(0.0, after - least) for after, least in zip(left, min_share, strict=True))

@@ -13,7 +13,7 @@ Function = TypeVar("Function", bound=Callable[..., Array])
 
 
 def recursion(function: Function) -> Function:
-    """Compile a function that goes through a signal sample by sample."""
+    """Compile a function that processes a signal sample by sample."""
     return cast(Function, njit(cache=True)(function))
 
 
@@ -46,7 +46,7 @@ def power_law(signal: Array, step_s: float, fastest_s: float, slowest_s: float) 
 
 @recursion
 def play(signal: Array, width: float) -> Array:  # pragma: no cover - compiled
-    """Follow the input through a clearance: it lags when rising and meets it when falling."""
+    """Return the output of a clearance (play operator): it lags while rising and follows while falling."""
     out = np.empty_like(signal)
     state = signal[0]
     for k in range(len(signal)):

@@ -1,4 +1,4 @@
-"""What the stage does in a run: ramps, steps with holds, random, rest, and experiments."""
+"""Protocols of the stage in a run: ramps, steps with holds, random paths, rest, and experiments."""
 
 from collections.abc import Callable, Iterable
 
@@ -68,7 +68,7 @@ def steps_with_holds(rng: Rng, depth_mm: float) -> Path:
 
 
 def random_path(rng: Rng, depth_mm: float, duration_s: float = RUN_S) -> Path:
-    """Go to random depths at random speeds, with a rest now and then."""
+    """Return a path to random depths at random speeds, with occasional rests."""
     pen = _PathBuilder(rng.uniform(0.6, 2.0))
     while pen.now_s < duration_s:
         position_mm = 0.0 if rng.random() < 0.2 else depth_mm * rng.uniform(0.0, 1.0)
@@ -94,7 +94,7 @@ def one_rich_run(rng: Rng, depth_mm: float) -> Path:
 
 
 def kept_back(rng: Rng, depth_mm: float) -> Path:
-    """A protocol no fit has seen: growing ramps, a hold at mid-depth, a broken descent."""
+    """Return a held-out protocol: growing ramps, a hold at mid-depth, an interrupted descent."""
     pen = _PathBuilder(1.0)
     for share in (0.45, 0.7, 0.95):
         pen.go(depth_mm * share, rng.uniform(0.8, 1.6))

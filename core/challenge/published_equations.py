@@ -1,6 +1,6 @@
-"""Published equations that nobody wrote the solver for: five forms of causes, five effects outside.
+"""Published equations that the solver was not written for: five forms of causes, five effects outside.
 
-Each docstring cites the model. None was chosen by looking at what the diagnosis can fit.
+Each docstring cites the model. No equation was chosen by the capability of the diagnosis.
 """
 
 from collections.abc import Callable
@@ -81,7 +81,7 @@ def _andrade_creep(force_N: Array, at: Moment, share: float, tau_s: float) -> Ar
 
 
 def _screw_growth(stage_mm: Array, at: Moment, growth: float, tau_s: float) -> Array:
-    """A ball screw grows as it warms: Ramesh and others, Int. J. Mach. Tools Manuf. 40 (2000)."""
+    """Return the growth of a ball screw with warming: Ramesh and others, Int. J. Mach. Tools Manuf. 40 (2000)."""
     return np.asarray(stage_mm * (1.0 - growth * -np.expm1(-at.t_s / tau_s)))
 
 

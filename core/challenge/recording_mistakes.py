@@ -1,4 +1,4 @@
-"""Mistakes that people make when they record: drawn for a case, and put on what was measured."""
+"""Typical mistakes of people in recordings: drawn for a case, and applied to the measured runs."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -37,7 +37,7 @@ class Mistake:
         what: kind, as in a report of schema `softcal.gap/1`.
         channel: `stage`, `force`, `output` or `time`; empty where it concerns several.
         runs: numbers of the runs from 1; empty for all.
-        factor: true over written values; of a gain or zero what was multiplied or added; 0 for none.
+        factor: true over written values; the multiplied gain or added zero; 0 without one.
         seed: of what else is random in it.
     """
 
@@ -61,14 +61,14 @@ class Mistake:
 
 @dataclass(frozen=True)
 class RunOnFile:
-    """A run as its files have it, with the sample rate that the metadata say."""
+    """A run in the form of its files, with the sample rate of the metadata."""
 
     measured: Measured
     sample_rate_Hz: float
 
 
 class _MistakenCase(NamedTuple):
-    """What a mistake is put on: the measured runs, and the same paths pressed on another unit."""
+    """Recordings for a mistake: the measured runs, and the same paths pressed on another unit."""
 
     rig: Rig
     runs: Sequence[Measured]
@@ -79,7 +79,7 @@ _Corrupt: TypeAlias = Callable[[_MistakenCase, int, Mistake], Measured]
 
 
 def other_unit(rig: Rig, mistake: Mistake) -> Rig:
-    """Return another unit of the lot: every parameter of its own, on the same electronics."""
+    """Return another unit of the lot: other values of every parameter, with the same electronics."""
     rng = np.random.default_rng([mistake.seed, 5])
 
     def varied(value: float, spread: float) -> float:
@@ -149,7 +149,7 @@ STUCK_VALUES = {"output": (6.5535e4, 9.99, -1.0), "force": (999.0, -999.0, 8388.
 
 @dataclass(frozen=True)
 class _Dice:
-    """What a mistake of a case is drawn with; lengths and names as in `draw_mistake`."""
+    """Random numbers for a mistake of a case; lengths and names as in `draw_mistake`."""
 
     rng: Rng
     peak_N: float
@@ -232,6 +232,6 @@ _KINDS: Mapping[str, tuple[Callable[[_Dice], Mistake], _Corrupt]] = {
 
 
 def draw_mistake(rng: Rng, rig: Rig, peak_N: float, span_V: float, runs: int) -> str:
-    """Draw one mistake for a case of two or more runs, every kind alike, as a label has it."""
+    """Draw one mistake for a case of two or more runs, every kind equally likely, in the form of a label."""
     draw, _ = list(_KINDS.values())[rng.integers(len(_KINDS))]
     return draw(_Dice(rng, peak_N, span_V, runs)).to_text()

@@ -47,7 +47,7 @@ class Rig:
 
     @property
     def floor_V(self) -> float:
-        """Noise of the output with the rounding of the ADC in it, RMS."""
+        """Noise of the output including the rounding of the ADC, RMS."""
         return float(np.hypot(self.noise_V, self.lsb_V / np.sqrt(12.0)))
 
     def pad_force_N(self, compression_mm: Array) -> Array:
@@ -56,7 +56,7 @@ class Rig:
 
 @dataclass(frozen=True)
 class Cause:
-    """One effect at work: its identifier, the equation that realises it, and its values.
+    """One cause: its identifier, the equation that realises it, and its values.
 
     Args:
         effect: an identifier of TWIN.md's catalogue, or the name of an effect outside it.
@@ -70,7 +70,7 @@ class Cause:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """A stage path: straight lines between corners; before and after them it stands still."""
+    """Stage path: straight lines between corners, constant before and after them."""
 
     name: str
     corner_s: Array
@@ -86,7 +86,7 @@ class Path:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What one run of a sealed rig recorded; `columns` lack what the run does not have."""
+    """Recording of one run of a sealed rig; `columns` lack the channels that the run does not record."""
 
     kind: str
     profile: str
@@ -127,7 +127,7 @@ HOOKS = {
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """What an equation may look at besides the quantity it changes; all on the same time grid."""
+    """Signals that an equation may use besides the quantity it changes, all on one time grid."""
 
     rig: Rig
     t_s: Array
@@ -143,7 +143,7 @@ Apply: TypeAlias = Callable[..., Array]
 
 
 class Equation(NamedTuple):
-    """One way an effect acts: at a hook, and value, moment, parameters → value."""
+    """One equation of an effect: a hook, and a function of value, moment and parameters."""
 
     hook: str
     apply: Apply
@@ -166,7 +166,7 @@ class Rack:
         return bool(self._steps[hook])
 
     def pass_through(self, hook: str, value: Array, moment: Moment) -> Array:
-        """Let every cause of a hook change the value, in the order they were given."""
+        """Apply every cause of a hook to the value, in the given order."""
         for apply, values in self._steps[hook]:
             value = apply(value, moment, **values)
         return value
@@ -186,7 +186,7 @@ def record(
 
     Args:
         rng: noise, and whatever an equation draws for this run.
-        kind: of TWIN.md; `rigid_block`, `dummy_resistor`, `dead_weights` change what is pressed.
+        kind: of TWIN.md; `rigid_block`, `dummy_resistor`, `dead_weights` replace the pressed unit.
         known_force: force of a `dead_weights` run at given times.
     """
     sample_s: Array = np.arange(int(path.duration_s * rig.sample_rate_Hz) + 1, dtype=np.float64) / rig.sample_rate_Hz
@@ -243,7 +243,7 @@ def _press(rack: Rack, moment: Moment, kind: str, known_force: Callable[[Array],
 
 
 def _output(rack: Rack, moment: Moment, sample_s: Array, dummy_ohm: float | None) -> Array:
-    """Transduction, electronics and acquisition: what the ADC gives at the sampling instants."""
+    """Return the codes of the ADC at the sampling instants: transduction, electronics and acquisition."""
     rig = moment.rig
     if dummy_ohm is None:
         load = moment.compression_mm if rig.sensor_type == "strain" else moment.force_N

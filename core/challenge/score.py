@@ -1,4 +1,4 @@
-"""Score diagnoses against the opened labels of a challenge: what was named, and how sure it was."""
+"""Score of diagnoses against the opened labels of a challenge: named causes and their probabilities."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -47,7 +47,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Detection:
-    """How often one effect was named at a distance from the noise."""
+    """Share of cases in which one effect was named, by its visibility."""
 
     effect: str
     from_sigma: float  # noqa: V107
@@ -59,14 +59,14 @@ class Detection:
 
 @dataclass(frozen=True)
 class Probabilities:
-    """How far stated probabilities can be trusted.
+    """Calibration of the stated probabilities.
 
     Args:
         ece: expected calibration error over all effects of all cases, ten bins of equal width.
         ece_first: the same for the probability of the first cause alone.
         brier: mean squared error of all stated probabilities.
         on_truth: mean probability on the true cause (FIA), singles.
-        log_score: mean of −ln of the probability of what is, over causes that are stated at 0.05 or more, or at work.
+        log_score: mean of −ln of the probability of the truth, over causes stated at 0.05 or more, or true.
     """
 
     ece: float
@@ -79,7 +79,7 @@ class Probabilities:
 
 @dataclass(frozen=True)
 class Bin:
-    """Named causes with a probability in one interval, and how many of them are at work.
+    """Causes with a stated probability in one interval, and how many of them are true.
 
     An effect that nobody names is right at 0 whatever the diagnosis does, 24 times out of 25. So
     only stated probabilities from the first of `PROBABILITY_EDGES` on are counted.
@@ -103,7 +103,7 @@ class FractionScore:
 
 @dataclass(frozen=True)
 class ScoreSheet:
-    """Everything a challenge shows."""
+    """All scores of a challenge."""
 
     case_scores: tuple[CaseScore, ...]
     rows: tuple[Row, ...]
@@ -243,7 +243,7 @@ def calibration_error(stated: NDArray[np.float64], happened: NDArray[np.float64]
 
 
 def log_score(stated: NDArray[np.float64], present: NDArray[np.float64]) -> float:
-    """Return the mean of −ln of the probability of what is, in nats, where something is stated or at work.
+    """Return the mean of −ln of the probability of the truth, in nats, over causes that are stated or true.
 
     What nobody states and nobody hid costs nothing, so that it would only hide what is wrong. A probability of 0 or 1
     counts as one in a thousand short of it.
@@ -304,7 +304,7 @@ MIN_SHARE_OF_ALL = 0.6
 def shortfalls(sheet: ScoreSheet) -> list[str]:
     """Return one sentence for every floor that is not reached; empty where all are.
 
-    All that was drawn is judged: a case without a report counts as wrong.
+    All drawn cases count: a case without a report is wrong.
     """
     sentences, hits, total = [], 0, 0
     for line, min_share in MIN_SHARES.items():

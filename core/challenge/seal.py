@@ -1,7 +1,7 @@
 """The seal of a challenge: labels as canonical text, and its SHA-256, published beforehand.
 
 The text holds a random nonce, so the published hash tells nothing about the labels; and it holds the hash of every
-case as it was handed out, so neither labels nor cases can change without the seal being broken.
+case in its distributed form, so neither labels nor cases can change without breaking the seal.
 """
 
 import hashlib
@@ -19,11 +19,11 @@ SCHEMA = "softcal.seal/1"
 
 @dataclass(frozen=True)
 class Label:
-    """What the seal says of one case.
+    """Label of one case in the seal.
 
     Args:
-        sha256: content hash of the case as it was handed out.
-        distance_sigma: how far its causes stand out of the noise after a refit of the base.
+        sha256: content hash of the case in its distributed form.
+        distance_sigma: visibility of its causes in σ after a refit of the base.
     """
 
     case: SealedCase

@@ -1,6 +1,6 @@
 """The binary files `network-<id>.ssc` and `unit-<serial>.ssc`, format 1.0: values ⇄ bytes.
 
-The layout, byte by byte, and what a reader has to check are written down in docs/format.md.
+docs/format.md specifies the layout, byte by byte, and the checks of a reader.
 """
 
 import hashlib
@@ -37,7 +37,7 @@ MAX_LAYERS, MAX_WIDTH, MAX_BANDS, MAX_SELF_TESTS = 7, 1024, 4, 4
 
 
 class Kind(IntEnum):
-    """What a file holds."""
+    """Kind of a file: network or unit."""
 
     NETWORK = 1
     UNIT = 2
@@ -68,7 +68,7 @@ class FileRefused(InputError):
 
 @dataclass(frozen=True)
 class SelfTest:
-    """A window of TAPS codes start, start + step, ... and the estimate it must give, unclamped."""
+    """A window of TAPS codes start, start + step, ... and the expected estimate before clamping."""
 
     start: int
     step: int
@@ -86,7 +86,7 @@ class Band:
 
 @dataclass(frozen=True)
 class LoadLevels:
-    """What the source puts out at rest, by load: a straight line between neighbours.
+    """Output of the source at rest by load, interpolated linearly.
 
     Args:
         first, step: the least load, and the distance between two, in counts as estimates are.
@@ -111,14 +111,14 @@ class LoadLevels:
 
 @dataclass(frozen=True, eq=False)
 class NetworkFile:
-    """The shared network as a device holds it; once per lot.
+    """Shared network in the form of a device; one per lot.
 
     Args:
         network_sha256: the registry's id of f (hex).
         source_serial: the unit f was trained on.
         period_us: time between two samples of a window in µs.
         output_unit, reference_unit: physical units, at most 8 bytes each.
-        levels: of the source, which known loads are compared with.
+        levels: of the source, for comparison with known loads.
     """
 
     network: IntegerNetwork
@@ -146,7 +146,7 @@ class NetworkFile:
 
     @cached_property
     def id(self) -> bytes:
-        """First 8 bytes of the SHA-256 of the body: they tie unit files to it."""
+        """First 8 bytes of the SHA-256 of the body, which unit files refer to."""
         return hashlib.sha256(self._body).digest()[:8]
 
     def to_bytes(self) -> bytes:
@@ -155,15 +155,15 @@ class NetworkFile:
 
 @dataclass(frozen=True, eq=False)
 class UnitFile:
-    """The calibration of one unit as a device holds it.
+    """Calibration of one unit in the form of a device.
 
     Args:
         network_id: 8 bytes, `NetworkFile.id`.
         revision: of the calibration in the registry; the newest valid one wins on the device.
         time_s: when it was calibrated, Unix time in s; 0 where unknown.
         flags: CONDITIONAL, FAILED or 0.
-        scale: what a code means in the sensor's output unit; the device does not need it.
-        code_min, code_max: codes the unit was seen with; outside, the estimate is flagged.
+        scale: output of a code in the sensor's output unit; the device does not need it.
+        code_min, code_max: range of codes of the calibration; outside, the estimate is flagged.
         out_min, out_max: the estimate is clamped to these, in counts.
         bands: 1 ... 4, by rising level.
         pivot: mapped sample, in source counts, that the gain of a trim turns about.
@@ -227,7 +227,7 @@ def serial_field(serial: str) -> bytes:
 
 
 def decode_serial(field: bytes) -> str:
-    """Return the serial of a file's 20 bytes; of one that was shortened, what is there."""
+    """Return the serial of a file's 20 bytes; of a shortened serial its stored part."""
     text = field.rstrip(b"\0").decode("utf-8", errors="replace")
     try:
         return text if text[11:12] == "~" else unescape_serial(text)

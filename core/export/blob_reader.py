@@ -66,7 +66,7 @@ def _layout(name: str, problem: object) -> FileRefused:
 
 
 def read_network(data: bytes) -> NetworkFile:
-    """Read a network file and check everything in it, the overflow proof included.
+    """Read a network file and check all of its content, including the overflow proof.
 
     Raises:
         FileRefused: the first check that fails.
@@ -166,6 +166,6 @@ def _parse_mix(body: bytes, at: int) -> tuple[IntegerMix, int]:
 
 
 def _check_end(name: str, opened: _Opened, end: int) -> None:
-    """A later minor version may append; those up to this one end where they say."""
+    """Check the end of the body: a later minor version may append, earlier versions end at their last field."""
     if len(opened.body) < end or (opened.minor <= blob.MINOR and len(opened.body) != end):
         raise _layout(name, f"its contents end at byte {end} of a body of {len(opened.body)}")

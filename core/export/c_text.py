@@ -1,4 +1,4 @@
-"""Calibration files as C headers, word arrays as the runtime wants them, and as Intel HEX."""
+"""Calibration files as C headers, word arrays for the runtime, and as Intel HEX."""
 
 import struct
 

@@ -1,6 +1,6 @@
 """Any map γ in a small form: a curve on samples with few knots, a mix of shapes on windows.
 
-The form is judged where it matters: by what it changes in the estimate on the unit's own recording.
+The form is chosen by its effect: the change of the estimate on the unit's own recording.
 """
 
 import math
@@ -37,7 +37,7 @@ RIDGE = 1e-6
 
 @dataclass(frozen=True)
 class InputScale:
-    """How the 16-bit codes of a device stand for the sensor's output: output = zero + lsb * code."""
+    """Scale of the 16-bit codes of a device: output = zero + lsb * code."""
 
     zero: float
     lsb: float
@@ -47,7 +47,7 @@ class InputScale:
             raise ValueError(f"input scale zero {self.zero}, lsb {self.lsb}; finite numbers, lsb > 0, were expected")
 
     def codes(self, output: Array) -> Integers:
-        """Return the nearest code of each output, held within 0 ... 65535 as a converter does."""
+        """Return the nearest code of each output, clamped to 0 ... 65535 as by a converter."""
         return np.clip(np.rint((output - self.zero) / self.lsb), 0, CODE_MAX).astype(np.int64)
 
     def outputs(self, codes: Integers) -> Array:
@@ -105,7 +105,7 @@ class Linear:
 
 @dataclass(frozen=True, eq=False)
 class MapForm:
-    """A map as a curve on samples, a linear part on windows, or the one after the other."""
+    """A map as a curve on samples, a linear part on windows, or the curve and then the linear part."""
 
     curve: Curve | None
     linear: Linear | Mix | None = None
@@ -117,7 +117,7 @@ class MapForm:
 
 @dataclass(frozen=True, eq=False)
 class CompiledMap:
-    """A device form of γ and what it costs.
+    """Device form of γ with its size and error.
 
     Args:
         rms_deviation, max_deviation: of f after the form against f∘γ, in reference units.
@@ -140,7 +140,7 @@ def _curves(unit_map: UnitMap, windows: Array, mapped: Array, knots: int = MAX_K
 def _bases(
     unit_map: UnitMap, windows: Array, mapped: Array, knots: int, is_regressed: bool = True
 ) -> Iterator[tuple[Curve, Array]]:
-    """Give the curves that a linear part may follow, each with the windows it makes."""
+    """Yield the curves that may precede a linear part, each with its windows."""
     if (rescaled := _rescaled_curve(unit_map, windows, mapped, knots)) is not None:
         yield rescaled, rescaled.apply(windows)
     if is_regressed:
@@ -149,12 +149,12 @@ def _bases(
 
 
 def curve_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
-    """Give the forms that fit into 256 bytes: curves."""
+    """Yield the forms that fit into 256 bytes: curves."""
     yield from _curves(unit_map, windows, mapped)
 
 
 def mix_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
-    """Give the forms that fit into 512 bytes: curves, then curves with a mix of shapes."""
+    """Yield the forms that fit into 512 bytes: curves, then curves with a mix of shapes."""
     yield from _curves(unit_map, windows, mapped)
     for curve, curved in _bases(unit_map, windows, mapped, MAX_KNOTS, is_regressed=False):
         for shapes in SHAPES:
@@ -163,14 +163,14 @@ def mix_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array
 
 
 def matrix_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
-    """Give the forms that fit into 1024 bytes: curves, then a curve with a whole matrix."""
+    """Yield the forms that fit into 1024 bytes: curves, then a curve with a whole matrix."""
     yield from _curves(unit_map, windows, mapped)
     for curve, curved in _bases(unit_map, windows, mapped, MAX_KNOTS):
         yield MapForm(curve, _linear(curved, mapped))
 
 
 def fine_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
-    """Give the forms for floating point, where many knots and a whole matrix cost nothing."""
+    """Yield the forms for floating point, where many knots and a whole matrix cost nothing."""
     yield from _curves(unit_map, windows, mapped, FINE_KNOTS)
     yield MapForm(None, _linear(windows, mapped))
     for curve, curved in _bases(unit_map, windows, mapped, FINE_KNOTS, is_regressed=False):
@@ -245,7 +245,7 @@ def _from_constant_windows(unit_map: UnitMap, windows: Array, knots: int) -> Cur
 
 
 def _from_regression(windows: Array, mapped: Array, knots: int) -> Curve:
-    """Regress mapped on raw samples: the best per-sample form of a γ that sees more."""
+    """Return the regression of mapped on raw samples: the best per-sample form of a γ on windows."""
     grid = _grid(windows)
     cell = np.clip(np.searchsorted(grid, windows.ravel()), 0, len(grid) - 1)
     count = np.bincount(cell, minlength=len(grid)).astype(float)

@@ -50,12 +50,12 @@ class DeviceOptions:
 
 @dataclass(frozen=True, eq=False)
 class DeviceRecord:
-    """What an export knows of one calibrated unit.
+    """Data of one calibrated unit that an export uses.
 
     Args:
         time_s: when it was made, Unix time in s.
         lower, upper: (m,) the 90 % interval of f∘γ at every window, in reference units.
-        predicted_rmse: forecast of the error in reference units; None where there is none.
+        predicted_rmse: forecast of the error in reference units, or None.
     """
 
     serial: str
@@ -71,7 +71,7 @@ class DeviceRecord:
 
 @dataclass(frozen=True, eq=False)
 class DeviceUnit:
-    """A unit file and what it costs, all in reference units on the unit's own windows.
+    """A unit file with its size and errors, in reference units on the unit's own windows.
 
     Args:
         compiled: the form of γ in floating point and its deviation.
@@ -125,7 +125,7 @@ def sample_period_us(source: LabelledRecording) -> int:
 
 
 def limits_of_unit(record: DeviceRecord, network: Network, options: DeviceOptions) -> quantise.Limits:
-    """Return interval, range (that of its codes) and clamp of a unit in floating point."""
+    """Return interval, range (of its codes) and clamp of a unit in floating point."""
     exact = network.evaluate(record.unit_map.apply(record.recording.windows))
     scale = _scale(options, network, record)
     code_min, code_max = quantise.code_range(scale, record.recording.output)
@@ -145,7 +145,7 @@ def build_unit_file(
     network_file: NetworkFile,
     options: DeviceOptions = DeviceOptions(),  # noqa: B008
 ) -> DeviceUnit:
-    """Compile γ, cut it into integers, measure both on the recording, read the file back.
+    """Compile γ to integers, measure the errors on the recording, and read the file back.
 
     Without a size the smallest file within `GOAL` is taken, else the nearest one.
 
@@ -226,7 +226,7 @@ def device_limit(record: DeviceRecord, network: Network, options: DeviceOptions)
 
 
 def _scale(options: DeviceOptions, network: Network, record: DeviceRecord) -> InputScale:
-    """Return the scale as a file holds it, so that its reader computes the same codes."""
+    """Return the scale in the precision of a file, so that its reader computes the same codes."""
     scale = options.scale or InputScale.cover_range(network, record.recording.output)
     return InputScale(_float32(scale.zero), _float32(scale.lsb))
 
@@ -246,7 +246,7 @@ def _check_scale(scale: InputScale, record: DeviceRecord) -> None:
 
 
 def _bands(counts: Integers, exact: Array, record: DeviceRecord, error: Array, count: float) -> tuple[blob.Band, ...]:
-    """The 90 % interval by level: per band its mean reach and the device's own error."""
+    """Return the 90 % interval by level: per band its mean half-width and the device's own error."""
     device_error = float(np.quantile(np.abs(error), COVERED))
     levels, *half_widths = quantise.half_width_by_band(counts, exact - record.lower, record.upper - exact)
     minus, plus = (
@@ -256,7 +256,7 @@ def _bands(counts: Integers, exact: Array, record: DeviceRecord, error: Array, c
 
 
 def _self_tests(network: IntegerNetwork, device_map: DeviceMap, code_min: int, code_max: int) -> tuple[SelfTest, ...]:
-    """At rest, at the top, rising and falling through the unit's whole range."""
+    """Return self-tests: at rest, at the top, rising and falling through the unit's whole range."""
     step = (code_max - code_min) // (TAPS - 1)
     windows = [(code_min, 0), (code_max, 0), (code_min, step), (code_min + step * (TAPS - 1), -step)]
     return tuple(
@@ -283,7 +283,7 @@ CYCLES_PER_INSTRUCTION, CLOCK_kHz = 1.36, 48_000.0
 
 @dataclass(frozen=True)
 class DeviceCost:
-    """One estimate on a Cortex-M0+ at 48 MHz.
+    """Cost of one estimate on a Cortex-M0+ at 48 MHz.
 
     Args:
         ram_bytes: of `ss_sensor`; the stack comes on top.
@@ -297,7 +297,7 @@ class DeviceCost:
 
 
 def device_cost(network: IntegerNetwork, device_map: DeviceMap) -> DeviceCost:
-    """Return what a sample and its estimate cost."""
+    """Return the cost of a sample and its estimate."""
     padded = [rows + -rows % 4 for rows in network.sizes[1:]]
     multiplications = sum(columns * rows for columns, rows in zip(network.sizes[:-1], padded, strict=True))
     instructions = PER_MULTIPLICATION * multiplications + PER_ROW * sum(padded) + ALWAYS

@@ -25,7 +25,7 @@ MULTIPLIER_MIN, MULTIPLIER_MAX = 2**13, 2**14 - 1
 
 @dataclass(frozen=True, eq=False)
 class IntegerLayer:
-    """One layer: accumulate in 32 bits, rectify where asked, requantise, saturate.
+    """One layer in integers: 32-bit accumulation, optional ReLU, requantisation, saturation.
 
     q_out = clip(((acc >> shift1) * multiplier + 2^(shift2 - 1)) >> shift2), acc = bias + Σ weight q_in
 
@@ -192,12 +192,12 @@ class IntegerMix:
 
 @dataclass(frozen=True, eq=False)
 class DeviceMap:
-    """γ as the device holds it: a curve on every new sample, then a mix of shapes on every window.
+    """γ in the form of a device: a curve on every new sample, then a mix of shapes on every window.
 
     Args:
         curve: maps each code as it comes; without it the code is centred.
         layer: (TAPS, TAPS), never rectified: the linear part of files of up to 1024 bytes.
-        mix: the linear part of smaller files; not beside a layer.
+        mix: the linear part of smaller files; never together with a layer.
 
     Raises:
         ValueError: none of them is there, both linear parts are, or the layer is not (TAPS, TAPS).

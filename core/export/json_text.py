@@ -105,12 +105,12 @@ def unit_from_values(values: Mapping[str, Any]) -> UnitFile:
 
 
 def add_sha256(values: Mapping[str, object]) -> dict[str, object]:
-    """Return values with their own SHA-256, as a file carries them."""
+    """Return values with their own SHA-256, in the form of a file."""
     return {**values, "sha256": _sha256(values)}
 
 
 def has_valid_sha256(values: Mapping[str, Any]) -> bool:
-    """Whether values carry their SHA-256 (`InputError`: they are not what it is of)."""
+    """Return whether values have their SHA-256; raise `InputError` for a wrong hash."""
     if "sha256" not in values:
         return False
     if values["sha256"] != _sha256({name: value for name, value in values.items() if name != "sha256"}):

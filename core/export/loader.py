@@ -28,7 +28,7 @@ class DeviceEstimate:
 
 @dataclass(frozen=True, eq=False)
 class DeviceSensor:
-    """One unit with its shared network, opened and proved by its self-tests."""
+    """One unit with its shared network, opened and checked by its self-tests."""
 
     network_file: NetworkFile
     unit_file: UnitFile

@@ -1,4 +1,4 @@
-"""From real numbers to the integers of the end device: network, map, scales, limits."""
+"""Quantisation of network, map, scales and limits to the integers of the device."""
 
 import math
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ QUIET = 4
 
 
 def quantise_network(network: Network, source_windows: Array) -> integer.IntegerNetwork:
-    """Make the integer form of f; activation ranges come from the source's windows.
+    """Return the integer form of f; the activation ranges come from the source's windows.
 
     Args:
         source_windows: (n, TAPS) windows of the source recording in `network.output_unit`.
@@ -163,7 +163,7 @@ def quantise_map(form: MapForm, scale: InputScale, network: integer.IntegerNetwo
 
 
 def code_range(scale: InputScale, output: Array) -> tuple[int, int]:
-    """Return the codes between which a unit was seen, widened by 2 % of their span for noise."""
+    """Return the range of codes of a unit's recording, widened by 2 % of its span for noise."""
     codes = scale.codes(output)
     margin = math.ceil(0.02 * float(codes.max() - codes.min()))
     return max(0, int(codes.min()) - margin), min(CODE_MAX, int(codes.max()) + margin)
@@ -171,7 +171,7 @@ def code_range(scale: InputScale, output: Array) -> tuple[int, int]:
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """What stands beside the estimates of one unit, as its device file has it, in physical units.
+    """Limits of the estimates of one unit in its device file, in physical units.
 
     Args:
         output_low, output_high: sensor output the unit was calibrated with, in the output unit.

@@ -1,4 +1,4 @@
-"""The linear part of a map: a window keeps a share of itself and gets smooth shapes added.
+"""Linear part of a map: a window keeps a share of itself, plus a combination of smooth shapes.
 
 y = keep x + Σ_k U_k (r_k · x + b_k), U_k the Chebyshev polynomials of the second kind over the
 taps. A lag, creep, or the smoothing of a coarse converter moves a window along smooth shapes; five
@@ -36,7 +36,7 @@ def shapes(count: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Mix:
-    """A mix whose weights are already those of the device; only its biases are real numbers.
+    """A mix with the weights of the device; only its biases are real numbers.
 
     Args:
         keep: share of the window that stays, in 1/64.
@@ -87,7 +87,7 @@ def fit_mix(count: int, windows: Array, mapped: Array, network: Network) -> Mix 
 
     Args:
         windows: (n, TAPS) windows entering.
-        mapped: (n, TAPS) windows wanted.
+        mapped: (n, TAPS) target windows.
 
     Returns:
         None where the weights are too large for their bytes.
@@ -151,12 +151,12 @@ class _Normal:
         return Mix(keep, integers, shift, self.bias(keep / KEEP_ONE, integers * step[:, None]))
 
     def weights(self, keep: float) -> Array:
-        """Return the best weights (k, TAPS) for a share that is kept."""
+        """Return the least-squares weights (k, TAPS) for a given share."""
         right = self._right[:-1] - self._matrix[:-1, -1] * keep
         return np.asarray(np.linalg.solve(self._matrix[:-1, :-1], right).reshape(TAPS + 1, -1)[:-1].T)
 
     def bias(self, keep: float, weights: Array) -> Array:
-        """Return the best biases (k,) beside given weights, in the output unit."""
+        """Return the best biases (k,) for given weights, in the output unit."""
         split = TAPS * self._count
         right = self._right[split:-1] - self._matrix[split:-1, -1] * keep
         right -= self._matrix[split:-1, :split] @ weights.T.reshape(-1)

@@ -1,1 +1,1 @@
-"""What a recording holds before anything is fitted to it: invalid samples, gaps, steps, lag of the reference."""
+"""Inspection of a recording before any fit: invalid samples, gaps, steps, lag of the reference."""

@@ -13,7 +13,7 @@ from softcal.core.recording import Array, Indices, OutputRecording, check_times,
 
 @dataclass(frozen=True, eq=False)
 class InspectedRecording:
-    """A recording of valid samples alone, and what the look at its file showed.
+    """A recording of valid samples alone, and the findings of the inspection.
 
     Args:
         recording: masked rows are taken out, which leaves a gap in its `t_s`.
@@ -42,10 +42,10 @@ def build_recording(
     """Inspect the columns of one recording and take invalid rows out of them.
 
     Args:
-        lines: (n,) line of the file of each row, for what is said of it; None where there was no file.
+        lines: (n,) line of the file of each row, for remarks; None without a file.
         t_s: (n,) time stamps in s, strictly increasing, none missing.
         output: (n,) sensor output in `output_unit`; NaN is a missing sample, as in `stage_mm` and `reference`.
-        config: what is masked; of the method that calibrates the unit.
+        config: thresholds of masking, from the calibration method of the unit.
         sample_rate_Hz: declared rate; None takes the median one of the time stamps.
 
     Raises:

@@ -1,4 +1,4 @@
-"""What a recording shows beside the source's: a reference in another unit of measure, or of the other sign.
+"""Comparison of a recording with the source's: unit of measure and sign of the reference.
 
 Named, never corrected. No I/O here.
 """
@@ -26,7 +26,7 @@ ONE_SIDED = 0.3
 
 
 def compare_recordings(source: LabelledRecording, other: LabelledRecording) -> tuple[Reason, ...]:
-    """Return what tells that a reference is in another unit than the source's, or one of the two of the other sign.
+    """Return findings that a reference has another unit of measure than the source's, or another sign.
 
     A reference in another unit has that factor in the loads and, nearer than 1, in the loads by output, too: an
     insensitive sensor shows the second alone, a light press the first alone.
@@ -38,7 +38,7 @@ def compare_recordings(source: LabelledRecording, other: LabelledRecording) -> t
 
 
 def compare_with_source(source: LabelledRecording, others: Iterable[LabelledRecording]) -> tuple[Reason, ...]:
-    """Return the same of several recordings, each with its serial."""
+    """Return the findings of several recordings relative to the source, each with its serial."""
     return tuple(
         reason("inspect.of_unit", serial=other.serial, what=what)
         for other in others
@@ -74,7 +74,7 @@ def _units(source: LabelledRecording, other: LabelledRecording) -> Iterator[Reas
 
 
 def _side(reference: Array) -> int:
-    """Return the sign of a reference under load; 0 where it has both."""
+    """Return the sign of a reference under load; 0 for both signs."""
     low, high = np.quantile(reference, (0.01, 0.99))
     small, large = sorted((abs(low), abs(high)))
     return int(np.sign(low + high)) if small <= ONE_SIDED * large else 0

@@ -1,4 +1,4 @@
-"""Numbers that decide which samples of a recording are invalid and what is worth a finding."""
+"""Thresholds for invalid samples and for findings."""
 
 from dataclasses import dataclass, field
 
@@ -10,7 +10,7 @@ RIGS = "good rigs of benchmarks/station_proof.py, seeds 2000 to 2149"
 
 @dataclass(frozen=True)
 class DropoutConfig:
-    """What makes a dropout.
+    """Thresholds of a dropout.
 
     Args:
         max_share: it lasts this share of the recording at most.
@@ -37,7 +37,7 @@ class DropoutConfig:
 
 @dataclass(frozen=True)
 class InspectionConfig:
-    """When a sample cannot be, and when something else is worth a finding.
+    """Thresholds for invalid samples and for findings.
 
     Args:
         spike_s: a loose cable lasts no longer; a press does.
@@ -58,7 +58,7 @@ class InspectionConfig:
         step_gain: a tare takes away at least this share of what the output leaves unexplained of the reference.
         single_jump: so many times as large as any other is a jump of the reference that makes a tare of a lasting step.
         max_lag_s: longest lag that is looked for.
-        least_lag_s: a shorter lag of the reference is not told from a sensor's own.
+        least_lag_s: a shorter lag of the reference is not separable from a sensor's own.
         lag_gain: a lag is one where it leaves at most this part of the scatter at no lag.
         lag_tie: of lags that leave nearly the same scatter the shortest is taken: within this part of what a lag takes
             away.

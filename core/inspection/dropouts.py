@@ -1,4 +1,4 @@
-"""Dropouts of an output: it jumps away and back as no unit does, but a loose cable. At a station and in a file."""
+"""Dropouts of an output: two opposite jumps by a loose cable, at a station and in a file."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ class Dropout:
     Args:
         begin, end: its samples, the end excluded.
         level: the output where it is furthest off.
-        expected: what the samples beside the dropout let expect there.
+        expected: output that the neighbouring samples predict.
     """
 
     begin: int
@@ -87,7 +87,7 @@ def _between(padded: Array, begin: int, end: int, config: DropoutConfig) -> Drop
 
 
 def _is_press(output: Array, stage_mm: Array, dropout: Dropout, config: DropoutConfig) -> bool:
-    """Whether the stage went down and up, or up and down, meanwhile."""
+    """Return whether the stage moved down and up, or up and down, in between."""
     neighbours = max(0, dropout.begin - 2), min(len(stage_mm) - 1, dropout.end + 1)
     inside = np.arange(dropout.begin, dropout.end)
     off_mm = np.abs(stage_mm[inside] - np.interp(inside, neighbours, stage_mm[list(neighbours)]))

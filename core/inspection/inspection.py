@@ -1,4 +1,4 @@
-"""What one look at a recording shows: typed findings, each with its rows, time, value and size."""
+"""Result of an inspection: typed findings, each with its rows, time, value and size."""
 
 from dataclasses import dataclass, field
 
@@ -10,7 +10,7 @@ MAX_TIMES = 1e300
 
 @dataclass(frozen=True)
 class InspectionFinding:
-    """One thing that a recording shows before anything is fitted to it.
+    """One finding of an inspection.
 
     Args:
         kind: short name, for example `spike`, `gap`, `step`, `lag`.
@@ -32,7 +32,7 @@ class InspectionFinding:
 
 @dataclass(frozen=True)
 class Inspection:
-    """All findings on one recording, with the samples that are masked.
+    """All findings of a recording, with the masked samples.
 
     Args:
         samples: number of rows of the input.

@@ -1,4 +1,4 @@
-"""What the level of an output shows: baseline jumps, stuck stretches, wraps of a counter, clipped ends."""
+"""Findings in the level of an output: baseline jumps, stuck stretches, counter wraps, clipped ends."""
 
 from dataclasses import dataclass
 
@@ -27,7 +27,7 @@ def level_findings(
 
 
 def _wraps(t_s: Array, output: Array, config: InspectionConfig) -> list[InspectionFinding]:
-    """Return where a counter started again: it jumps by nearly a power of two, between whole numbers."""
+    """Return where a counter wrapped: a jump by nearly a power of two, between integers."""
     steps, span = np.diff(output), float(np.ptp(output))
     if np.any(output != np.round(output)) or span < 2**8:
         return []
@@ -88,7 +88,7 @@ def _stuck(t_s: Array, output: Array, sample_rate_Hz: float, config: InspectionC
 
 
 def find_flat_ends(output: Array, config: InspectionConfig) -> list[tuple[float, Indices]]:
-    """Return the level and the rows of each end of an output's range at which it stands still time and again.
+    """Return level and rows of each end of an output's range at which the output saturates repeatedly.
 
     There its last value is far more frequent than what lies just inside: a readout that is cut off, or holds to the
     last digit. The end at which it begins is that of rest.
@@ -115,7 +115,7 @@ def equal_runs(values: Array) -> tuple[Indices, Indices]:
 
 @dataclass(frozen=True, eq=False)
 class Shift:
-    """The step over time that explains most of a series, or of what its cells leave open of it.
+    """A step in time that explains most of the variance of a series, or of its residual within cells.
 
     Args:
         gains: (n - 1,) share of the open variance that a step after each row takes away.
@@ -135,11 +135,11 @@ class Shift:
 def find_shift(values: Array, cells: Indices) -> Shift:
     """Fit a series by its mean in each cell and one step over time (least squares, CUSUM).
 
-    Step and trend are taken within the cells, so that what happens before and after need not be alike (Frisch and
+    Step and trend are estimated within the cells, so that the loading before and after may differ (Frisch and
     Waugh 1933).
 
     Args:
-        cells: (n,) of each sample; all alike for the level alone.
+        cells: (n,) of each sample; all equal for the level alone.
     """
     rest = _within(cells, values)
     total, n = max(float(rest @ rest), np.finfo(float).tiny), len(rest)

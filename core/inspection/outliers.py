@@ -18,7 +18,7 @@ CODES = (
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """How far and how fast a column usually moves, whatever its outliers.
+    """Robust scales of a column: usual step and usual excursion.
 
     Args:
         span: between its 1 % and 99 % quantiles.
@@ -45,7 +45,7 @@ def column_scale(values: Array) -> Scale:
 def find_overflows(values: Array, config: InspectionConfig) -> Mask:
     """Return which samples of a column are overflow codes or lie beyond anything the others show, (n,).
 
-    Values are peeled off from the ends while they lie apart: several codes may stand in one column.
+    Values are removed from the ends while they are isolated: one column may contain several codes.
     """
     is_code = ~np.isfinite(values) & ~np.isnan(values)
     while True:
@@ -69,7 +69,7 @@ def _is_apart(values: Array, end: float, config: InspectionConfig) -> bool:
 
 
 def find_spikes(t_s: Array, values: Array, sample_rate_Hz: float, min_share: float, config: InspectionConfig) -> Mask:
-    """Return which samples of a column are spikes, (n,): they leave and come back faster than any press.
+    """Return the spikes of a column, (n,): excursions that return faster than any press.
 
     The height of a run of samples is how far all of them lie beyond both its neighbours. What is usual is learned from
     the recording itself: noise, steps of the converter and taps have heights too.
@@ -156,7 +156,7 @@ def _unusual_heights(
 ) -> dict[int, float]:
     """Return the height that no usual excursion has, up (1) and down (-1).
 
-    Presses peak to one side: what falls to the other one is judged by the excursions of that side.
+    Presses peak to one side: excursions to the other side are compared with the excursions of that side.
 
     Args:
         heights: (length, side) → height of each run.

@@ -1,4 +1,4 @@
-"""What a reference shows beside its output: a lag, a slower rate, a tare in the middle, the wrong sign."""
+"""Findings in a reference: a lag, a lower rate, a tare, the wrong sign."""
 
 import numpy as np
 import scipy
@@ -22,7 +22,7 @@ SMOOTHED = 5
 def reference_findings(
     t_s: Array, output: Array, reference: Array, sample_rate_Hz: float, config: InspectionConfig
 ) -> list[InspectionFinding]:
-    """Return what a reference without outliers shows beside its output."""
+    """Return the findings of a reference without outliers, compared with its output."""
     if np.ptp(reference) == 0:
         return [InspectionFinding("constant", "reference", 0, len(t_s), float(t_s[0]), float(reference[0]), 0.0)]
     if stuck := _stuck(t_s, output, reference, sample_rate_Hz, config):
@@ -40,7 +40,7 @@ def reference_findings(
 def _stuck(
     t_s: Array, output: Array, reference: Array, sample_rate_Hz: float, config: InspectionConfig
 ) -> list[InspectionFinding]:
-    """Return where a reference stands still while the output is pressed: its channel was dead or at its end."""
+    """Return where a reference is constant while the output is pressed: a dead or saturated channel."""
     span = column_scale(output).span
     for start, length in zip(*equal_runs(reference), strict=True):
         if length < config.stuck_s * sample_rate_Hz:
@@ -119,7 +119,7 @@ def _slower_reference(t_s: Array, reference: Array, config: InspectionConfig) ->
 
 
 def _tares(t_s: Array, output: Array, reference: Array, config: InspectionConfig) -> list[InspectionFinding]:
-    """Return where reference and output part at once and for good: the reference was tared, or set anew."""
+    """Return where reference and output separate permanently at one sample: the reference was tared, or set again."""
     span, least = column_scale(reference).span, config.step_rows
     if len(reference) <= 2 * least + 1:
         return []
@@ -151,7 +151,7 @@ def _tares(t_s: Array, output: Array, reference: Array, config: InspectionConfig
 
 
 def _agree(a: Array | float, b: Array | float) -> Mask:
-    """Tell which steps have one sign and sizes of which none is twice the other."""
+    """Return which steps have one sign and sizes within a factor of two."""
     return np.asarray((a * b > 0) & (np.abs(a) < 2 * np.abs(b)) & (np.abs(b) < 2 * np.abs(a)))
 
 

@@ -1,4 +1,4 @@
-"""One look at the columns of a recording: which samples are invalid, and what else they show."""
+"""Inspection of the columns of a recording: invalid samples and findings."""
 
 from collections.abc import Iterator, Mapping
 
@@ -23,7 +23,7 @@ def inspect_samples(
     config: InspectionConfig,
     lines: Indices | None = None,
 ) -> tuple[Inspection, Mask]:
-    """Look at the columns of one recording before anything is fitted to it.
+    """Return the inspection of the columns of one recording, before any fit.
 
     Outliers are found first, by quantiles; whatever else is looked for sees a recording without them.
 

@@ -1,4 +1,4 @@
-"""What the time stamps of a recording show: gaps, pauses, another rate in a part of it, how many rows fill a window."""
+"""Findings in the time stamps of a recording: gaps, pauses, another rate in a part, rows per window."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ def timing_findings(
 
     A gap or a pause has its length in s as value and the number of samples that are missing as amount; a stretch at
     another rate has that rate in Hz as value and its share of the rows as amount. A pause is a gap of many seconds
-    before and after which the output rests: somebody stopped the logger between two presses.
+    with the output at rest before and after: the logger was stopped between two presses.
 
     Args:
         output: (n,) without missing samples.

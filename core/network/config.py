@@ -1,11 +1,11 @@
-"""How f is built and trained, and what a training tells of itself."""
+"""Configuration of f and its training, and the report of a training."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """How f is built and trained; the defaults are the paper's 15-120-70-35-1 (Kim et al. 2020).
+    """Architecture and training of f; the defaults are the paper's 15-120-70-35-1 (Kim et al. 2020).
 
     Args:
         hidden: widths of the hidden layers.

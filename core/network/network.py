@@ -27,7 +27,7 @@ class Network:
     Args:
         weights: per layer (inputs, outputs).
         biases: per layer (outputs,).
-        output_mean, output_scale: standardise the sensor output, every tap alike.
+        output_mean, output_scale: standardise the sensor output, equal for every tap.
         reference_mean, reference_scale: undo the standardisation of the reference.
         output_unit, reference_unit: physical units of window samples and of the estimate.
     """
@@ -101,7 +101,7 @@ class Network:
         return estimates
 
     def evaluate_exactly(self, windows: Array) -> Array:
-        """Estimate in float64: slower, and the same however many windows come at once.
+        """Return estimates f(x) in float64: slower, and independent of the number of windows in a call.
 
         Returns:
             (n,) estimates in `reference_unit`.
@@ -113,7 +113,7 @@ class Network:
         return np.asarray(estimate[:, 0] * self.reference_scale + self.reference_mean)
 
     def gradient(self, windows: Array) -> tuple[Array, Array]:
-        """Estimate the reference and how it answers to each tap, in float32 as `evaluate` does.
+        """Return estimates f(x) and the gradient ∂f/∂x over the taps, in float32 like `evaluate`.
 
         Returns:
             (n,) estimates and (n, taps) their derivatives, reference unit per output unit.

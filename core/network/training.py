@@ -98,7 +98,7 @@ def check_trainable(source: LabelledRecording) -> None:
 
 
 def validation_blocks(count: int, share: float) -> Mask:
-    """Mark the windows kept for validation: blocks in time, spread evenly over the recording.
+    """Return the mask of held-out windows: blocks in time, spread evenly over the recording.
 
     Returns:
         (count,) True where a window validates; TAPS windows beside each block guard it.
@@ -114,9 +114,9 @@ def validation_blocks(count: int, share: float) -> Mask:
 
 
 def merge_members(members: list[list[tuple[Array, Array]]]) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-    """Merge networks of layers, weight (inputs, outputs) and bias, into one that gives their mean.
+    """Merge networks of layers, weight (inputs, outputs) and bias, into one that returns their mean.
 
-    The first layers stand side by side, hidden layers become block-diagonal, the last layers are
+    The first layers are stacked, hidden layers become block-diagonal, the last layers are
     stacked and divided by the number of members.
     """
     # Imported here: whoever reads a calibration must not wait for scipy.

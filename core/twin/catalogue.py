@@ -1,4 +1,4 @@
-"""The effects a diagnosis can blame: softcal's own in the order of the chain, then plug-ins."""
+"""Catalogue of the effects of a diagnosis: softcal's own in the order of the chain, then plug-ins."""
 
 from collections.abc import Mapping
 from types import MappingProxyType

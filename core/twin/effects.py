@@ -1,4 +1,4 @@
-"""What an effect of the twin is: its place in the chain, its equation, and how it shows."""
+"""Definition of an effect of the twin: its stage, its equation, and its signature."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -34,7 +34,7 @@ class Hook(IntEnum):
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of an effect.
+    """One parameter of an effect, with bounds and usual size.
 
     Args:
         name: as in the catalogue, without its unit.
@@ -42,7 +42,7 @@ class Parameter:
         usual: typical size on a rig.
         neutral: value that switches the effect off, None for a shape parameter.
         scale: how a fit moves it; `inverse_square` for a level whose absence is infinity.
-        weight: what it counts as flexibility; less than 1 for a nuisance of one run.
+        weight: its weight as a degree of freedom; less than 1 for a nuisance parameter of one run.
         is_fixed: it has one value on a rig, `usual`, and is not fitted.
     """
 
@@ -63,7 +63,7 @@ def _not_yet() -> Array:
 
 @dataclass(eq=False, slots=True)
 class Flow:
-    """The signals of one stretch of a run in the chain; every stage writes its own.
+    """Signals of one stretch of a run in the chain; every stage changes its own.
 
     Args:
         t_s: (n,) time since the start of the run.
@@ -100,7 +100,7 @@ class Flow:
 
     @property
     def warmed_K(self) -> Array:
-        """(n,) temperature above that of the run's first sample, 0 where it is not recorded."""
+        """(n,) temperature above that of the run's first sample, 0 without a recorded temperature."""
         return np.zeros(len(self.t_s)) if self.temperature_rise_K is None else self.temperature_rise_K
 
 
@@ -109,7 +109,7 @@ Step: TypeAlias = Callable[[Flow, Sequence[float], Memory], None]
 
 
 class Placing(Enum):
-    """What of an effect a search must find in the recordings before it can be fitted."""
+    """Quantities of an effect that a search must estimate from the recordings before the fit."""
 
     LOSSES = "instants at which samples of the output were lost"
     INTERVALS = "intervals in which the resistance is off by a constant"
@@ -120,10 +120,10 @@ class Placing(Enum):
 
 @dataclass(frozen=True)
 class Alias:
-    """A departure outside the catalogue that looks like an effect of it until one run is made.
+    """A departure outside the catalogue that no run but a special one separates from an effect.
 
     Args:
-        detail: what it is; a plug-in gives a sentence, which is shown as it is written.
+        detail: its description; a plug-in gives a sentence, which is shown unchanged.
         share: of the effect's place that it gets while nothing tells the two apart.
         told_by: kind of the run that tells them apart ...
         changing, by: ... when this channel changes in it by so much.
@@ -140,7 +140,7 @@ class Alias:
 
 @dataclass(frozen=True)
 class Signs:
-    """How an effect shows: everything a diagnosis must know of it besides its equation.
+    """Signature of an effect: all that a diagnosis uses besides its equation.
 
     Args:
         needs: channels that must be recorded and change, besides the one of its stage.
@@ -165,7 +165,7 @@ class Signs:
 
 @dataclass(frozen=True)
 class Effect:
-    """One entry of the catalogue of effects (or another realisation of the same cause).
+    """One entry of the catalogue of effects, or another equation of the same cause.
 
     Args:
         id: identifier of the catalogue.
@@ -175,9 +175,9 @@ class Effect:
         source: where the equation or its usual size comes from.
         parameters: in the order `step` takes them; the first one is the size of the effect.
         is_episodic: it happens at a few instants of one run and does not carry over to another.
-        of_runs: the same effect with values of its own in every run, for a number of runs; None
+        of_runs: the same effect with separate values in every run, for a number of runs; None
             where one set of values holds for all.
-        sides: the same effect from another side, told apart by the parameters given.
+        sides: other forms of the same effect, distinguished by the given parameters.
         forms: other realisations of the same cause that a rig may show.
         constants: numbers by name that the equation takes behind its parameters; a fit reads them
             off each recording (not a number here), a twin holds them.
@@ -214,7 +214,7 @@ class Effect:
 
     @property
     def belongs_to_run(self) -> bool:
-        """Whether values of one run say nothing of another."""
+        """Whether the values of one run carry no information about another run."""
         return self.is_episodic or self.of_runs is not None
 
     def side_with(self, names: Sequence[str]) -> "Effect":
@@ -312,7 +312,7 @@ def hands_on(*names: str) -> Step:
 
 
 def memory(memory: Memory, name: str, *start: float) -> Array:
-    """Return the named state array of an effect, made from its start values on first use."""
+    """Return the named state array of an effect, created from its start values on first use."""
     if name not in memory:
         memory[name] = np.array(start, dtype=np.float64)
     return memory[name]

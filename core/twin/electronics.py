@@ -52,7 +52,7 @@ HARMONICS = 12
 
 @lru_cache(maxsize=256)
 def dither_V(sigma_V: float, step_V: float) -> float | None:
-    """Return the noise before the ADC from that of its codes, None where the stairs are smooth."""
+    """Return the standard deviation of the noise before the ADC, from its codes; None if it smooths all steps."""
     target = (sigma_V / step_V) ** 2
     if target >= _variance(SMOOTH):
         return None
@@ -92,7 +92,7 @@ def _lag_2(flow: Flow, v: Sequence[float], state: Memory) -> None:
 
 
 def _lag_sampled(flow: Flow, v: Sequence[float], state: Memory) -> Array:
-    """A filter computed sample by sample: its input is held, and it answers up to a sample late."""
+    """A first-order low pass computed sample by sample: its input is held, and its output is up to a sample late."""
     slow = _lag(flow, state, "low_pass_V", max(v[0], 1e-4))
     period_s = constant(v, state, 2, "period_s", lambda: float(np.median(flow.step_s[1:])))
     return read_at(flow.t_s, slow, flow.t_s - v[1] * period_s, state)

@@ -1,7 +1,7 @@
-"""Empirical terms: a number times one of the twin's own variables, added to a signal of the chain.
+"""Empirical terms: a coefficient times a variable of the twin, added to a signal of the chain.
 
-A term describes what no equation of the catalogue explains. It names no cause. Every variable is
-made from what the twin itself knows at that instant (stage position, time, its own force and depth,
+A term describes a residual that no equation of the catalogue explains. It names no cause. Every variable is
+computed from the twin's state at that instant (stage position, time, its own force and depth,
 temperature), never from a recording, and carries its state from chunk to chunk.
 """
 
@@ -42,7 +42,7 @@ Column: TypeAlias = Callable[[Flow, Memory, "EmpiricalTerm"], Array]
 
 @dataclass(frozen=True)
 class Variable:
-    """One variable of the twin.
+    """One variable of the twin, a regressor of empirical terms.
 
     Args:
         unit: of its values, empty where it is a share of the largest.
@@ -146,7 +146,7 @@ class EmpiricalTerm:
     """place += coefficient · variable.
 
     Args:
-        load_N, depth_mm: what a load of 1 and a depth of 1 stand for.
+        load_N, depth_mm: load and depth that correspond to 1.
 
     Raises:
         InputError: unknown place or variable, a coefficient not finite, or a span not above 0.

@@ -1,4 +1,4 @@
-"""Other realisations of a cause: what a rig may show instead of the catalogue's equation.
+"""Alternative equations of a cause, which a rig may have instead of the catalogue's equation.
 
 A cause is named by its place and character, not by its formula: several relaxation times instead of
 one, stop operators instead of a Duhem loop, a power law instead of a logarithm. Each form carries
@@ -36,7 +36,7 @@ def in_form(
     carry: Sequence[tuple[int | None, float]],
     constants: Sequence[str] = (),
 ) -> Maker:
-    """Return a maker of a form with parameters of its own.
+    """Return a function that creates a form with its own parameters.
 
     Args:
         carry: where its fit begins, see `Form`.
@@ -65,7 +65,7 @@ def two(what: str) -> Maker:
 
 
 def plus(step: Step, what: str, *extra: tuple[Parameter, float], constants: Sequence[str] = ()) -> Maker:
-    """Return a maker of a form with parameters more, each with the value it begins at."""
+    """Return a function that creates a form with further parameters, each with its starting value."""
 
     def make(effect: Effect) -> Form:
         own: list[tuple[int | None, float]] = [(k, 1.0) for k in range(len(effect.parameters))]
@@ -86,7 +86,7 @@ def stop_form(step: Step, what: str, *constants: str) -> Maker:
 
 
 def constant(values: Sequence[float], state: Memory, at: int, name: str, read: Callable[[], float]) -> float:
-    """Return the constant behind the parameters of a form, or read it off the recording once.
+    """Return the constant after the parameters of a form, or estimate it from the recording once.
 
     Args:
         at: its place among the values; a fit gives none.
@@ -97,7 +97,7 @@ def constant(values: Sequence[float], state: Memory, at: int, name: str, read: C
 
 
 def pairs(values: Sequence[float]) -> Iterator[tuple[float, float]]:
-    """Return size and shape of each part of an effect, or of a form that is it twice."""
+    """Return size and shape parameters of each part of an effect, or of a form with two parts."""
     return zip(values[::2], values[1::2], strict=True)
 
 
@@ -136,7 +136,7 @@ def stops(signal: Array, values: Sequence[float], state: Memory, name: str) -> A
 
 
 def drifts(step: Callable[[Quantity], Step]) -> tuple[Maker, Maker]:
-    """Return the forms of a drift that slows down: a power of time, or to a stand after a few τ.
+    """Return the forms of a drift that slows down: a power of time, or a saturation after a few τ.
 
     Args:
         step: makes a step from a time that is equal to t after 30 s, or runs like t at first.

@@ -1,4 +1,4 @@
-"""What one simulated unit is made of: its base parameters, and its electronics."""
+"""Parameters of one simulated unit: base parameters and electronics."""
 
 import math
 from dataclasses import dataclass, fields, replace
@@ -48,7 +48,7 @@ class BaseParameters:
 
 @dataclass(frozen=True)
 class ReadoutMetadata:
-    """What a recording declares of its electronics; nothing of it is fitted.
+    """Electronics of a recording, from its metadata; no parameter of them is fitted.
 
     Args:
         vref_V: supply of the divider and full scale of the ADC.

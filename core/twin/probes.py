@@ -1,4 +1,4 @@
-"""How far a recording reaches, and where a search for an effect begins on it."""
+"""Excitation range of recordings, and starting points of the search for an effect."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ Measure = Literal[
 
 @dataclass(frozen=True)
 class ExcitationRange:
-    """How far a case reaches; its longest run, sample period and series resistor."""
+    """Excitation range of a case, with its longest run, sample period and series resistor."""
 
     depth_mm: float
     force_N: float
@@ -63,7 +63,7 @@ class Sizes:
 
 @dataclass(frozen=True)
 class Shapes:
-    """One small size and several shapes, each as multiples of a natural unit of the case."""
+    """Starting points: one small size and several shapes, each as multiples of a natural unit of the case."""
 
     size: float
     multiples: tuple[float, ...]
@@ -78,7 +78,7 @@ class Shapes:
 
 @dataclass(frozen=True)
 class Times:
-    """One small size and every time constant that a run can show, without the shortest few."""
+    """Starting points: one small size and every time constant that a run excites, without the shortest ones."""
 
     size: float
     without: int = 0

@@ -1,4 +1,4 @@
-"""What every effect must satisfy, of the catalogue or of a plug-in in its own tests.
+"""Properties that every effect must satisfy, in the catalogue or in the tests of a plug-in.
 
 import pytest
 from softcal.core.twin.properties import PROPERTIES
@@ -35,7 +35,7 @@ EPISODES = np.array([[5.0, 7.0], [21.0, 22.0]])
 
 
 class Violation(AssertionError):
-    """An effect that does not satisfy a property; the message says which and by how much."""
+    """An effect violates a property; the message names the property and the deviation."""
 
 
 def _run(effect: Effect, values: Sequence[float], cuts: Sequence[int] = ()) -> Array:
@@ -65,7 +65,7 @@ def _usual(effect: Effect) -> list[float]:
 
 
 def switched_off_it_changes_nothing(effect: Effect) -> None:
-    """At its neutral size, or a small one where 0 is none, signals are the base twin's."""
+    """Check that at the neutral size, or a small one without a neutral size of 0, signals are the base twin's."""
     size = effect.parameters[0]
     values = list(effect.neutral_values)
     if values[0] == 0.0 and size.low > 0.0:
@@ -83,7 +83,7 @@ def _idle(effect: Effect) -> Effect:
 
 
 def at_its_usual_size_it_shows(effect: Effect) -> None:
-    """Its usual size changes a signal by a thousandth of its span; levels lie amid the output."""
+    """Check that the usual size changes a signal by a thousandth of its span; levels lie amid the output."""
     values = _usual(effect)
     if effect.signs.placing in (Placing.CEILING, Placing.FLOOR):
         values[0] = 0.5 * (RANGE.lowest_V + RANGE.highest_V)
@@ -93,7 +93,7 @@ def at_its_usual_size_it_shows(effect: Effect) -> None:
 
 
 def it_stays_finite_within_its_bounds(effect: Effect) -> None:
-    """No value within the bounds gives a number that is not finite."""
+    """Check that every value within the bounds gives finite numbers."""
     for k, p in enumerate(effect.parameters):
         for end in (p.low, p.high):
             values = _usual(effect)
@@ -120,7 +120,7 @@ def chunks_of_a_stream_give_the_same(effect: Effect) -> None:
 
 
 def it_acts_where_it_says(effect: Effect) -> None:
-    """The stage is that of its hook, and signals of earlier stages do not change."""
+    """Check that the stage is that of the hook, and that signals of earlier stages do not change."""
     if effect.stage != STAGE_OF[effect.hook]:
         raise Violation(f"{effect.id}: stage {effect.stage} does not belong to the hook {effect.hook.name}")
     change = np.max(_change(effect, _usual(effect)), axis=1)
@@ -133,7 +133,7 @@ def it_acts_where_it_says(effect: Effect) -> None:
 
 
 def a_search_finds_where_to_begin(effect: Effect) -> None:
-    """It has probes within its bounds, or says how it is placed first."""
+    """Check that the effect has starting points within its bounds, or estimates its place first."""
     rows = effect.probes(RANGE)
     if not rows and effect.signs.placing is None:
         raise Violation(f"{effect.id}: it has neither probes nor a way to be placed")
@@ -146,7 +146,7 @@ def a_search_finds_where_to_begin(effect: Effect) -> None:
 
 
 def other_forms_carry_its_name(effect: Effect) -> None:
-    """Every form has the identifier and stage of its cause, and begins within its own bounds."""
+    """Check that every form has the identifier and stage of its cause, and starts within its own bounds."""
     for form in effect.forms:
         if (form.effect.id, form.effect.stage) != (effect.id, effect.stage):
             raise Violation(f"{effect.id}: its form {form.effect.equation!r} is of another cause")

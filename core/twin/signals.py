@@ -50,7 +50,7 @@ def low_pass(signal: Array, step_s: Array, tau_s: float, state: Array) -> Array:
 
 @compiled
 def play(signal: Array, width: float, state: Array) -> Array:
-    """Return the play operator of width b: y stays until x leaves [y, y + b] and pushes it.
+    """Return the play operator of width b: y is constant while x stays in [y, y + b], then follows x.
 
     Args:
         state: (1,) y at the sample before; 0 at the start of a run, which begins retracted.
@@ -90,7 +90,7 @@ def direction_state(signal: Array, scale: float, state: Array) -> Array:
 
 @compiled
 def completed_presses(deformation: Array, state: Array) -> Array:
-    """Return how many compressions are completed at each sample: contact made and lost again.
+    """Return the number of completed presses at each sample: contact and loss of contact.
 
     Args:
         deformation: (n,) δ in mm, 0 without contact.
@@ -109,14 +109,14 @@ def completed_presses(deformation: Array, state: Array) -> Array:
 
 
 def largest_so_far(signal: Array, state: Array) -> Array:
-    """Return the largest value up to each sample; state: (1,) the one before, updated."""
+    """Return the running maximum up to each sample; state (1,) holds the maximum before and is updated."""
     largest = np.maximum(np.maximum.accumulate(signal), state[0])
     state[0] = largest[-1]
     return np.asarray(largest)
 
 
 def extend_buffer(t_s: Array, values: Array, instants_s: Array, state: dict[str, Array]) -> tuple[Array, Array]:
-    """Return instants and values known at the end of this chunk; keep what the next may ask for.
+    """Return buffered times and values at the end of this chunk; keep those that the next chunk may need.
 
     Args:
         t_s: (n,) instants of this chunk.
@@ -132,5 +132,5 @@ def extend_buffer(t_s: Array, values: Array, instants_s: Array, state: dict[str,
 
 
 def read_at(t_s: Array, values: Array, instants_s: Array, state: dict[str, Array]) -> Array:
-    """Return a signal at other instants, straight between samples and held beyond the last."""
+    """Return a signal at other times, linear between samples and constant beyond the last."""
     return np.interp(instants_s, *extend_buffer(t_s, values, instants_s, state))

@@ -24,11 +24,11 @@ ORDER = {name: position for position, name in enumerate(EFFECTS)}
 
 @dataclass(frozen=True)
 class EffectSetting:
-    """One effect switched on.
+    """One effect with its parameter values, switched on.
 
     Args:
-        values: parameter values by name; a parameter left out stands at its usual value. Constants
-            of a form must stand here too.
+        values: parameter values by name; a missing parameter has its usual value. Constants
+            of a form are required.
         episodes: rows of an episodic effect, in s since the start of the run: (start, stop) of each
             bad contact, or (instant, count) of each loss of samples.
         form: its other equation that acts, as `Form` names it; the catalogue's where empty.
@@ -55,7 +55,7 @@ class EffectSetting:
 
     @property
     def effect(self) -> Effect:
-        """The effect; one with several sides is told apart by the parameters that are given."""
+        """The effect; an effect with several forms is chosen by the given parameters."""
         own = effect(self.effect_id)
         if not self.form:
             return own.side_with(tuple(self.values))
@@ -84,7 +84,7 @@ class Twin:
     True
 
     Args:
-        empirical: terms for what no effect explains; each acts behind the effects of its place.
+        empirical: terms for the residual that no effect explains; each acts after the effects of its signal.
     """
 
     parameters: BaseParameters = BaseParameters()
@@ -120,7 +120,7 @@ class Chain:
         return [{} for _ in self.effects]
 
     def apply(self, hook: Hook, flow: Flow, values: Values, memories: Sequence[Memory]) -> None:
-        """Let every effect of this hook change the flow; values and memories one row per effect."""
+        """Apply every effect of this hook to the flow; values and memories have one row per effect."""
         for k in self._at[hook]:
             self.effects[k].step(flow, values[k], memories[k])
 
@@ -170,7 +170,7 @@ StreamState: TypeAlias = tuple[list[Memory], float | None, float, list[Mapping[s
 
 
 class TwinStream:
-    """A twin in use: give it the stage position as time goes on, it gives force and output.
+    """A twin in use: it takes stage positions in time order and returns force and output.
 
     The same samples in chunks of any size give the same numbers as in one call, where it is causal.
 
@@ -193,20 +193,20 @@ class TwinStream:
         return not any(effect.hook is Hook.CLOCK for effect in self._chain.effects)
 
     def state(self) -> StreamState:
-        """Return all that `advance` depends on, as it is now."""
+        """Return the present state, on which `advance` depends."""
         memories = [{name: value.copy() for name, value in memory.items()} for memory in self._memories]
         noise = [rng.bit_generator.state for rng in self._rng or ()]
         return memories, self._last_t_s, self._first_temperature_C, noise
 
     def go_back(self, state: StreamState) -> None:
-        """Go back to a state of this stream; what came after it is forgotten, noise included."""
+        """Restore an earlier state of this stream, including its noise."""
         memories, self._last_t_s, self._first_temperature_C, noise = state
         self._memories = [{name: value.copy() for name, value in memory.items()} for memory in memories]
         for rng, before in zip(self._rng or (), noise, strict=True):
             rng.bit_generator.state = before
 
     def restart(self) -> None:
-        """Begin a new run from rest; the noise goes on."""
+        """Start a new run from rest; the noise continues."""
         self._memories, self._last_t_s = self._chain.fresh_memories(), None
         self._first_temperature_C = 0.0
 

@@ -1,4 +1,4 @@
-"""Transduction: the channel turns what it feels into a resistance, R = R0/(1 − κ·F)."""
+"""Transduction: the channel turns the force F into a resistance, R = R0/(1 − κ·F)."""
 
 from collections.abc import Sequence
 from functools import partial

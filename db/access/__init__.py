@@ -1,1 +1,1 @@
-"""Who may do what: people with PINs, programs with tokens, roles of the database."""
+"""Access control: people with PINs, programs with tokens, roles of the database."""

@@ -1,6 +1,6 @@
-"""Least privilege on PostgreSQL: what a line, a manager and readers may do, as SQL to run.
+"""Least privilege on PostgreSQL: rights of a line, a manager and readers, as SQL to run.
 
-Only the owner of the tables can upgrade them and drop the triggers: nobody who calibrates.
+Only the owner of the tables can upgrade them and drop the triggers, no role that calibrates.
 """
 
 import re
@@ -27,12 +27,12 @@ ROLE = re.compile(r"[a-z_][a-z0-9_]{0,62}")
 
 
 def grant_statements(line: str, reader: str, manager: str) -> list[str]:
-    """Return the SQL that gives each role what it needs, and nothing else.
+    """Return the SQL that grants each role the rights that it needs, and no others.
 
     Args:
         line: calibrates and adds to the history; cannot change what others decide.
         reader: reads everything but the PINs.
-        manager: what the line may, and people, limits, rules and certificates.
+        manager: the rights of the line, and people, limits, rules and certificates.
 
     Raises:
         InputError: a name that is no plain PostgreSQL role.

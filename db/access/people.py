@@ -1,4 +1,4 @@
-"""People with a role and a PIN. PINs are kept as Argon2id hashes and never leave this module."""
+"""People with a role and a PIN. PINs are stored as Argon2id hashes and never leave this module."""
 
 import hashlib
 import hmac
@@ -46,7 +46,7 @@ def _hasher() -> "PasswordHasher":
 
 @cache
 def _nobody() -> str:
-    """Return a hash that no PIN has; not at import: it takes a quarter of a second."""
+    """Return a hash that no PIN has; computed on demand, as it takes a quarter of a second."""
     return _hasher().hash("nobody has this PIN")
 
 
@@ -121,7 +121,7 @@ class People(RegistryBase):
             VERIFYING.release()
 
     def machine_token(self, name: str) -> str:
-        """Return what the machine of a person who has just signed in may keep (`InputError`: there is no such person).
+        """Return the token of a trusted machine for a person after sign-in; raise `InputError` for an unknown person.
 
         It says that this machine was there before, and nothing else; it ends with the PIN.
         """
@@ -155,7 +155,7 @@ class People(RegistryBase):
         return user
 
     def _note_failure(self, name: str, now: datetime) -> None:
-        """Count in a transaction of its own what another process may count, too."""
+        """Count a failed sign-in in a separate transaction, as other processes may count at the same time."""
         mine = users.c.name == name
         with self.database.writing():
             self.database.change(update(users).where(mine).values(failures=users.c.failures + 1))
@@ -170,7 +170,7 @@ class People(RegistryBase):
 
 
 def _is_pin(row: RowMapping | None, pin: str) -> bool:
-    """Whether a PIN is right; the hash is checked for nobody, too, so that the time it takes says nothing."""
+    """Return whether a PIN is right; an unknown name takes the same time, by a check against a dummy hash."""
     from argon2.exceptions import InvalidHashError, VerificationError
 
     with suppress(VerificationError, InvalidHashError):
@@ -193,7 +193,7 @@ def _machine_sha256(row: RowMapping, nonce: str) -> str:
 
 
 def permissions(user: User) -> frozenset[str]:
-    """Return what a person may do: what the role allows; everything while alone.
+    """Return the rights of a person: those of the role; all rights while no other account exists.
 
     Who decides about people could make a second account anyway.
     """
@@ -214,6 +214,6 @@ def user_of(database: Database, row: RowMapping) -> User:
 
 
 def people_as_told(row: RowMapping) -> dict[str, object]:
-    """Return a person as the audit trail tells of one: of the PIN's hash only a hash."""
+    """Return a person as JSON of the audit trail, with a hash of the PIN's hash."""
     content = {name: row[name] for name in ("name", "role", "is_active", "version")}
     return content | {"pin_sha256": hashlib.sha256(row["pin_hash"].encode()).hexdigest()}

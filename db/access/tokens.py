@@ -1,4 +1,4 @@
-"""Tokens by which programs sign in: each belongs to an account, whose role says what it may.
+"""Tokens by which programs sign in: each belongs to an account, whose role gives the rights.
 
 A token is 256 random bits: its SHA-256 cannot be guessed back. It is shown once.
 """
@@ -30,7 +30,7 @@ class TokenTable(RegistryBase):
     """Tokens of programs that ask over REST."""
 
     def add(self, account: str, purpose: str, days: int, *, actor: str | None = None) -> tuple[Token, str]:
-        """Make a token for an account; return it and the secret text, which is kept nowhere.
+        """Create a token for an account; return it with the secret text, which is not stored.
 
         `InputError`: no such active account, no purpose, or an impossible number of days.
         """
@@ -53,7 +53,7 @@ class TokenTable(RegistryBase):
         return of_row(Token, row), secret
 
     def withdraw(self, token_id: str, *, reason: str, actor: str | None = None) -> None:
-        """Make a token useless (`InputError`: there is none, or it was withdrawn already)."""
+        """Withdraw a token; raise `InputError` if it does not exist or is withdrawn already."""
         with self.database.writing():
             before = self._row(token_id)
             if before["is_withdrawn"]:
@@ -68,7 +68,7 @@ class TokenTable(RegistryBase):
         return [of_row(Token, row) for row in self.database.rows(query)]
 
     def user_of(self, secret: str) -> User:
-        """Return the account a token belongs to, with the role it has now.
+        """Return the account of a token, with its present role.
 
         `InputError`: unknown, ended, withdrawn, or an inactive account. `RegistryError`: not as the trail tells of it.
         """
@@ -93,7 +93,7 @@ class TokenTable(RegistryBase):
 
 
 def token_as_told(row: RowMapping) -> dict[str, object]:
-    """Return a token as the audit trail tells of one: its hash only as a hash of its own."""
+    """Return a token as JSON of the audit trail, with a hash of its hash."""
     return {name: row[name] for name in TOLD} | {"token_sha256": _sha256(row["sha256"])}
 
 

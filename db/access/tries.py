@@ -1,4 +1,4 @@
-"""How long a guess has to wait: the same for an account, a name that nobody has, and the code of the first account."""
+"""Waiting time after wrong PINs: equal for an account, an unknown name, and the code of the first account."""
 
 import math
 from datetime import datetime, timedelta

@@ -1,1 +1,1 @@
-"""What keeps a registry whole: checks, backups, upgrades, bringing two registries together."""
+"""Maintenance of a registry: checks, backups, upgrades, synchronisation of two registries."""

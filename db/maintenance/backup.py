@@ -54,9 +54,9 @@ def back_up(database: Database, path: Path) -> None:
 
 
 def restore(path: Path, url: str) -> None:
-    """Fill an empty database from a backup, after checking every byte of it.
+    """Fill an empty database from a backup after a check of every byte.
 
-    It writes a chain of its own in the audit trail from here on: no other copy of the same backup is taken for it.
+    It continues the audit trail in a new chain, so that no other copy of the same backup is confused with it.
     `RegistryError`: the backup is missing, damaged or of another schema, or the target is not empty.
     """
     if not path.is_file():
@@ -84,7 +84,7 @@ def restore(path: Path, url: str) -> None:
 
 
 def _copy_tables(source: Database, target: Database, facts: ColumnElement[bool]) -> None:
-    """Copy all that is no work under way; of what the registry knows of itself only some `facts`."""
+    """Copy all but transient rows; of the registry's own metadata only some `facts`."""
     target.change(delete(registry_info).where(facts))
     for table in metadata.sorted_tables:
         if table in PASSING:

@@ -36,7 +36,7 @@ def faults(
     anchors: Sequence[Anchor] = (),
     on_step: Callable[[str], None] = lambda _: None,
 ) -> Iterator[str]:
-    """Give one line for every page, row, blob, trigger or link that is not what was written.
+    """Yield one line for every page, row, blob, trigger or link that differs from what softcal wrote.
 
     `is_quick` leaves out what reads every page and blob; `anchors` were written down of the chains elsewhere.
     """
@@ -118,7 +118,7 @@ def _blob_faults(database: Database) -> Iterator[str]:
 
 
 def page_faults(database: Database) -> Iterator[str]:
-    """Give a line for every damaged page, and every index that does not agree with its table."""
+    """Yield a line for every damaged page, and every index that disagrees with its table."""
     if database.is_sqlite:
         for line in database.values(text("PRAGMA integrity_check(100)")):
             if line != "ok":
@@ -139,7 +139,7 @@ def page_faults(database: Database) -> Iterator[str]:
 
 
 def reference_faults(database: Database) -> Iterator[str]:
-    """Give a line for every table with rows that refer to rows which are not there."""
+    """Yield a line for every table with rows that refer to missing rows."""
     for table in metadata.sorted_tables:
         for constraint in table.foreign_key_constraints:
             parent = constraint.referred_table.alias()
@@ -152,7 +152,7 @@ def reference_faults(database: Database) -> Iterator[str]:
 
 
 def form_faults(database: Database) -> Iterator[str]:
-    """Give a line for every value in other words than softcal's: it sorts as another.
+    """Yield a line for every value in another notation than softcal's, as it sorts differently.
 
     Python reads times, JSON and truth values in more than one form.
     """
@@ -174,7 +174,7 @@ def form_faults(database: Database) -> Iterator[str]:
 
 
 def schema_faults(database: Database) -> Iterator[str]:
-    """Give a line for everything in the schema that is not as the migrations make it."""
+    """Yield a line for every difference of the schema from the migrations."""
     # Alembic takes half a second to import: only the whole check pays.
     from alembic.autogenerate import compare_metadata
     from alembic.runtime.migration import MigrationContext
@@ -198,7 +198,7 @@ TRIGGERS = {
 
 
 def trigger_faults(database: Database) -> Iterator[str]:
-    """Give a line for every table whose triggers are gone, off, or others."""
+    """Yield a line for every table with missing, disabled, or changed triggers."""
     dialect = database.engine.dialect.name
     rows = database.tuples(text(TRIGGERS[dialect]))
     definitions = {name: " ".join(str(definition).split()) for name, definition in rows}
@@ -213,7 +213,7 @@ def trigger_faults(database: Database) -> Iterator[str]:
 
 
 def origin_faults(database: Database) -> Iterator[str]:
-    """Give a line where the name under which this registry writes its chain was changed."""
+    """Yield a line if the name under which this registry writes its chain was changed."""
     info = {key: value for key, value in database.tuples(select(registry_info.c.key, registry_info.c.value))}
     if info.get("origin_sha256") != origin_sha256(str(info.get("origin"))):
         yield f"registry_info: origin {info.get('origin')!r} is not the one this registry was made with"
@@ -222,7 +222,7 @@ def origin_faults(database: Database) -> Iterator[str]:
 
 
 def origin_sha256(origin: str) -> str:
-    """Return what stands beside the origin, so that a change of it alone is seen."""
+    """Return the hash stored with the origin, which reveals a change of the origin alone."""
     return _sha256(f"origin {origin}")
 
 
@@ -231,7 +231,7 @@ def _sha256(text: str) -> str:
 
 
 def people_faults(database: Database, origin: str) -> Iterator[str]:
-    """Give a line for every person whose row is not what this registry's audit trail told last."""
+    """Yield a line for every person whose row differs from the last entry in the audit trail."""
     query = select(audit.c.key, audit.c.after).where(audit.c.entity == "users", audit.c.origin == origin)
     query = query.where(audit.c.action.in_(TOLD_OF_PEOPLE)).order_by(audit.c.seq)
     entries = {key: after for key, after in database.tuples(query)}
@@ -243,7 +243,7 @@ def people_faults(database: Database, origin: str) -> Iterator[str]:
 
 
 def token_faults(database: Database) -> Iterator[str]:
-    """Give a line for every token whose row is not what the audit trail told of last."""
+    """Yield a line for every token whose row differs from the last entry in the audit trail."""
     query = select(audit.c.key, audit.c.after).where(audit.c.entity == "tokens").order_by(audit.c.at, audit.c.seq)
     entries = {key: after for key, after in database.tuples(query)}
     rows = database.rows(select(tokens))
@@ -260,7 +260,7 @@ def _untold(table: str, here: Mapping[str, str], told: Mapping[str, str | None],
 
 
 def count_faults(database: Database) -> Iterator[str]:
-    """Give a line for every table with more rows than the trail tells of; fewer where one chain is all."""
+    """Yield a line for every table with more rows than in the trail, or fewer where one chain covers all."""
     is_alone = len(history.origins(database)) == 1
     query = select(audit.c.entity, func.count()).where(audit.c.entity.in_(AUDITED)).group_by(audit.c.entity)
     counts = {entity: count for entity, count in database.tuples(query)}
@@ -271,7 +271,7 @@ def count_faults(database: Database) -> Iterator[str]:
 
 
 def newest_faults(database: Database) -> Iterator[str]:
-    """Give a line for every fault of a chain among its newest rows."""
+    """Yield a line for every fault of a chain among its newest rows."""
     for origin in history.origins(database):
         seq, _ = history.head(database, origin)
         first = max(0, seq - ROWS_OF_QUICK)
@@ -280,7 +280,7 @@ def newest_faults(database: Database) -> Iterator[str]:
 
 
 def anchor_faults(database: Database, heads: Heads, where: str) -> Iterator[str]:
-    """Give a line for every chain without the row that was its last when it was written down."""
+    """Yield a line for every chain without the row that an anchor recorded as its last."""
     for origin, (seq, sha256) in heads.items():
         stored = database.value(select(audit.c.hash).where(audit.c.origin == origin, audit.c.seq == seq))
         if stored != sha256:
@@ -289,7 +289,7 @@ def anchor_faults(database: Database, heads: Heads, where: str) -> Iterator[str]
 
 
 def alien_tables(database: Database) -> Iterator[str]:
-    """Give a line for every table that softcal did not make: it may shadow one of its own."""
+    """Yield a line for every table that softcal did not create, as it may shadow one of softcal's."""
     known = {table.name for table in metadata.sorted_tables} | {"alembic_version"}
     with database.reading() as connection:
         names = (*inspect(connection).get_table_names(), *inspect(connection).get_view_names())

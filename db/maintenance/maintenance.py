@@ -1,4 +1,4 @@
-"""Make the tables; what a registry states anew once restored."""
+"""Creation of the tables; statements of a registry after its restoration."""
 
 import uuid
 from pathlib import Path
@@ -37,10 +37,10 @@ def migrate(database: Database) -> str:
 
 
 class Adoption(RegistryBase):
-    """States in a registry's own chain what came from a backup."""
+    """Record in a registry's own chain what a backup brought into it."""
 
     def state_restored(self, heads: Heads) -> None:
-        """Begin this registry's own chain with the last row of each chain it comes from."""
+        """Begin this registry's own chain with the last row of each chain that it continues."""
         with self.database.writing():
             self._tell("restore", "registry", (self.origin,), after={"heads": heads})
             # `verify` compares every person with what this registry's own chain told last.

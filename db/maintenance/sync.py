@@ -1,4 +1,4 @@
-"""Bring two registries together, both ways: a station's SQLite file and the PostgreSQL of the line.
+"""Synchronisation of two registries in both directions: a station's SQLite file and the line's PostgreSQL.
 
 The audit trail is the list of what to send. A registry gets, per chain, the rows behind the last
 one it has, together with what they tell of. Each chunk is one transaction, so that a broken line
@@ -34,7 +34,7 @@ FACTS_OF_A_LOT = ("source", "sample_rate_Hz", "sensor_model", "reference_quantit
 
 @dataclass(frozen=True)
 class SyncReport:
-    """What a synchronisation did.
+    """Counts of a synchronisation.
 
     Args:
         sent, received: rows of the audit trail that went to the other registry and came from there.
@@ -126,7 +126,7 @@ def _send(source: Database, target: Database) -> int:
 
 
 def _missing(source: Database, target: Database, origin: str) -> list[AuditRow]:
-    """Return the next rows of a chain that the target lacks, once they continue what it has."""
+    """Return the next rows of a chain that the target lacks, after a check that they continue its chain."""
     seq, sha256 = history.head(target, origin)
     with source.reading():
         newest, _ = history.head(source, origin)
@@ -148,7 +148,7 @@ def _missing(source: Database, target: Database, origin: str) -> list[AuditRow]:
 
 
 def _copy(source: Database, target: Database, table: Table, key: dict[str, Any], known: set[Named]) -> None:
-    """Copy a row and, before it, what it refers to, unless the target has it, as it has those `known`."""
+    """Copy a row after the rows that it refers to, unless the target has it; `known` are the rows of the target."""
     named = (table.name, *key.values())
     if named in known:
         return

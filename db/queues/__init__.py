@@ -1,4 +1,4 @@
-"""What is under way and no record: work of a lot, orders to stations, jobs of pages, what goes outside, a line's place.
+"""Transient rows: work of a lot, orders to stations, jobs of pages, outgoing events, the session of a line.
 
 Each is a table of its own, since each answers another question when its holder dies. Work is handed
 to the next worker when its lease ends, three times. An order is never done again: nothing moves

@@ -1,4 +1,4 @@
-"""Long computations that a page asks for and another process does, as one row each.
+"""Jobs: long computations that a page requests and another process performs, one row each.
 
 Page and process need not know, nor outlive, each other.
 """
@@ -43,7 +43,7 @@ class QueueFull(InputError):
 
 @dataclass(frozen=True)
 class Job:
-    """One computation.
+    """One job.
 
     Args:
         kind: what is computed, a name the worker knows.
@@ -78,10 +78,10 @@ class Job:
 
 
 class JobBoard(RegistryBase):
-    """Long computations that pages ask for. Every call is one short transaction."""
+    """Repository of jobs; every call is one short transaction."""
 
     def place(self, kind: str, request: Mapping[str, Any], actor: str, job_id: str | None = None) -> str:
-        """Ask for a computation; return its id (32 characters): who gives one asks twice for one job."""
+        """Request a computation and return its id (32 characters); a given id makes a repeated request one job."""
         now, job_id = self.settings.clock(), job_id or uuid.uuid4().hex
         values = {"job_id": job_id, "kind": kind, "request": dict(request), "actor": actor, "created": now}
         fresh = {"state": RunState.QUEUED, "fraction": 0.0, "message": "", "trace": {}, "result": {}}
@@ -101,19 +101,19 @@ class JobBoard(RegistryBase):
             return self.place(kind, request, actor, job_id)
 
     def take(self, job_id: str) -> Job:
-        """Mark a queued job running and return it (`InputError`: none waits under this id)."""
+        """Mark a queued job running and return it; raise `InputError` if no job waits under this id."""
         queued = update(jobs).where(jobs.c.job_id == job_id, jobs.c.state == RunState.QUEUED)
         if not self.database.change(queued.values(state=RunState.RUNNING, beaten_at=self.settings.clock())):
             raise InputError(f"job {job_id!r} is not waiting to be done")
         return self.job(job_id)
 
     def report(self, job_id: str, fraction: float, message: str, trace: Mapping[str, Any] | None = None) -> None:
-        """Write how far a job is. One that is over stays as it ended."""
+        """Write the progress of a job; a finished job stays as it ended."""
         values = {"fraction": fraction, "message": message} | ({} if trace is None else {"trace": dict(trace)})
         self._change(job_id, values)
 
     def beat(self, job_id: str) -> bool:
-        """Give a sign of life; return whether somebody wants the job stopped."""
+        """Write a heartbeat, and return whether a stop was requested."""
         self._change(job_id, {})
         return bool(self.database.value(select(jobs.c.is_cancel_wanted).where(jobs.c.job_id == job_id)))
 
@@ -132,7 +132,7 @@ class JobBoard(RegistryBase):
             self._change(job_id, values | ({"fraction": 1.0} if state is RunState.DONE else {}))
 
     def cancel(self, job_id: str) -> None:
-        """Ask for a stop; a job that nobody has taken, or whose process has died, ends at once."""
+        """Request a stop; a job that no process has taken, or whose process has died, ends at once."""
         job = self.job(job_id)
         if job.state is RunState.QUEUED or job.is_lost(self.settings.clock()):
             self.end(job_id, RunState.CANCELLED, "cancelled")
@@ -140,14 +140,14 @@ class JobBoard(RegistryBase):
             self._change(job_id, {"is_cancel_wanted": True}, is_beat=False)
 
     def job(self, job_id: str) -> Job:
-        """Return one job with its trace and result (`InputError`: there is none of this id)."""
+        """Return one job with its trace and result; raise `InputError` for an unknown id."""
         job = self.find(job_id)
         if job is None:
             raise NoSuchJob(f"job {job_id!r} is not in the registry")
         return job
 
     def find(self, job_id: str) -> Job | None:
-        """Return one job with its trace and result, None where there is none of this id."""
+        """Return one job with its trace and result, or None for an unknown id."""
         row = self.database.row(select(jobs).where(jobs.c.job_id == job_id))
         return None if row is None else _job(row)
 
@@ -158,7 +158,7 @@ class JobBoard(RegistryBase):
         return [_job(row) for row in self.database.rows(newest)]
 
     def arrays(self, job: Job) -> Arrays:
-        """Return the arrays a job left; none where it made none."""
+        """Return the arrays of a job; none without arrays."""
         if job.blob_sha256 is None:
             return {}
         with self.database.reading():

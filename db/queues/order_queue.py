@@ -35,7 +35,7 @@ o = orders.c
 
 
 class Pressed(NamedTuple):
-    """One press of a unit at the line: where, by whom, and from when until when (UTC)."""
+    """One press of a unit at the line: station, actor, start and end (UTC)."""
 
     serial: str
     station: str
@@ -69,7 +69,7 @@ class OrderQueue(RegistryBase):
             raise StationBusy(reason("station.busy", station=repr(order.station), what=what, state=row["state"]))
 
     def take(self, station: str, only: OrderKind | None = None) -> Order | None:
-        """Return the station's next order, marked running; what is no run (STOP) comes first."""
+        """Return the station's next order, marked running; orders without a run (STOP) come first."""
         query = select(orders).where(o.state == RunState.QUEUED, *given((o.station, station), (o.kind, only)))
         with self.database.writing(in_turn=False):
             waiting = self.database.rows(query.order_by(o.created, o.order_id))
@@ -80,12 +80,12 @@ class OrderQueue(RegistryBase):
             return _order(row)
 
     def has_stop(self, station: str) -> bool:
-        """Return whether somebody said stop and was not answered yet. It only reads."""
+        """Return whether an unanswered stop request exists, by reading alone."""
         waiting = (o.station == station, o.state == RunState.QUEUED, o.kind == OrderKind.STOP)
         return self.database.value(select(o.order_id).where(*waiting).limit(1)) is not None
 
     def report(self, progress: Progress) -> None:
-        """Write how far an order is. An order that is over stays as it ended."""
+        """Write the progress of an order; a finished order stays as it ended."""
         open_order = update(orders).where(o.order_id == progress.order_id, o.state.in_(ACTIVE))
         with self.database.writing(in_turn=False):
             values = _progress_values(progress) | {"changed_at": self.settings.clock()}
@@ -109,7 +109,7 @@ class OrderQueue(RegistryBase):
         return [(_order(row), _progress(row, Signal())) for row in rows]
 
     def pressed(self, lot_id: str) -> list[Pressed]:
-        """Return who pressed which units of a lot where, in time order, without broken runs."""
+        """Return the presses of the units of a lot in time order, without aborted runs."""
         query = select(o.serial, o.station, o.actor, o.created, o.changed_at)
         ended = query.where(o.lot_id == lot_id, o.kind == OrderKind.UNIT, o.state == RunState.DONE)
         return [Pressed(*row.values()) for row in self.database.rows(ended.order_by(o.created, o.order_id))]
@@ -121,7 +121,7 @@ class OrderQueue(RegistryBase):
             return None if row is None else (_order(row), _progress(row, self._signal(row["order_id"])))
 
     def interrupt(self, station: str, message: Reason | str) -> list[str]:
-        """Mark what a station left running when it died as an error; return the order ids.
+        """Mark orders that a dead service left running as errors; return the order ids.
 
         What was queued is cancelled: nothing moves because of an old order.
         """
@@ -135,7 +135,7 @@ class OrderQueue(RegistryBase):
         return [row["order_id"] for row in rows]
 
     def cancel_queued(self, station: str, message: Reason | str) -> list[str]:
-        """Cancel the run that waits (who says stop means that one, too); return the order ids."""
+        """Cancel the queued run, as a stop request means that run too; return the order ids."""
         waiting = (o.station == station, o.state == RunState.QUEUED, o.kind.in_(RUNS))
         with self.database.writing(in_turn=False):
             order_ids = self.database.values(select(o.order_id).where(*waiting))
@@ -143,7 +143,7 @@ class OrderQueue(RegistryBase):
         return order_ids
 
     def beat(self, heartbeat: Heartbeat, after: timedelta = TAKEN_OVER_AFTER) -> None:
-        """Write that a station lives and what it does, once the beat of another owner is older than `after`.
+        """Write a station's heartbeat and state, if the heartbeat of another owner is older than `after`.
 
         `InputError`: another process serves this station; ports have one owner.
         """
@@ -187,9 +187,9 @@ class OrderQueue(RegistryBase):
 
 
 class LinePlaces(RegistryBase):
-    """What stands at a line beside its runs, a row a station: every screen shows the same.
+    """State of each line between its runs, one row a station, shared by all screens.
 
-    A change names the version it was decided on: of two screens one is told to look again.
+    A change names the version it was decided on: of two screens the second must read again.
     """
 
     def read(self, station: str) -> tuple[int, Mapping[str, Any]]:
@@ -198,7 +198,7 @@ class LinePlaces(RegistryBase):
         return (0, {}) if row is None else (row["version"], row["place"])
 
     def write(self, station: str, seen_version: int, place: Mapping[str, Any]) -> bool:
-        """Put other values in their place; return False where another one was first."""
+        """Replace the values of a row; return False if another writer was first."""
         values = {"station": station, "version": seen_version + 1, "place": dict(place)}
         seen = (line_places.c.station == station, line_places.c.version == seen_version)
         if seen_version:

@@ -1,6 +1,6 @@
-"""How far each destination is in the audit trail: what is behind its cursor was sent.
+"""Cursor of each destination in the audit trail: all rows up to the cursor were sent.
 
-The trail is the outbox: what is written in the transaction of its change is not lost.
+The trail is the outbox: an event in the transaction of its change is never lost.
 """
 
 from collections.abc import Mapping
@@ -24,11 +24,11 @@ Cursor = Mapping[str, int]
 
 @dataclass(frozen=True)
 class Delivery:
-    """Where a destination stands.
+    """State of one destination.
 
     Args:
         cursor: the last rows it has.
-        delivered: events it got since it is known.
+        delivered: number of events delivered to it.
         failures: tries in a row that failed.
         not_before: the next try waits until then; None does not wait.
         error: why the last try failed; "" after one that did not.
@@ -64,7 +64,7 @@ class Outbox(RegistryBase):
         return list(islice(merge(*chains, key=lambda row: row.at), count))
 
     def begin(self, destination: str, cursor: Cursor) -> Delivery:
-        """Return where a destination stands; one that is new begins behind `cursor`."""
+        """Return the state of a destination; a new destination begins behind `cursor`."""
         fresh = {"delivered": 0, "failures": 0, "not_before": None, "error": "", "changed_at": self.settings.clock()}
         with self.database.writing(in_turn=False):
             known = select(deliveries).where(deliveries.c.destination == destination)
@@ -73,7 +73,7 @@ class Outbox(RegistryBase):
             return Delivery(**self.database.rows(known)[0])
 
     def hold(self, destination: str, holder: str, now: datetime, until: datetime) -> Delivery | None:
-        """Take a destination for one process, or keep it, until then; None where another one holds it.
+        """Lease a destination to one process, or extend the lease; return None if another process has it.
 
         `holder` names the process and no other one. A hold that ended before `now` is free.
         """
@@ -86,13 +86,13 @@ class Outbox(RegistryBase):
             return None if row is None else Delivery(**row)
 
     def release(self, holder: str) -> None:
-        """Give back every destination that a process holds."""
+        """Release every destination that a process has leased."""
         self.database.change(
             update(deliveries).where(deliveries.c.holder == holder).values(holder=None, held_until=None)
         )
 
     def moved(self, destination: str, cursor: Cursor, delivered: int, holder: str | None = None) -> None:
-        """Write that a destination has all up to a cursor, `delivered` events of it now.
+        """Advance the cursor of a destination after the delivery of `delivered` events.
 
         Nothing is written where a given `holder` no longer holds it: the cursor of who does may be further.
         """
@@ -115,7 +115,7 @@ class Outbox(RegistryBase):
 
 
 def cursor_text(cursor: Cursor) -> str:
-    """Return a cursor as programs keep it: `ORIGIN:SEQ` with dots between."""
+    """Return a cursor as text for programs: `ORIGIN:SEQ` with dots between."""
     return ".".join(f"{origin}:{seq}" for origin, seq in sorted(cursor.items()))
 
 

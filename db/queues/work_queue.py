@@ -51,10 +51,10 @@ class WorkQueue(RegistryBase):
     """The durable work items of a registry. Every call is one short transaction, or part of one."""
 
     def enqueue(self, work: WorkSet, inputs: Mapping[str, str]) -> int:
-        """Queue what is not queued or claimed yet and return how many items are new.
+        """Queue the items that are not queued or claimed yet, and return how many are new.
 
-        An item that failed before is queued again, and attempts are counted anew: asking is a decision to retry.
-        Sets of the lot that nobody works at any more are forgotten. Each few hundred items are a transaction of their
+        An item that failed before is queued again with its attempts reset: a new request is a decision to retry.
+        Sets of the lot without a worker are deleted. Each few hundred items are a transaction of their
         own, so that other writers wait for milliseconds only.
         """
         now, c = self.settings.clock(), work_items.c
@@ -83,7 +83,7 @@ class WorkQueue(RegistryBase):
         return new
 
     def claim(self, owner: str, work: WorkSet, count: int, lease_s: float) -> list[WorkItem]:
-        """Take up to `count` free items; they are this owner's until the lease runs out.
+        """Claim up to `count` free items for this owner until the lease ends.
 
         Claimants never wait for one another: rows another one is just taking are passed over.
         """
@@ -108,7 +108,7 @@ class WorkQueue(RegistryBase):
         return [WorkItem(item.id, item.serial, item.input_sha256, item.attempts + 1) for item in mine]
 
     def extend(self, owner: str, lease_s: float) -> int:
-        """Push the lease of all of one's items further out; return how many are still one's own."""
+        """Extend the lease of all items of an owner; return how many the owner still has."""
         now, c = self.settings.clock(), work_items.c
         mine = select(c.id).where(c.owner == owner, c.state == "claimed").with_for_update(skip_locked=True)
         with self.database.writing(in_turn=False):
@@ -119,14 +119,14 @@ class WorkQueue(RegistryBase):
         return len(ids)
 
     def held(self, owner: str, item_ids: Iterable[int]) -> set[int]:
-        """Return which items are one's own; nobody can take them before a transaction ends."""
+        """Return the items of an owner, which no other process can take before the transaction ends."""
         c = work_items.c
         mine = select(c.id).where(c.id.in_(list(item_ids)), c.owner == owner, c.state == "claimed")
         with self.database.writing(in_turn=False):
             return set(self.database.values(mine.order_by(c.id).with_for_update()))
 
     def finish(self, owner: str, item_ids: Sequence[int]) -> bool:
-        """Take done items out. False: a lease ran out, an item is another's; drop its result."""
+        """Remove finished items; return False if a lease ended or another owner has an item: drop its result."""
         c = work_items.c
         mine = delete(work_items).where(c.id.in_(item_ids), c.owner == owner, c.state == "claimed")
         return self.database.change(mine) == len(item_ids)
@@ -136,11 +136,11 @@ class WorkQueue(RegistryBase):
         return self._free_again(owner, attempts=work_items.c.attempts - 1)
 
     def take_back(self, owner: str) -> int:
-        """Queue all items of an owner that is known to be dead, without waiting for its lease."""
+        """Queue all items of a dead owner again, without waiting for the end of its lease."""
         return self._free_again(owner)
 
     def owners(self, work: WorkSet) -> list[str]:
-        """Return who holds items of a work."""
+        """Return the owners of items of a work."""
         owner = work_items.c.owner
         query = select(owner).where(*_of(work), work_items.c.state == "claimed").distinct().order_by(owner)
         return self.database.values(query)

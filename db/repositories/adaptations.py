@@ -1,4 +1,4 @@
-"""Long-term adaptation: every map a unit in use got, from which stream, with evidence."""
+"""Steps of drift tracking: every map of a unit in use, with its stream and evidence."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class AdaptedUnit:
 
 
 class AdaptationTables(RegistryBase):
-    """What was followed of units in use."""
+    """Repository of the steps of drift tracking."""
 
     def add(self, unit: UnitKey, revision: int, entries: Sequence[Entry], actor: str | None = None) -> int:
         """Store steps, all or none, and return the last one's number (1, 2, ... a unit).
@@ -71,7 +71,7 @@ class AdaptationTables(RegistryBase):
             return next((row["entry"] for row in newest if "state" in row["entry"]), None)
 
     def all(self, unit: UnitKey, stream: str | None = None) -> list[Entry]:
-        """Return the steps of a unit, of one stream or of all, in the order they were made."""
+        """Return the steps of a unit, of one stream or of all, in order of creation."""
         c = adaptations.c
         query = select(c.entry).where(*_of_unit(c, unit), *given((c.stream, stream)))
         return self.database.values(query.order_by(c.made_at, c.origin, c.number))

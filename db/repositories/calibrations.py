@@ -106,7 +106,7 @@ class CalibrationTables(InUseTable):
             return self._add_revision(values, named, "calibrate", actor, reason)
 
     def put_state(self, lot_id: str, state: UnitState, decided_by: str, *, actor: str | None, reason: str) -> bool:
-        """Put a state of a unit into use where another one is; return whether one was.
+        """Put a state of a unit into use if another state is in use; return whether it did.
 
         A state that was stored before comes back as its own revision.
         """
@@ -167,12 +167,12 @@ class CalibrationTables(InUseTable):
         lot_id: str | None = None,
         origin: str | None = None,
     ) -> int:
-        """Bring an older revision back into use as a new one; return that.
+        """Put an older revision back into use as a new revision, and return that.
 
         It is also how a person decides between two registries that put different maps into use.
 
         Args:
-            lot_id: lot of the unit; needed where the serial stands in several.
+            lot_id: lot of the unit; required if several lots have the serial.
             origin: registry that made the revision; needed where two made one of this number.
 
         Raises:
@@ -194,7 +194,7 @@ class CalibrationTables(InUseTable):
             return self._add_revision(values, content, "rollback", actor, reason, before)
 
     def find(self, serial: str, input_sha256: str, *, lot_id: str | None = None) -> StoredCalibration | None:
-        """Return the newest calibration of a serial from this input; None: it is to be made."""
+        """Return the newest calibration of a serial from this input; None without one."""
         c = calibrations.c
         named = given((c.serial, serial), (c.input_sha256, input_sha256), (c.lot_id, lot_id))
         with self.database.reading():
@@ -216,7 +216,7 @@ class CalibrationTables(InUseTable):
         """Return the calibration of a unit in use, or one revision of its history.
 
         Args:
-            lot_id: lot of the unit; needed where the serial stands in several.
+            lot_id: lot of the unit; required if several lots have the serial.
             origin: registry that made the revision; needed where two made one of this number.
 
         Raises:
@@ -264,7 +264,7 @@ class CalibrationTables(InUseTable):
         actor: str | None = None,
         work_sha256: str | None = None,
     ) -> None:
-        """Register that a unit got no map; the verdict (fail or retest) and reasons it has are not written again.
+        """Store that a unit got no map, with verdict (fail or retest) and reasons, unless it has these already.
 
         `work_sha256` is of what it answers; None: asking again may end otherwise.
         """
@@ -303,9 +303,9 @@ class CalibrationTables(InUseTable):
         return int(revision)
 
     def unit_key(self, serial: str, lot_id: str | None = None) -> UnitKey:
-        """Return the key of a unit that was named by its serial, with its lot where it stands in several.
+        """Return the key of a unit by its serial, with its lot if several lots have the serial.
 
-        `NoSuchUnit`, `NoSuchLot`: there is none; `AmbiguousUnit`: several lots have the serial and none is named.
+        `NoSuchUnit`, `NoSuchLot`: unknown; `AmbiguousUnit`: several lots have the serial and no lot is given.
         """
         self._known_serial(serial)
         lots = self.lots_of(serial)

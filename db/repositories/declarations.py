@@ -1,4 +1,4 @@
-"""What people and files declare of lots, their units and stations: a table a kind, the newest row of a key in force."""
+"""Declarations of people and files about lots, units and stations: the newest row of a key is in force."""
 
 from collections.abc import Collection, Mapping
 from typing import Any
@@ -27,7 +27,7 @@ class DeclarationTables(RegistryBase):
         actor: str | None = None,
         reason: str = "",
     ) -> int:
-        """Store rows of one owner that say something new of their key, all or none; return how many."""
+        """Store the rows of one owner that change a declaration, all or none; return how many."""
         if not rows:
             return 0
         table = metadata.tables[name]
@@ -58,7 +58,7 @@ class DeclarationTables(RegistryBase):
         return [row for row in rows if newest[_key(table, row)] is row]
 
     def newest(self, name: str, owner: str) -> dict[str, Any] | None:
-        """Return what is in force of one lot or station; None where nothing is."""
+        """Return the declaration in force of one lot or station, or None."""
         return next(iter(self.in_force(name, owner)), None)
 
     def add_draw(self, draw: Draw, config: AuditConfig, *, actor: str | None = None, reason: str = "") -> None:

@@ -45,7 +45,7 @@ def origins(database: Database) -> list[str]:
 def rows(
     database: Database, origin: str | None = None, after_seq: int = 0, count: int | None = None
 ) -> Iterator[AuditRow]:
-    """Give the rows of one chain, or of all chains one after another, oldest first."""
+    """Yield the rows of one chain, or of all chains one after another, oldest first."""
     query = select(audit).where(audit.c.seq > after_seq).order_by(audit.c.origin, audit.c.seq).limit(count)
     if origin is not None:
         query = query.where(audit.c.origin == origin)
@@ -54,7 +54,7 @@ def rows(
 
 
 def chain_faults(trail: Iterator[AuditRow], after_seq: int = 0, after_hash: str = FIRST_HASH) -> Iterator[str]:
-    """Give one line for every row that does not fit its chain, read behind the row `after_seq`, `after_hash`."""
+    """Yield one line for every row that breaks its chain, behind the row `after_seq`, `after_hash`."""
     origin, seq, prev_hash = "", after_seq, after_hash
     for row in trail:
         if row.origin != origin:
@@ -80,13 +80,13 @@ def heads(database: Database) -> Heads:
 
 
 def row_key(table: Table, values: Values) -> tuple[str | int, ...]:
-    """Return the primary key of a row as the audit trail writes it."""
+    """Return the primary key of a row in the notation of the audit trail."""
     key = [_plain(values[column.name]) for column in table.primary_key]
     return tuple(part if isinstance(part, int) else str(part) for part in key)
 
 
 def told(table: Table, values: Values) -> dict[str, object]:
-    """Return a row as the audit trail tells it."""
+    """Return a row in the notation of the audit trail."""
     hashed = TOLD_BY_HASH.get(table.name, ())
     return {
         name: hashlib.sha256(canonical_json(value).encode()).hexdigest() if name in hashed else value
@@ -95,7 +95,7 @@ def told(table: Table, values: Values) -> dict[str, object]:
 
 
 def plain(values: Values) -> dict[str, object]:
-    """Return JSON values: instants and days as ISO text, the rest as it is."""
+    """Return JSON values: instants and days as ISO text, other values unchanged."""
     return {name: _plain(value) for name, value in values.items()}
 
 

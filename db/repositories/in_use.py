@@ -1,4 +1,4 @@
-"""Which calibration a unit uses: statements that follow one another.
+"""The calibration in use of each unit, as a sequence of statements.
 
 A unit is a serial of a lot. The newest statement holds. Two registries that were apart may both
 have made one. Where they name different maps nobody can say which is right, and a person has to.
@@ -61,7 +61,7 @@ class InUseTable(RegistryBase):
         work_sha256: str | None = None,
         actor: str | None = None,
     ) -> bool:
-        """Put the calibration of an input into use again, decided by batch or line; False where there is none.
+        """Put the stored calibration of an input into use again, by batch or line; return False without one.
 
         What a person decided since the same input stays: nothing new was asked. So does a conflict.
 
@@ -164,9 +164,9 @@ class InUseTable(RegistryBase):
         reason: str,
         made_at: datetime | None = None,
     ) -> None:
-        """Write a statement behind every one that nothing follows yet, so that no conflict is left.
+        """Write a statement behind every statement without a successor, so that no conflict remains.
 
-        `named` has `revision` and `made_by` of the calibration, `told` who decided and what asked for it.
+        `named` has `revision` and `made_by` of the calibration, `told` the actor and the reason.
         """
         heads = heads_of(self.database, lot_id, serial)
         at = made_at or self._after(newest_of_unit(self.database, lot_id, serial))
@@ -241,7 +241,7 @@ def conflicts_of(
 
 @dataclass(frozen=True)
 class LimitInForce:
-    """The limit of a lot as verdicts are held against it: `rmse` in `unit`; None is the source's own error."""
+    """The limit in force of a lot: `rmse` in `unit`; None for the source's own error."""
 
     rmse: float | None
     unit: str
@@ -254,7 +254,7 @@ class LimitInForce:
         return sa.or_(~c.is_limit_stated, c.limit_rmse != self.rmse)
 
     def why(self, judged: float) -> Reason:
-        """Return why a verdict against another limit does not stand any more."""
+        """Return the reason why a verdict against another limit is no longer valid."""
         if self.rmse is None:
             return reason(LIMIT_IS_GONE, judged=judged, unit=self.unit)
         return reason(LIMIT_IS_OTHER, judged=judged, limit=self.rmse, unit=self.unit)
@@ -268,14 +268,14 @@ def newest_limit(database: Database, lot_id: str) -> LimitEntry | None:
 
 
 def limit_in_force(database: Database, lot_id: str) -> LimitInForce:
-    """Return the limit that verdicts of a lot are held against now."""
+    """Return the limit in force of a lot."""
     newest = newest_limit(database, lot_id)
     unit = database.value(select(lots.c.reference_unit).where(lots.c.id == lot_id))
     return LimitInForce(newest.rmse if newest else None, unit or "")
 
 
 def conflict_line(database: Database, lot_id: str, serial: str) -> str:
-    """Return what a person has to decide, and how."""
+    """Return the sentence with the conflict that a person must decide, and the command for it."""
     sides = ", ".join(
         f"revision {head['revision']} of registry {head['made_by']} ({head['decided_by']}, "
         f"{head['made_at']:%Y-%m-%d %H:%M:%S} UTC)"
@@ -294,7 +294,7 @@ def newest_of_unit(database: Database, lot_id: str, serial: str) -> datetime | N
 
 
 def of_this_method(database: Database) -> sa.ColumnElement[bool]:
-    """Return whether a calibration was made with the method of this version, by whatever map family, as SQL."""
+    """Return the SQL condition for calibrations by the method of this version, with any map family."""
     # Whoever lists units needs none of the numerics behind the families.
     from softcal.core.unit.method import Method
 

@@ -14,7 +14,7 @@ from softcal.db.schema.tables import lot_decisions
 
 
 class LotDecisionTable(RegistryBase):
-    """What was decided on lots: corrections, and statements on units that nobody measured."""
+    """Repository of decisions on lots: corrections, and statements about unmeasured units."""
 
     def add(
         self, lot_id: str, decision: Mapping[str, object], *, action: str, actor: str | None = None, reason: str = ""
@@ -42,14 +42,14 @@ class LotDecisionTable(RegistryBase):
         return of_row(LotDecisionEntry, row)
 
     def of_lot(self, lot_id: str) -> list[LotDecisionEntry]:
-        """Return every decision on a lot, oldest first; two registries may have made one of the same number."""
+        """Return every decision on a lot, oldest first; two registries may have one of the same number."""
         d = lot_decisions.c
         query = select(lot_decisions).where(d.lot_id == lot_id).order_by(d.made_at, d.number, d.origin)
         return [of_row(LotDecisionEntry, row) for row in self.database.rows(query)]
 
 
 def decision_conflicts(database: Database) -> list[str]:
-    """Return a line for each lot of which two registries made a decision of the same, newest number, and differ.
+    """Return a line for each lot whose two registries have different decisions of the same, newest number.
 
     The one that was made last is in force, units that either released stay; a person makes the next one.
     """

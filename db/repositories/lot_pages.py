@@ -1,4 +1,4 @@
-"""Where the units of a lot stand: the calibration in use, a newer refusal, or a conflict.
+"""Status of the units of a lot: the calibration in use, a newer refusal, or a conflict.
 
 One question in SQL says it for a unit, a page of a lot of any size, counts and reports.
 """
@@ -52,13 +52,13 @@ def _severities() -> dict[str, int]:
 
 @dataclass(frozen=True)
 class UnitFilter:
-    """Which units of a lot, in which order.
+    """Filter and order of the units of a lot.
 
     Args:
         verdicts: of these only; empty takes all, `none` those without a result.
         text: serials that hold this text, in any case.
         sort: one of `SORTABLE`, or `severity`: worst verdict, then largest forecast.
-        is_descending: largest first; units without a value stand last either way.
+        is_descending: largest first; units without a value are last either way.
         serials: of these units only; None takes all.
     """
 
@@ -92,7 +92,7 @@ class UnitFilter:
 
 @dataclass(frozen=True)
 class UnitPage:
-    """One page of units and how many the filter lets through in all."""
+    """One page of units, and the number of all units in the filter."""
 
     units: tuple[UnitEntry, ...]
     total: int
@@ -101,7 +101,7 @@ class UnitPage:
 class UnitErrors(NamedTuple):
     """The errors of one unit's newest map in the reference unit, and its verdict.
 
-    Of an audit that is set aside, whose errors may be another unit's, there are none.
+    Audits that are set aside have no errors here, as the errors may be another unit's.
     """
 
     serial: str
@@ -113,7 +113,7 @@ class UnitErrors(NamedTuple):
 
 
 class LotPages(RegistryBase):
-    """What stands of many units at once: pages, counts, errors, without reading all of a lot."""
+    """Status of many units at once: pages, counts, errors, without reading the whole lot."""
 
     def unit_page(self, lot_id: str, wanted: UnitFilter, *, size: int = 50, before: int = 0) -> UnitPage:
         """Return the `size` target units of a lot behind the first `before`, each with its newest result.
@@ -132,13 +132,13 @@ class LotPages(RegistryBase):
         return UnitPage(tuple(entries), int(total))
 
     def standings(self, lot_id: str, serials: Sequence[str], *, has_stale: bool = False) -> dict[str, UnitStanding]:
-        """Return where units of a lot stand, as a report needs it.
+        """Return the status of units of a lot for a report.
 
         A unit with a conflict is to be decided by a person: its verdict is retest. So is that of
-        one judged against another limit than the one in force.
+        decided against another limit than the one in force.
 
         Args:
-            has_stale: whether a unit that was judged against another limit has its summary all the same.
+            has_stale: whether a unit decided against another limit still has its summary.
         """
         standings: dict[str, UnitStanding] = {}
         c = calibrations.c
@@ -206,14 +206,14 @@ class LotPages(RegistryBase):
     def change_marker(self, lot_id: str) -> str:
         """Return text that changes whenever anything of a lot does.
 
-        A cheap key for what was computed: every change ends a chain of the audit trail anew.
+        A cheap key of a cache: every change adds a row to a chain of the audit trail.
         """
         with self.database.reading():
             return "|".join([lot_id, *(sha256 for _, sha256 in history.heads(self.database).values())])
 
 
 class StandingQuery:
-    """How a lot, or some of its units, are asked for now."""
+    """Query of the status of a lot or some of its units."""
 
     def __init__(self, database: Database, lot_id: str, serials: Sequence[str] | None = None) -> None:
         self.database, self.lot_id = database, lot_id
@@ -222,7 +222,7 @@ class StandingQuery:
         self.limit = limit_in_force(database, lot_id)
 
     def table(self, serials: Sequence[str] | None = None, role: str | None = None) -> sa.Subquery:
-        """Return every unit beside its map in use and its newest verdict, or a later refusal's.
+        """Return every unit with its map in use and its newest verdict, or that of a later refusal.
 
         The newest row of a unit is found through the index of the table; a window function over all
         rows is not, and its join with the units would take the square of their number.
@@ -269,7 +269,7 @@ class StandingQuery:
 
 
 def is_stale(unit: UnitEntry) -> bool:
-    """Return whether a unit was decided on against another limit than the one in force."""
+    """Return whether a unit was decided against another limit than the limit in force."""
     return bool(unit.reasons) and unit.reasons[0].code in STALE
 
 

@@ -1,4 +1,4 @@
-"""Lots, their units, and in versions their limits and rules: who set them, when and why."""
+"""Lots, their units, and versions of limits and rules with actor, time and reason."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -60,12 +60,12 @@ class LotTables(RegistryBase):
         return self.database.values(select(lots.c.id).order_by(lots.c.id))
 
     def get(self, lot_id: str) -> Lot:
-        """Return one lot, or raise `InputError` naming the known ones."""
+        """Return one lot; raise `InputError` with the existing lots if there is none."""
         with self.database.reading():
             return self._lot(self._lot_row(lot_id))
 
     def units(self, lot_id: str | None = None, serial: str | None = None) -> list[UnitEntry]:
-        """Return units with their newest result, of a lot, of a serial, or all (`InputError`: it is not known)."""
+        """Return units with their newest result, of a lot, of a serial, or all (`InputError`: unknown lot)."""
         with self.database.reading():
             if lot_id is not None:
                 self._lot_row(lot_id)
@@ -119,7 +119,7 @@ class LotTables(RegistryBase):
         actor: str | None = None,
         expected_version: int | None = None,
     ) -> LimitEntry:
-        """Write the next version of a lot's limit; what was set and is set again for the same reason is one.
+        """Write the next version of a lot's limit; an equal limit with an equal reason is one version.
 
         Args:
             rmse: largest acceptable error in the lot's unit; None: the source's own error.
@@ -143,7 +143,7 @@ class LotTables(RegistryBase):
             return entry
 
     def line_rules(self, lot: Lot) -> LineRules:
-        """Return the rules of a lot that hold; where nobody set any, those that follow from it."""
+        """Return the line rules in force of a lot, or the default rules."""
         versions = self.line_rules_versions(lot.id)
         return versions[-1].rules if versions else rules_for(lot)
 
@@ -192,7 +192,7 @@ class LotTables(RegistryBase):
         actor: str | None,
         reason: str,
     ) -> dict[str, Any]:
-        """Return what the version after the newest, which must be the expected one, has beside its content."""
+        """Return the columns of the version after the newest, which must be the expected version."""
         self._lot_row(lot_id)
         if newest is not None and expected not in (None, newest.version):
             raise ChangedMeanwhile(

@@ -27,7 +27,7 @@ ACTIONS = {RELEASED: "release", WITHDRAWN: "withdraw"}
 
 @dataclass(frozen=True)
 class NetworkState:
-    """Whether the line may use a network (draft, released, withdrawn), since when, and who decided it, and why."""
+    """State of a network for the line (draft, released, withdrawn) with its time, actor and reason."""
 
     network: NetworkEntry
     state: str
@@ -49,7 +49,7 @@ class NetworkTables(RegistryBase):
         *,
         actor: str | None = None,
     ) -> str:
-        """Store a shared network and return its id, or that of one of the same input, which is kept: go on with it."""
+        """Store a shared network and return its id, or the id of a stored network of the same input."""
         with self.database.writing():
             self._lot_row(lot_id)
             known = self.find(input_sha256)
@@ -78,12 +78,12 @@ class NetworkTables(RegistryBase):
             return Network.from_arrays(arrays, row["settings"])
 
     def entry(self, network_id: str) -> NetworkEntry:
-        """Return what is known of a network beside its weights, or raise `InputError`."""
+        """Return the metadata of a network without weights; raise `InputError` for an unknown network."""
         with self.database.reading():
             return of_row(NetworkEntry, self._network_row(network_id))
 
     def all(self) -> list[NetworkEntry]:
-        """Return what is known of every network beside its weights, oldest first."""
+        """Return the metadata of every network without weights, oldest first."""
         query = select(networks).order_by(networks.c.added_at, networks.c.id)
         return [of_row(NetworkEntry, row) for row in self.database.rows(query)]
 
@@ -107,12 +107,12 @@ class NetworkTables(RegistryBase):
         ]
 
     def released(self, lot_id: str) -> NetworkState | None:
-        """Return the network of a lot that the line uses: the one released last, if any."""
+        """Return the released network of a lot: the one that was released last, or None."""
         released = [state for state in self.states(lot_id) if state.state == RELEASED]
         return max(released, key=lambda state: state.since) if released else None
 
     def release(self, network_id: str, *, reason: str, actor: str | None = None) -> None:
-        """Let the line use a network from now on, in place of the one it used.
+        """Release a network for the line, in place of the present one.
 
         `InputError`: no reason, no such network, or it is the one in use.
         """
@@ -123,7 +123,7 @@ class NetworkTables(RegistryBase):
         self._decide(entry, RELEASED, reason, actor)
 
     def withdraw(self, network_id: str, *, reason: str, actor: str | None = None) -> None:
-        """Take a released network from the line; the one released before is in use again.
+        """Withdraw a released network; the network released before it is in use again.
 
         `InputError`: no reason, no such network, or it is not released.
         """
@@ -144,7 +144,7 @@ class NetworkTables(RegistryBase):
             self._store(network_releases, values, ACTIONS[state], actor, reason)
 
     def _decisions(self, lot_id: str) -> dict[str, NetworkState]:
-        """Return the newest decision of each network of a lot that somebody decided about."""
+        """Return the newest decision on each network of a lot."""
         c, known = network_releases.c, {entry.id: entry for entry in self.all()}
         query = select(c.network_id, c.state, c.made_at, c.actor, c.reason).where(c.lot_id == lot_id)
         rows = self.database.tuples(query.order_by(c.made_at, c.origin))

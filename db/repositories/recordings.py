@@ -29,7 +29,7 @@ KINDS = ("source", "unit", "audit")
 
 
 def _check_instant(known: RecordingEntry, measured_at: datetime | None) -> None:
-    """Refuse another instant for a recording that is stored: what draws were held against stays."""
+    """Refuse another time of measurement for a stored recording, as draws depend on it."""
     within = timedelta(0) if known.measured_at is None else INSTANTS_AGREE
     if measured_at is not None and abs(measured_at - known.observed_at) > within:
         how = "first seen" if known.measured_at is None else "measured"
@@ -55,7 +55,7 @@ class RecordingTables(RegistryBase):
     ) -> str:
         """Store a recording of kind source, unit or audit once, with its unit; return its content hash.
 
-        `measured_at` is when it was measured, UTC, by its own stamps or as stated; None where nobody says.
+        `measured_at` is the time of measurement, UTC, by its stamps or as stated, or None.
         `proof_method` is the identity of the method by which a station proved it, None for a file that was brought.
         Only a `unit` recording has no reference. `InputError`: the lot is not registered, or it has the recording with
         another instant.
@@ -81,7 +81,7 @@ class RecordingTables(RegistryBase):
             return sha256
 
     def get(self, sha256: str) -> Recording:
-        """Return a recording; labelled where it has a reference (`InputError`: there is none)."""
+        """Return a recording, labelled if it has a reference; raise `InputError` for an unknown one."""
         query = select(recordings).where(recordings.c.sha256 == sha256).limit(1)
         with self.database.reading():
             row = self.database.row(query)
@@ -104,7 +104,7 @@ class RecordingTables(RegistryBase):
         return {entry.sha256: entry.proof_method for entry in self.of_lot(lot_id, serial)}
 
     def shared_outputs(self, lot_id: str | None = None) -> list[str]:
-        """Return the outputs of a lot, or of all, that stand under another serial, too, or as source and audit."""
+        """Return outputs of a lot, or of all lots, that also occur under another serial or kind of recording."""
         other = recordings.alias("other")
         mine = recordings.c
         is_golden = [and_(one.kind == "source", two.kind == "audit") for one, two in ((mine, other.c), (other.c, mine))]
@@ -113,7 +113,7 @@ class RecordingTables(RegistryBase):
         return self.database.values(query)
 
     def same_outputs(self, output_sha256s: Collection[str]) -> list[RecordingEntry]:
-        """Return what is known of the recordings of all lots that have one of these outputs."""
+        """Return the metadata of the recordings of all lots that have one of these outputs."""
         rows: list[RowMapping] = []
         for some in parts(sorted(output_sha256s)):
             query = select(recordings).where(recordings.c.output_sha256.in_(some))
@@ -121,7 +121,7 @@ class RecordingTables(RegistryBase):
         return [of_row(RecordingEntry, row) for row in rows]
 
     def of_lot(self, lot_id: str, serial: str | None = None, kind: str | None = None) -> list[RecordingEntry]:
-        """Return what is known of a lot's recordings, oldest first, without their samples."""
+        """Return the metadata of a lot's recordings, oldest first, without samples."""
         c = recordings.c
         query = select(recordings).where(*given((c.lot_id, lot_id), (c.serial, serial), (c.kind, kind)))
         rows = self.database.rows(query.order_by(c.added_at, c.sha256))

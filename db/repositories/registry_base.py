@@ -1,4 +1,4 @@
-"""What every part of the registry stands on: who writes when, and rows that leave a trace."""
+"""Base of all repositories: writers, transactions, and rows with an entry in the audit trail."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
@@ -35,7 +35,7 @@ def utc_now() -> datetime:
 
 @dataclass(frozen=True)
 class RegistrySettings:
-    """Who writes (`actor`, where a call names nobody), and by which clock."""
+    """Default actor and clock of the writers."""
 
     actor: str = "softcal"
     clock: Callable[[], datetime] = utc_now
@@ -84,7 +84,7 @@ class RegistryBase:
         reason: str = "",
         before: Mapping[str, object] | None = None,
     ) -> None:
-        """Insert one row together with the row of the audit trail that tells of it."""
+        """Insert one row together with its row in the audit trail."""
         self.database.change(INSERTS[table.name], dict(values))
         if "serial" in values:
             # A revision is numbered through all lots.
@@ -104,7 +104,7 @@ class RegistryBase:
         before: Mapping[str, object] | None = None,
         reason: str = "",
     ) -> None:
-        """Write the next row of this registry's chain, in the transaction of the change it tells of."""
+        """Write the next row of this registry's chain, in the transaction of its change."""
         heads = self.database.found.heads
         seq, prev_hash = heads.get(self.origin) or history.head(self.database, self.origin)
         old = None if before is None else canonical_json(history.plain(before))
@@ -118,7 +118,7 @@ class RegistryBase:
         heads[self.origin] = row.seq, row.hash
 
     def _check_row(self, table: Table, row: RowMapping) -> None:
-        """Raise `RegistryError` where a row is not what the audit trail tells of it."""
+        """Raise `RegistryError` if a row differs from its entry in the audit trail."""
         values = {column.name: row[column.name] for column in table.columns}
         key = canonical_json(history.row_key(table, values))
         query = select(audit.c.after).where(audit.c.entity == table.name, audit.c.key == key)
@@ -130,7 +130,7 @@ class RegistryBase:
             )
 
     def _check_hidden(self, table: Table, keys: Iterable[tuple[str | int, ...]]) -> None:
-        """Raise `RegistryError` where the audit trail tells of a row that an index hides."""
+        """Raise `RegistryError` if an index hides a row that the audit trail contains."""
         wanted = [canonical_json(key) for key in keys]
         query = select(audit.c.key).where(audit.c.entity == table.name, audit.c.key.in_(wanted)).limit(1)
         hidden = self.database.value(query)
@@ -141,7 +141,7 @@ class RegistryBase:
         return actor or self.settings.actor
 
     def _after(self, previous: datetime | None) -> datetime:
-        """Return the time now, never before what it follows: a clock may have been set back."""
+        """Return the present time, but never before the preceding row, as a clock may have been set back."""
         now = self.settings.clock()
         return now if previous is None else max(now, previous + TICK)
 
@@ -169,7 +169,7 @@ class RegistryBase:
 
     @_once_more
     def lots_of(self, serial: str) -> list[str]:
-        """Return the lots a serial stands in."""
+        """Return the lots of a serial."""
         query = select(units.c.lot_id).where(units.c.serial == serial).order_by(units.c.lot_id)
         return self.database.values(query)
 
@@ -180,7 +180,7 @@ class RegistryBase:
 
 
 def of_row(kind: type[Entry], row: RowMapping, **others: Any) -> Entry:
-    """Return a value with the columns of a row that it has fields for, and with others."""
+    """Return a dataclass from the columns of a row, with further fields."""
     names = (one.name for one in fields(kind) if one.name in row)  # type: ignore[arg-type]
     return kind(**{name: row[name] for name in names} | others)
 

@@ -1,4 +1,4 @@
-"""What lets a station run: certificates of load cells and checks with golden units."""
+"""Certificates of load cells and checks with golden units, which open the gate of a station."""
 
 from dataclasses import fields
 from datetime import date, datetime
@@ -48,7 +48,7 @@ class StationTables(RegistryBase):
             return [_certificate(self.database, row) for row in self.database.rows(query)]
 
     def certificate(self, cell_serial: str, on: date) -> CellCertificate | None:
-        """Return the newest certificate of a cell on a day; None: it may not be used."""
+        """Return the newest valid certificate of a cell on a day; None without one."""
         return next((entry for entry in reversed(self.certificates(cell_serial)) if entry.is_valid(on)), None)
 
     def add_golden_run(self, run: GoldenRun) -> None:

@@ -1,4 +1,4 @@
-"""The audit trail: who did what and when, readable by kind, by entity and by its end."""
+"""The audit trail: actions with actor, time and reason, read by kind, by entity and from its end."""
 
 from collections.abc import Mapping
 
@@ -12,7 +12,7 @@ from softcal.db.schema.tables import audit
 
 
 class AuditTrail(RegistryBase):
-    """Who did what, and when; other parts write it themselves."""
+    """Repository of the audit trail; other repositories write their entries themselves."""
 
     def add(
         self,
@@ -24,16 +24,16 @@ class AuditTrail(RegistryBase):
         reason: str = "",
         actor: str | None = None,
     ) -> None:
-        """Put what changes no table (an export, an override) into the audit trail."""
+        """Write an action that changes no table (an export, an override) into the audit trail."""
         with self.database.writing():
             self._tell(action, entity, key, actor, after=values, reason=reason)
 
     def of(self, entity: str, key: tuple[str | int, ...]) -> list[AuditRow]:
-        """Return what the audit trail tells of one entity, in time order."""
+        """Return the entries of one entity, in time order."""
         return self._of(audit.c.entity == entity, audit.c.key == canonical_json(key))
 
     def of_kind(self, entity: str) -> list[AuditRow]:
-        """Return what the audit trail tells of all entities of a kind, in time order."""
+        """Return the entries of all entities of a kind, in time order."""
         return self._of(audit.c.entity == entity)
 
     def _of(self, *conditions: ColumnElement[bool]) -> list[AuditRow]:
@@ -45,7 +45,7 @@ class AuditTrail(RegistryBase):
         return list(history.rows(self.database, origin))
 
     def newest(self, count: int) -> list[AuditRow]:
-        """Return the newest rows of the audit trail, whoever wrote them, the newest first."""
+        """Return the newest rows of the audit trail by any actor, newest first."""
         newest: list[RowMapping] = []
         with self.database.reading():
             # The index finds the newest of each chain; sorted by time, all would be read.

@@ -34,7 +34,7 @@ def fits_of(database: Database, rows: Sequence[sa.RowMapping]) -> FitRows:
     """Return the fits that rows of `calibrations` rest on.
 
     Raises:
-        RegistryError: a fit or its method is not what was stored under its hash.
+        RegistryError: a fit or its method differs from its hash.
     """
     wanted = sorted({(row["lot_id"], row["fit_sha256"]) for row in rows})
     found: list[sa.RowMapping] = []

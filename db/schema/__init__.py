@@ -1,1 +1,1 @@
-"""How a registry lies in its database: tables, transactions, blobs, what nobody can change."""
+"""Schema of a registry: tables, transactions, blobs, protection against changes."""

@@ -1,4 +1,4 @@
-"""Triggers that refuse every change of a row that was written, made by migrations."""
+"""Triggers that refuse every change of an existing row, created by migrations."""
 
 import hashlib
 

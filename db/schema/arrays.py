@@ -53,7 +53,7 @@ def put_arrays(database: Database, arrays: Arrays) -> str:
 
 
 def get_arrays(database: Database, sha256: str) -> dict[str, NDArray[np.generic]]:
-    """Return the named arrays stored under a hash (`RegistryError`: there are none, or damaged ones)."""
+    """Return the named arrays stored under a hash; raise `RegistryError` if they are missing or damaged."""
     from safetensors import SafetensorError
     from safetensors.numpy import load
 
@@ -98,7 +98,7 @@ def has_blob(database: Database, sha256: str) -> bool:
 
 
 def copy_blob(source: Database, target: Database, sha256: str) -> None:
-    """Copy a blob, and what it refers to before it, into a registry that lacks it."""
+    """Copy a blob, after the blobs that it refers to, into a registry that lacks it."""
     if has_blob(target, sha256):
         return
     content = get_bytes(source, sha256)

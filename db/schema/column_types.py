@@ -12,7 +12,7 @@ from softcal.core.errors import RegistryDamaged
 
 
 def _read_or_damaged(process: Any) -> Any:
-    """Call the registry damaged where a value cannot be read: softcal never wrote it."""
+    """Raise `RegistryError` for a damaged registry if a value cannot be read, as softcal never wrote it."""
 
     def read(value: Any) -> Any:
         try:

@@ -39,7 +39,7 @@ Part = TypeVar("Part")
 
 
 class ConnectionCut(RegistryError):
-    """The connection to the server broke (`is_undone`: nothing was kept; False where it broke in the commit)."""
+    """The connection to the server broke; `is_undone` is False if it broke in the commit, else nothing was stored."""
 
     def __init__(self, message: str, is_undone: bool) -> None:
         super().__init__(message)
@@ -48,7 +48,7 @@ class ConnectionCut(RegistryError):
 
 
 class _Joined(threading.local):
-    """The transactions of a thread that what it does next belongs to."""
+    """Open transactions of a thread, which later calls of that thread join."""
 
     reader: Connection | None = None
     writer: Connection | None = None
@@ -73,7 +73,7 @@ class Database:
 
     @property
     def found(self) -> Found:
-        """What the transaction of this thread has found; nothing outside one."""
+        """Cache of this thread's transaction; None outside a transaction."""
         return Found() if self._joined is None else found_in(self._joined)
 
     @property
@@ -82,12 +82,12 @@ class Database:
 
     @property
     def is_in_memory(self) -> bool:
-        """Whether it is an SQLite database of this process alone, with one connection."""
+        """Whether the database is an SQLite database of this process alone, with one connection."""
         return self.is_sqlite and self.path is None
 
     @property
     def name(self) -> str:
-        """The URL without its password, wherever in it that stands."""
+        """URL without its password, wherever the URL contains it."""
         return shown_url(self.engine.url)
 
     @property
@@ -98,7 +98,7 @@ class Database:
 
     @contextmanager
     def reading(self) -> Iterator[Connection]:
-        """Give a connection that sees one consistent state."""
+        """Yield a connection with one consistent snapshot."""
         if self._joined is not None:
             yield self._joined
             return
@@ -113,7 +113,7 @@ class Database:
             return connection.execute(query, values).mappings().all()
 
     def row(self, query: Executable, values: Values = None) -> RowMapping | None:
-        """Return the first row of what a query gives; None where it gives nothing."""
+        """Return the first row of a query, or None."""
         with self.reading() as connection:
             return connection.execute(query, values).mappings().first()
 
@@ -122,27 +122,27 @@ class Database:
             return list(connection.execute(query))
 
     def stream(self, query: Executable, size: int = 1000) -> Iterator[RowMapping]:
-        """Give the rows of what a query gives, `size` of them in memory at once."""
+        """Yield the rows of a query, with `size` rows in memory at once."""
         with self.reading() as connection:
             yield from connection.execute(query, execution_options={"yield_per": size}).mappings()
 
     def values(self, query: Executable) -> list[Any]:
-        """Return the first column of what a query gives."""
+        """Return the first column of a query."""
         with self.reading() as connection:
             return list(connection.execute(query).scalars())
 
     def value(self, query: Executable, values: Values = None) -> Any:
-        """Return the first value of what a query gives; None where it gives nothing."""
+        """Return the first value of a query, or None."""
         with self.reading() as connection:
             return connection.execute(query, values).scalar()
 
     def change(self, statement: Executable, values: Values = None) -> int:
-        """Do one statement, in no turn or in the open transaction; return how many rows changed."""
+        """Execute one statement, alone or in the open transaction; return the number of changed rows."""
         with self.writing(in_turn=False) as connection:
             return connection.execute(statement, values).rowcount
 
     def insert_new(self, statement: Executable) -> bool:
-        """Insert a row, in no turn or in the open transaction; return False where a key of it is taken."""
+        """Insert a row, alone or in the open transaction; return False if one of its keys exists."""
         with self.writing(in_turn=False) as connection:
             try:
                 with connection.begin_nested():
@@ -152,13 +152,13 @@ class Database:
         return True
 
     def check_writable(self) -> None:
-        """Raise `RegistryError` where the file or its folder can only be read; a server says so when it is asked."""
+        """Raise `RegistryError` if the file or its folder is read-only, or a server says so."""
         if why := self.engine.get_execution_options().get(READ_ONLY):
             raise RegistryReadOnly(f"registry {self.name} is read-only: {why}; nothing was changed")
 
     @contextmanager
     def writing(self, *, in_turn: bool = True) -> Iterator[Connection]:
-        """Give a connection whose changes are kept when the block ends well, else gone.
+        """Yield a connection whose changes are committed if the block ends without an exception.
 
         Args:
             in_turn: one writer at a time, as the audit chain needs it. SQLite allows nothing else; PostgreSQL lets
@@ -183,7 +183,7 @@ class Database:
             told()
 
     def once_more(self, action: Callable[[], Answer], *, is_repeatable: bool = False) -> Answer:
-        """Do whole transactions, and do them once more where their connection was cut.
+        """Run whole transactions, and repeat them if their connection was lost.
 
         Inside an open transaction once: what came before is lost, too. Else again where nothing was kept, or where
         twice changes nothing (`is_repeatable`).
@@ -204,7 +204,7 @@ class Database:
 
     @contextmanager
     def outside_transactions(self) -> Iterator[sqlite3.Connection]:
-        """Give the bare SQLite connection, for what SQLite does outside transactions only."""
+        """Yield the plain SQLite connection, for statements that SQLite runs outside transactions only."""
         with self._errors_in_words():
             pooled = self.engine.raw_connection()
             try:
@@ -250,19 +250,19 @@ class Database:
 
 
 def first_line(error: Exception) -> str:
-    """Return the first line of what a driver said, else the kind of its error."""
+    """Return the first line of a driver's message, or the type of its error."""
     cause = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
     lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
     return lines[0] if lines else type(cause).__name__
 
 
 def is_denied(error: Exception) -> bool:
-    """Whether the account at the server may not do what was asked."""
+    """Whether the account at the server lacks the right to the statement."""
     return _code_of(error) in DENIED
 
 
 def is_busy(error: Exception) -> bool:
-    """Whether others held for too long what was asked for."""
+    """Return whether an error means that other connections held a lock for too long."""
     code = _code_of(error)
     # The low byte of an SQLite code is its kind.
     return code in BUSY or (isinstance(code, int) and code & 0xFF in BUSY)
@@ -286,7 +286,7 @@ def parts(values: Sequence[Part]) -> Iterator[Sequence[Part]]:
 
 
 def open_database(url: str, *, create: bool = True) -> Database:
-    """Connect to an SQLite file, made with `create`, to `sqlite://` (in memory) or PostgreSQL, whatever is inside.
+    """Open an SQLite file (`create` makes it), `sqlite://` (in memory) or PostgreSQL, whatever its content.
 
     `RegistryError`: a wrong URL, no folder or one on a network share, no database, or a server that does not answer.
     """
@@ -314,7 +314,7 @@ def open_database(url: str, *, create: bool = True) -> Database:
 
 
 def schema_of(database: Database) -> str | None:
-    """Return the schema revision, None of an empty database (`RegistryError`: it holds tables of something else)."""
+    """Return the schema revision, None of an empty database; raise `RegistryError` for tables of another program."""
     with database.reading() as connection:
         tables = inspect(connection).get_table_names()
         if not tables:
@@ -325,7 +325,7 @@ def schema_of(database: Database) -> str | None:
 
 
 def check_schema(database: Database, schema: str) -> None:
-    """Refuse a registry that this version cannot use as it is."""
+    """Refuse a registry that this version cannot use in its present state."""
     if schema < SCHEMA:
         raise WrongSchema(
             f"registry {database.name} has schema {schema} of a development version, which nothing reads; "
@@ -349,13 +349,13 @@ SECRET_KEYS = ("password", "passfile", "sslpassword")
 
 
 def shown_url(url: URL) -> str:
-    """Return a URL as text without its password, which may stand among its options, too."""
+    """Return a URL as text without its password, which may also be among its options."""
     hidden = {key: "***" for key in url.query if key.lower() in SECRET_KEYS}
     return url.update_query_dict(hidden).render_as_string(hide_password=True)
 
 
 def without_password(text: str, url: URL) -> str:
-    """Return what a driver said without the password, should it have quoted its connection."""
+    """Return a driver's message without the password of the connection."""
     secrets = [url.password, *(url.query.get(key) for key in SECRET_KEYS)]
     for secret in secrets:
         if isinstance(secret, str) and secret:

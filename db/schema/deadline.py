@@ -15,7 +15,7 @@ MAX_CLOCK_ERROR = timedelta(seconds=30)
 
 
 def has_passed(until: datetime | None, now: datetime, longest: timedelta) -> bool:
-    """Whether a deadline is over: it is past, was never set, or is further away than any of its kind may be."""
+    """Return whether a deadline is over: past, never set, or further away than the longest possible wait."""
     return until is None or until <= now or until > now + longest + MAX_CLOCK_ERROR
 
 

@@ -34,7 +34,7 @@ READ_ONLY = "softcal_read_only"
 
 
 def network_share(folder: Path, mounts: Path = MOUNTS) -> str:
-    """Return the kind of network share that `folder` is on (Linux mounts, UNC paths); empty where it is local."""
+    """Return the kind of network share of `folder` (Linux mounts, UNC paths); empty for a local folder."""
     inside, best, kind = folder.resolve(), Path("/"), ""
     for line in mounts.read_text(errors="replace").splitlines() if mounts.is_file() else ():
         match line.split():
@@ -58,7 +58,7 @@ def refuse_network_share(folder: Path, mounts: Path = MOUNTS) -> None:
 
 
 def sqlite_engine(url: URL, create: bool) -> Engine:
-    """Return the engine of memory or of a file, made with `create` (`RegistryError`: it cannot be used)."""
+    """Return the engine of memory or of a file, made with `create` (`RegistryError`: unusable file)."""
     if url.database in IN_MEMORY:
         engine = create_engine(url, poolclass=StaticPool, connect_args={"check_same_thread": False})
     else:
@@ -104,7 +104,7 @@ def _problem(path: Path, folder: Path, create: bool) -> str:
 
 
 def _read_only_engine(url: URL, path: Path, why: str) -> Engine:
-    """Return the engine of a file that cannot be written; it leaves no file beside it."""
+    """Return the engine of a read-only file, which creates no further file."""
     # Every transaction looks anew: what somebody else writes meanwhile is seen by the next one.
     engine = create_engine(url, creator=_opener(path), poolclass=NullPool, execution_options={READ_ONLY: why})
     event.listen(engine, "begin", _begin_sqlite)
@@ -170,7 +170,7 @@ def _note_state(path: Path, connection: Connection) -> None:
 
 
 def _check_state(path: Path, connection: Connection) -> None:
-    """Refuse what was read without locks while somebody else wrote into the file."""
+    """Refuse data that were read without locks while another process wrote into the file."""
     if connection.info.pop("state") not in (None, _state(path)):
         raise _was_written(path)
 

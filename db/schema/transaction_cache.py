@@ -1,4 +1,4 @@
-"""What a transaction has found and written so far, so that a chunk of a batch does not ask again for each of its units.
+"""Cache of a transaction: rows read and written so far, so that a chunk of a batch queries them once.
 
 One writer at a time: nobody else can change any of it before the transaction ends. What a savepoint
 takes back was never there, so a rollback to one forgets all.
@@ -16,7 +16,7 @@ HAS_TOLD = "softcal_has_told"
 
 @dataclass
 class Found:
-    """What is known inside one transaction.
+    """Cached rows of one transaction.
 
     Args:
         lots: rows of lots that were compared with the audit trail.
@@ -40,13 +40,13 @@ _by_transaction = WeakKeyDictionary[RootTransaction, Found]()
 
 
 def found_in(connection: Connection) -> Found:
-    """Return what the transaction of a connection has found; nothing outside one."""
+    """Return the cache of a connection's transaction; None outside a transaction."""
     transaction = connection.get_transaction()
     return Found() if transaction is None else _by_transaction.setdefault(transaction, Found())
 
 
 def forget(connection: Connection, *_: object) -> None:
-    """Forget what the transaction has found."""
+    """Clear the cache of the transaction."""
     transaction = connection.get_transaction()
     if transaction is not None:
         _by_transaction.pop(transaction, None)

@@ -1,1 +1,1 @@
-"""Which devices there are, what a station file says of them, and the bench they make."""
+"""The devices of a station: the catalogue, the station file, and the bench."""

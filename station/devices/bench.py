@@ -77,12 +77,12 @@ def open_simulated_bench(
     beside: "Sequence[Twin]" = (),
     readout_kind: str = ReadoutConfig.kind,
 ) -> "Iterator[tuple[Bench, SimulatedStation]]":
-    """Open the same drivers on simulated far ends, each behind its own serial line.
+    """Open the shipped drivers on simulated devices, each behind a serial line of its own.
 
     Args:
         time_factor: simulated seconds per real second at most; None runs as fast as the computer can. A driver that
             reads in a thread of its own makes simulated time real time.
-        beside: more units under the same stage, each on a channel of its own.
+        beside: further units under the same stage, each on its own channel.
 
     Returns:
         The bench, and the simulated station with its fault switches.
@@ -119,13 +119,13 @@ def simulated_config(station: "SimulatedStation") -> StationConfig:
 
 @contextmanager
 def open_force(config: ForceConfig, clock: Clock) -> Iterator[ForceReader]:
-    """Open the load cell alone; `DeviceError` where it is missing."""
+    """Open the load cell alone; raise `DeviceError` if it is missing."""
     with closing(_open(config, Opening(clock))) as reader:
         yield reader
 
 
 def open_readout(config: ReadoutConfig, clock: Clock) -> Readout:
-    """Open the readout alone, which whoever opened it closes; `DeviceError` where it is missing."""
+    """Open the readout alone, which the caller must close; raise `DeviceError` if it is missing."""
     readout: Readout = _open(config, Opening(clock))
     return readout
 

@@ -1,6 +1,6 @@
-"""Every driver there is: those in `station/drivers/`, and those that installed packages declare as entry points.
+"""Catalogue of drivers: the modules of `station/drivers/` and the entry points of installed packages.
 
-A shipped driver is a module of that folder with a tuple `DRIVERS`. A package of somebody else declares
+A shipped driver is a module of that folder with a tuple `DRIVERS`. An external package declares
 `[project.entry-points."softcal.readouts"]` (or `softcal.stages`, `softcal.cells`) with `kind = "module:DRIVER"`.
 """
 
@@ -25,7 +25,7 @@ GROUPS: dict[Role, str] = {"stage": "softcal.stages", "cell": "softcal.cells", "
 
 @dataclass(frozen=True)
 class Offer:
-    """One driver that somebody offers.
+    """One driver with its origin, and the error if it cannot be loaded.
 
     Args:
         role, kind: what it calls itself.
@@ -43,12 +43,12 @@ class Offer:
 
 
 def offers() -> list[Offer]:
-    """Return every driver, shipped ones first; one that cannot be loaded has its fault."""
+    """Return every driver, shipped drivers first; a driver that cannot be loaded has its error."""
     return [*_shipped(), *(_load(role, point) for role in GROUPS for point in installed(GROUPS[role]))]
 
 
 def driver_of(role: Role, kind: str) -> AnyDriver:
-    """Return the driver of a kind; `InputError`: there is none, there are two, or it is broken."""
+    """Return the driver of a kind; raise `InputError` if there is none, if there are two, or if it is broken."""
     points = installed(GROUPS[role])
     found = [offer for offer in _shipped() if (offer.role, offer.kind) == (role, kind)]
     found += [_load(role, point) for point in points if point.name == kind]

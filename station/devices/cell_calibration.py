@@ -17,7 +17,7 @@ SETTLE_S, READ_S, TICK_S = 1.0, 2.0, 0.01
 
 @dataclass(frozen=True)
 class CellCalibration:
-    """One calibration with dead weights.
+    """The result of a calibration of a load cell with dead weights.
 
     Args:
         mass_kg: (n,) weights put on, 0 for the unloaded cell.

@@ -1,4 +1,4 @@
-"""What belongs to a station and to no run, from a TOML file: ports, dialects, safety bounds."""
+"""Configuration of a station from a TOML file: ports, dialects, safety bounds; nothing that belongs to one run."""
 
 import math
 from collections.abc import Iterable
@@ -22,11 +22,11 @@ UNKNOWN_S, LATEST_S = -1.0, 0.5
 
 @dataclass(frozen=True)
 class DeviceConfig:
-    """What every device's section of the station file holds; a driver adds its own keys in a class derived from this.
+    """Keys of a device's section in the station file; a driver adds keys in a derived class.
 
     Args:
         port: a serial port, tcp://host:port or a VISA resource.
-        kind: which driver speaks to it (`softcal station drivers` lists them).
+        kind: kind of its driver (`softcal station drivers` lists the kinds).
     """
 
     port: str
@@ -54,8 +54,8 @@ class ForceConfig(DeviceConfig):
         serial: of the cell, as on its certificate.
         capacity_N: rated load.
         rate_Hz: readings per second.
-        latency_s: how late its readings are against the stage; −1: not known, the stage then feels its way very slowly
-            and every run says what it found.
+        latency_s: delay of its readings against the stage; −1: unknown, the stage then approaches very slowly
+            and every run reports the measured latency.
     """
 
     kind: str = "hx711"
@@ -89,7 +89,7 @@ class ReadoutConfig(DeviceConfig):
 
 @dataclass(frozen=True)
 class SafetyConfig:
-    """What stops the rig.
+    """Limits at which the rig is stopped.
 
     Args:
         force_N: more than this stops the stage.
@@ -98,7 +98,7 @@ class SafetyConfig:
         silence_s: a device that says nothing for so long stops the run.
         zero_N: largest reading of the unloaded load cell before a run.
         zero_return_N: largest change of that reading over a run.
-        stiffest_N_mm: the stiffest thing the stage may meet; where nothing was felt yet it goes so slowly that a stop
+        stiffest_N_mm: stiffness of the stiffest possible object; before contact the stage moves so slowly that a stop
             on such a thing ends below 0.9 of the load cell's capacity.
         without_cell: true where no [force] is there and a person answers for it that the stage can hurt nothing.
     """
@@ -115,7 +115,7 @@ class SafetyConfig:
 
 @dataclass(frozen=True)
 class FixtureConfig:
-    """Where a unit lies and how its surface is found.
+    """Geometry of the fixture and parameters of the search for contact.
 
     Args:
         approach_mm: stage position that is free of any unit; reached at full speed.
@@ -136,7 +136,7 @@ class FixtureConfig:
 
 @dataclass(frozen=True)
 class StationConfig:
-    """One station as its TOML file describes it.
+    """Configuration of one station, as in its TOML file.
 
     Raises:
         InputError: two devices that cannot share a port, or a number outside its physical range.
@@ -177,7 +177,7 @@ def filled(name: str, kind: type[_T], table: dict[str, Any]) -> _T:
     """Return the values of one section, its keys as TOML gives them.
 
     Raises:
-        InputError: an unknown key, which lists the known ones; a missing one; a value of the wrong type.
+        InputError: an unknown key, with the valid keys; a missing key; a value of the wrong type.
     """
     known = {f.name: f for f in fields(kind)}  # type: ignore[arg-type]
     types = get_type_hints(kind)
@@ -215,7 +215,7 @@ def check_positive(name: str, value: float) -> None:
 
 
 def check_known(name: str, value: str | float, known: Iterable[str | float]) -> None:
-    """Raise `InputError` where the value of a key is none of those that are known."""
+    """Raise `InputError` if the value of a key is not among the allowed values."""
     known = tuple(known)
     if value not in known:
         shown = repr(value) if isinstance(value, str) else f"{value:g}"

@@ -1,4 +1,4 @@
-"""What a driver declares of itself: with that a station file, a bench and a simulated rig use it without its name."""
+"""The declaration of a driver, by which station file, bench and simulated rig use it without its name."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -25,7 +25,7 @@ D = TypeVar("D", bound=Stage | ForceReader | Readout)
 
 @dataclass(frozen=True)
 class Opening:
-    """What a driver finds when it is opened.
+    """The arguments with which a driver opens its device.
 
     Args:
         stage: the station's stage where it is open already, for a cell or readout behind the same port.
@@ -37,10 +37,10 @@ class Opening:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What a simulated device finds around it.
+    """The arguments with which a driver builds its simulated device.
 
     Args:
-        wire: the device's end of its line; its `port` is what the host opens.
+        wire: the device's end of its line; the host opens its `port`.
         axis: the drive of the simulated stage, its position counts in the pressing direction, mm.
         force_N: (simulated time in s) -> what presses on the load cell, N.
         outputs_V: (simulated time in s) -> output of each sensor, V.
@@ -59,11 +59,11 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class Simulated(Generic[C]):
-    """A simulated device, and the section of the station file with which its driver opens it.
+    """A simulated device, and the section of the station file that opens it.
 
     Args:
         config: with `port` as the host opens it.
-        far_end: what lives at the other end of the wire; None where another device's far end speaks for it.
+        far_end: the device at the other end of the wire; None if another device answers for it.
         reading_per_V: what a readout of another unit than V shows for 1 V of output.
     """
 
@@ -74,16 +74,16 @@ class Simulated(Generic[C]):
 
 @dataclass(frozen=True)
 class Driver(Generic[C, D]):
-    """One kind of device that a station can use.
+    """Declaration of one kind of device.
 
     Args:
         config: a frozen dataclass of its keys, derived from `StageConfig`, `ForceConfig` or `ReadoutConfig`; it checks
             its values by raising `InputError`.
         open: opens the device or raises `DeviceError`, with everything it opened given back.
         simulate: makes the device for the simulated station and for the test kit.
-        wires: what `port` may name, the simulated device stands behind the first of them.
-        is_threaded: whether it reads in a thread of its own; then simulated time is real time.
-        messages: what it says, in English: code → sentence with values in braces, for `reason(code, **values)`.
+        wires: connections that `port` may name, first the connection of the simulated device.
+        is_threaded: whether it reads in a separate thread; simulated time then runs in real time.
+        messages: its messages in English: code → sentence with values in braces, for `reason(code, **values)`.
     """
 
     kind: str
@@ -109,12 +109,12 @@ class Driver(Generic[C, D]):
 
     @property
     def keys(self) -> dict[str, object]:
-        """Its keys in the station file and their defaults; None where a value must be given."""
+        """Keys in the station file with their defaults; None for a required key."""
         return {f.name: None if f.default is MISSING else f.default for f in fields(self.config)}
 
     @property
     def described_keys(self) -> list[tuple[str, str, str, str]]:
-        """Its keys as (name, type, default, unit), as the station file has them, "needed" without a default."""
+        """Keys in the station file as (name, type, default, unit), with "needed" for a required key."""
         types = get_type_hints(self.config)
         names = {float: "number", int: "whole number", str: "text", bool: "true/false"}
         defaults = {f.name: "needed" if f.default is MISSING else json.dumps(f.default) for f in fields(self.config)}

@@ -25,12 +25,12 @@ _E = TypeVar("_E")
 
 
 class SimulatedStation:
-    """Stage, load cell and readout around one unit; every part is public so that tests can break it.
+    """Simulated stage, load cell and readout around one unit; every part is public so that tests can break it.
 
     Args:
         rng: draws noise, delays, clock errors and how units come to lie.
         time_factor: simulated seconds per real second at most; None runs as fast as the computer can.
-        beside: more units under the same stage, each on a channel of its own.
+        beside: further units under the same stage, each on its own channel.
     """
 
     counts_per_N, zero_counts = CELL_COUNTS_PER_N, CELL_ZERO_COUNTS
@@ -100,13 +100,13 @@ class SimulatedStation:
         return far_end
 
     def mount(self, unit: Twin) -> None:
-        """Put a unit under the stage, a little higher or lower than the one before."""
+        """Put a unit under the stage, at a slightly different height than the previous unit."""
         clearance_mm = self.free_mm + 1.0 + float(self._rng.uniform(-0.2, 0.2))
         streams = [TwinStream(each, self._rng.spawn(1)[0]) for each in (unit, *self._beside)]
         self.rig.mount(streams, clearance_mm, self.world.now_s())
 
     def mount_rigid(self) -> None:
-        """Put something hard under the stage."""
+        """Put a rigid object under the stage."""
         self.mount(Twin(BaseParameters(k1_N_mm=60.0, kappa_per_N=0.001), (), self.metadata))
 
     def close(self) -> None:
@@ -115,7 +115,7 @@ class SimulatedStation:
 
 
 def wire_for(driver: AnyDriver, rng: np.random.Generator) -> Wire:
-    """Return a line of the kind a driver speaks over: serial, Bluetooth, or a socket for all others."""
+    """Return a line of the kind that a driver uses: serial, Bluetooth, or a socket."""
     match driver.wires[0]:
         case "serial":
             return Wire(rng)

@@ -1,4 +1,4 @@
-"""Read and write the station file: every section as its driver understands it."""
+"""Read and write the station file: each section with the keys of its driver."""
 
 import inspect
 import tomllib
@@ -37,7 +37,7 @@ def read_station_file(path: Path) -> StationConfig:
 
 
 def station_from_table(content: dict[str, Any]) -> StationConfig:
-    """Return the station of nested tables; unknown keys are errors that list the known ones."""
+    """Return the station of nested tables; raise `InputError` for an unknown key, with the valid keys."""
     unknown = set(content) - set(_SECTIONS) - {"name"}
     if unknown:
         raise InputError(reason("station_file.unknown_top", key=repr(min(unknown)), known=", ".join(_SECTIONS)))
@@ -58,7 +58,7 @@ def station_from_table(content: dict[str, Any]) -> StationConfig:
 
 
 def station_toml(config: StationConfig, choices: str = "") -> str:
-    """Return the station file of a configuration: every key, and what it means."""
+    """Return the station file of a configuration, with a comment for every key."""
     document = tomlkit.document()
     document["name"] = config.name
     for name in _SECTIONS:
@@ -79,7 +79,7 @@ def station_toml(config: StationConfig, choices: str = "") -> str:
 
 
 def meanings(kind: type[Any]) -> list[str]:
-    """Return what the keys of a section mean, as they are documented: common ones, then its own."""
+    """Return the documentation of the keys of a section: the common keys, then those of the driver."""
     lines = []
     for each in reversed(kind.__mro__):
         text = inspect.cleandoc(each.__doc__ or "") if is_dataclass(each) else ""
@@ -89,13 +89,13 @@ def meanings(kind: type[Any]) -> list[str]:
 
 
 def with_own_keys(config: DeviceConfig) -> DeviceConfig:
-    """Return the section of a device with its driver's own keys, at their defaults if not given."""
+    """Return the section of a device with all keys of its driver, at their defaults if not given."""
     kind: type[DeviceConfig] = driver_of(config.role, config.kind).config
     return config if isinstance(config, kind) else kind(**vars(config))
 
 
 def device_section(name: str, table: dict[str, Any]) -> DeviceConfig:
-    """Return the section of one device as its driver understands it.
+    """Return the section of one device as the configuration class of its driver.
 
     Args:
         table: its keys; a kind that is not given is that of the section.

@@ -1,4 +1,4 @@
-"""Which moves a stage may be given: one rule for all controllers, before a byte is written."""
+"""Admission of moves: one rule for all controllers, checked before a byte is written."""
 
 from softcal.core.errors import CommandRefused
 from softcal.core.messages.reason import Reason, reason
@@ -9,7 +9,7 @@ SPEED_ROUNDING = 1e-6
 
 
 def admit(stage: Stage, move: Move, slowest_mm_s: float = 0.0) -> None:
-    """Raise `CommandRefused` for a move that may not begin; the controller keeps `slowest_mm_s`."""
+    """Raise `CommandRefused` for a move that may not begin; the controller's least speed is `slowest_mm_s`."""
     if not stage.is_position_known:
         raise CommandRefused(Reason("rig.not_homed"))
     if stage.is_moving:

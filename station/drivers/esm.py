@@ -31,7 +31,7 @@ STARTS_WITHIN_S = 0.2
 
 @dataclass(frozen=True)
 class EsmConfig(StageConfig):
-    """A Mark-10 stand.
+    """Section of the station file for a Mark-10 stand.
 
     Args:
         baud_rate: of its port.
@@ -49,7 +49,7 @@ class EsmConfig(StageConfig):
 
 @dataclass(frozen=True)
 class EsmGaugeConfig(ForceConfig):
-    """The gauge on a Mark-10 stand: the same port as [stage].
+    """Section of the station file for the gauge on a Mark-10 stand, with the port of [stage].
 
     Args:
         sign: 1 where compression reads positive, −1 otherwise.
@@ -63,14 +63,14 @@ class EsmGaugeConfig(ForceConfig):
 
 
 class SharedPort:
-    """Questions of stage and gauge on one port: the stand answers in the order it was asked."""
+    """Queries of stage and gauge on one port, answered by the stand in order."""
 
     def __init__(self, link: Link) -> None:
         self.link = link
         self._open: deque[tuple[float, Callable[[Line, float], None]]] = deque()
 
     def ask(self, question: bytes, take: Callable[[Line, float], None]) -> None:
-        """Send a question; `take` gets its answer, and when it was asked."""
+        """Send a query; `take` receives its answer and the time of the query."""
         self._open.append((self.link.clock.now_s(), take))
         self.link.write(question)
 
@@ -84,7 +84,7 @@ class SharedPort:
             raise NoReply(reason("esm.no_answer", seconds=SILENCE_S))
 
     def resynchronise(self) -> None:
-        """Begin again after an answer was lost: the next would be taken for the one before."""
+        """Discard pending queries after a lost answer, which would shift all later answers."""
         self._open.clear()
         self.link.clock.sleep_s(SILENCE_S)
         self.link.discard()
@@ -102,7 +102,7 @@ class SharedPort:
 class EsmStage:
     """The stand's crosshead, positive downward, 0 at its upper limit switch.
 
-    A move is a travel limit in limit mode: the stand itself stops there, whatever becomes of the host.
+    A move is a travel limit in limit mode: the stand itself stops there, even after a loss of the host.
 
     Args:
         link: the stand's port; PC control must be installed and the console chosen in its menu.
@@ -214,7 +214,7 @@ class EsmStage:
 
 
 class EsmGauge:
-    """The gauge on the stand, asked through the stand's port; it has no clock of its own.
+    """The gauge on the stand, read through the stand's port; it has no clock.
 
     Args:
         sign: 1 where compression reads positive, −1 where the polarity is inverted.
@@ -250,7 +250,7 @@ class EsmGauge:
         return samples
 
     def close(self) -> None:
-        """The port belongs to the stage, which gives it back."""
+        """Do nothing: the stage owns the port and closes it."""
 
     def _take(self, line: Line, asked_s: float) -> None:
         force_N = self._sign * gcl2.parse_reading_N(line.text)

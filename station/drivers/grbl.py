@@ -216,7 +216,7 @@ class GrblStage:
             self._feed = None
 
     def _send(self, line: bytes) -> bool:
-        """Send a line where the controller's buffer has room for it, and say whether it had."""
+        """Send a line if the controller's buffer has room for it, and return whether it had."""
         if sum(self._in_flight) + len(line) > grbl.LINE_LENGTH:
             return False
         self._in_flight.append(len(line))
@@ -246,7 +246,7 @@ class GrblStage:
         self._asked_s = None
 
     def _has_stopped(self, answers_before: int) -> bool:
-        """Poll until it says that it stands; answers to polls from before the stop prove nothing."""
+        """Poll until the controller reports rest; answers to polls from before the stop are ignored."""
         self._is_alarmed = False
         heard_s = self._link.clock.now_s()
         end_s = heard_s + 2 * SILENCE_S + MARGIN * self._peak_mm_s / self.acceleration_mm_s2

@@ -1,4 +1,4 @@
-"""What the settings of a GRBL controller say: the drive, whether it can be used at all, and what takes safety away."""
+"""Settings of a GRBL controller: drive, usability, and settings that disable safety functions."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -43,13 +43,13 @@ class GrblSettings:
 
     @property
     def drive(self) -> tuple[float, float, float]:
-        """How far the axis goes in mm, how fast in mm/s, and its acceleration in mm/s²."""
+        """Return the axis's travel in mm, largest speed in mm/s, and acceleration in mm/s²."""
         of_axis = (self.values[first + self.index] for first in (TRAVEL, SPEED, ACCELERATION))
         travel_mm, speed_mm_min, acceleration_mm_s2 = of_axis
         return travel_mm, speed_mm_min / 60.0, acceleration_mm_s2
 
     def unsafe(self) -> list[tuple[str, Reason]]:
-        """Return each setting that takes safety away as `$n=value`, and what mends it."""
+        """Return each unsafe setting as `$n=value` with its correction."""
         found = []
         for number, is_safe, cure in SAFE:
             shown = number + (self.index if number == ACCELERATION else 0)
@@ -63,7 +63,7 @@ def read_settings(link: Link, index: int) -> GrblSettings:
     """Ask a controller for its settings.
 
     Raises:
-        BadReply: it does not say what is needed of this axis.
+        BadReply: the settings lack a value of this axis.
         CommandRefused: it cannot be used so; what else takes safety away is said with it.
     """
     link.clock.sleep_s(SETTLE_S)

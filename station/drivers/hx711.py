@@ -52,7 +52,7 @@ class Hx711Cell(TextStream):
         self.counts_per_N, self.zero_counts, self.capacity_N = counts_per_N, zero_counts, capacity_N
 
     def values_of(self, counts: tuple[int, ...]) -> tuple[float, ...]:
-        """Return the force; `BadReply` where the converter is at its rail: then it is not known."""
+        """Return the force; raise `BadReply` if the converter is at its rail."""
         if not RAILS[0] < counts[0] < RAILS[1]:
             raise BadReply(reason("hx711.saturated", device=named(self.name), count=float(counts[0])))
         return ((counts[0] - self.zero_counts) / self.counts_per_N,)

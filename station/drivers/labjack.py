@@ -49,7 +49,7 @@ class LabjackConfig(ReadoutConfig):
         return [f"AIN{self.first_input + channel}" for channel in range(self.channels)]
 
     def library(self) -> Any:
-        """Return LabJack's module; `NoReply`: it, or the LJM library below it, is not installed."""
+        """Return LabJack's module; raise `NoReply` if the module or the LJM library is not installed."""
         try:
             return importlib.import_module("labjack.ljm")
         except Exception as error:  # It raises a kind of its own where LJM itself is missing.
@@ -96,7 +96,7 @@ def _set(ljm: Any, handle: int, name: str, value: float, port: str) -> None:
 
 @dataclass(frozen=True)
 class _SimulatedLabjackConfig(LabjackConfig):
-    """The same section, with the simulated library behind it.
+    """Section of the station file for a LabJack on the simulated library.
 
     Args:
         device, first_input, full_scale_V, resolution: as of `LabjackConfig`.

@@ -27,7 +27,7 @@ def parse_N(line: bytes, unit: str) -> float:
 
 
 def parse_unit(line: bytes) -> str:
-    """Return the unit that `UNITS` reports; `BadReply` where it is not one of force."""
+    """Return the unit that `UNITS` reports; raise `BadReply` if it is no unit of force."""
     unit = line.decode("ascii", "replace").strip()
     in_newtons(1.0, unit)
     return unit

@@ -22,7 +22,7 @@ class Mark10Config(SerialCellConfig):
 class Mark10Gauge(AskedReader):
     """A gauge that answers `?C` with a reading and its unit.
 
-    It has no clock of its own: a reading is taken to be from the middle between question and answer. A successful
+    It has no clock: the time of a reading is the midpoint between query and answer. A successful
     command gets no answer at all, so every setting is read back.
 
     Args:

@@ -151,7 +151,7 @@ def parse_reading(line: bytes) -> float:
 
 
 def int_of(text: str) -> int:
-    """Return a whole number as SCPI writes it; `BadReply` where it is none."""
+    """Return an integer in SCPI notation; raise `BadReply` for any other text."""
     try:
         return int(float(text))
     except (ValueError, OverflowError) as error:

@@ -1,4 +1,4 @@
-"""What load cells on a serial line share: their keys, and readings line by line."""
+"""Common parts of load cells on a serial line: keys, and readings line by line."""
 
 from abc import abstractmethod
 from collections.abc import Callable
@@ -48,7 +48,7 @@ def cell_driver(
 
 
 class LineCell(LineReader):
-    """A cell that sends a reading a line by itself; each kind says by `force_of` what a line reads.
+    """A cell that streams one reading per line; a subclass parses a line by `force_of`.
 
     The lines carry no time: where cell and unit meet within some milliseconds matters, use a cell with a clock.
 
@@ -75,4 +75,4 @@ class LineCell(LineReader):
 
     @abstractmethod
     def force_of(self, text: bytes) -> float:
-        """Return the force a line reads, its sign as the device sends it."""
+        """Return the force of a line, with the sign of the device."""

@@ -1,4 +1,4 @@
-"""Readings that a device sends by itself, line by line: the base of all, and `ms,value` by the device's own clock."""
+"""Streams of readings, line by line: the base class, and the format `ms,value` with the device's clock."""
 
 from abc import ABC, abstractmethod
 
@@ -51,10 +51,10 @@ class LineReader(ABC):
 
     @abstractmethod
     def sample_of(self, line: Line) -> Sample | None:
-        """Return what a line reads; None for one that is not used; `BadReply` ends the readings."""
+        """Return the sample of a line, or None for a line to skip; `BadReply` ends the stream."""
 
     def is_noise(self) -> bool:
-        """Count an unreadable line, and say whether it may still be noise."""
+        """Count an unreadable line, and return whether it may still be noise."""
         self._bad_in_a_row += 1
         return self._bad_in_a_row < BAD_IN_A_ROW
 

@@ -1,1 +1,1 @@
-"""How the stage moves: bounds, watches, feeding, contact."""
+"""Motion of the stage: bounds, safety monitors, feeding of moves, onset of contact."""

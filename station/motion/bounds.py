@@ -1,4 +1,4 @@
-"""How fast a stage may press, so that a stop holds what it promises: speed from stiffness, delay and deceleration."""
+"""Speed bounds of a press, by stiffness, delay and deceleration, so that a stop ends within the force limit."""
 
 import math
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ FULL = 0.9
 
 @dataclass(frozen=True)
 class Reaction:
-    """How a stop comes about on one rig.
+    """Delay and deceleration of a stop on one rig.
 
     Args:
         delay_s: from the force being there to the stage beginning to brake.
@@ -27,7 +27,7 @@ class Reaction:
     acceleration_mm_s2: float
 
     def overrun_mm(self, speed_mm_s: float) -> float:
-        """Return how far the stage still goes: v·T + v²/(2a)."""
+        """Return the overrun of a stop in mm: v·T + v²/(2a)."""
         return speed_mm_s * self.delay_s + speed_mm_s**2 / (2.0 * self.acceleration_mm_s2)
 
     def fastest_mm_s(self, room_mm: float) -> float:
@@ -39,14 +39,14 @@ class Reaction:
 
 @dataclass(frozen=True)
 class ForceBounds:
-    """What a stop on one rig holds.
+    """Force bounds that a stop guarantees on one rig.
 
     Args:
         reaction: how a stop comes about.
         limit_N: force above which a run is stopped.
         touch_N: force at which a search or an approach is.
         ceiling_N: force that no stop may end above.
-        stiffest_N_mm: the stiffest thing that may be met where nothing was felt yet.
+        stiffest_N_mm: stiffness of the stiffest object that the stage may meet before contact.
     """
 
     reaction: Reaction
@@ -57,12 +57,12 @@ class ForceBounds:
 
     @property
     def free_mm_s(self) -> float:
-        """Fastest speed where nothing should be: what is met there stops the stage at `touch_N`."""
+        """Largest speed on a path that should be free: an obstacle stops the stage at `touch_N`."""
         return self.noticed_mm_s(self.touch_N)
 
     @property
     def unknown_mm_s(self) -> float:
-        """Fastest speed where this unit was not pressed yet, whatever force it may show there."""
+        """Largest speed before this unit was pressed, for any stiffness that it may have."""
         return self.noticed_mm_s(self.limit_N)
 
     def noticed_mm_s(self, force_N: float) -> float:
@@ -70,7 +70,7 @@ class ForceBounds:
         return self.reaction.fastest_mm_s((self.ceiling_N - force_N) / self.stiffest_N_mm)
 
     def rise_N(self, last_N: float) -> float:
-        """Return what the force may grow by over the next step of a slow press, `last_N` over the last."""
+        """Return the allowed rise of the force over the next step of a slow press, after `last_N` over the last."""
         return max(RISE * self.limit_N, RISES * last_N)
 
     def known_mm_s(self, force_N: float, stiffness_N_mm: float) -> float:
@@ -78,7 +78,7 @@ class ForceBounds:
         return self.reaction.fastest_mm_s((self.ceiling_N - force_N) / max(stiffness_N_mm, 1e-6))
 
     def ahead_mm(self, speed_mm_s: float, force_N: float) -> float:
-        """Return how far a controller may have been told to go ahead where nothing was felt yet.
+        """Return how far ahead, in mm, a controller may have commands before the onset of contact.
 
         A host that dies before it has noticed `force_N` then leaves no more than the ceiling.
         """

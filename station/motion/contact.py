@@ -1,4 +1,4 @@
-"""Where the stage touches the unit: seen by the load cell, or by the output where no load cell reads. No I/O here."""
+"""Onset of contact, from the force, or from the output without a load cell. No I/O."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ STRETCH_MM = 0.1
 
 @dataclass(frozen=True)
 class Foot:
-    """Where values begin to rise or fall, and its standard deviation, from what the fit leaves."""
+    """Position of the onset of contact with its standard deviation, from the residual of the fit."""
 
     at_mm: float
     doubt_mm: float
@@ -45,7 +45,7 @@ class Foot:
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """What was read on one way down until something was touched.
+    """Readings of one approach until the onset of contact.
 
     Args:
         stage_at: host times -> stage positions in mm on that way.
@@ -91,7 +91,7 @@ class ContactSearch:
         self._ahead_since_s: float | None = None
 
     def is_over(self) -> bool:
-        """Whether the touch that was looked for has come; `has_found` keeps the answer.
+        """Return whether the onset of contact was reached; `has_found` stores the result.
 
         Raises:
             BadReply: the output shows contact, the load cell does not.
@@ -121,7 +121,7 @@ class ContactSearch:
         return False
 
     def touch(self, stage_at: Callable[[Array], Array]) -> Touch:
-        """Return what was read since then; `stage_at`: host times -> stage positions in mm."""
+        """Return the readings since then; `stage_at`: host times -> stage positions in mm."""
         samples = self._cell if self._has_force else self._output
         host_s = device_times_s(samples)  # Lines come late; a line 20 ms late is a contact 10 µm too deep.
         values = np.array([sample.values[0] for sample in samples])
@@ -156,7 +156,7 @@ def bend(stage_mm: Array, values: Array) -> Foot:
 
 
 class _Start(NamedTuple):
-    """Where a fit begins, and how much of the values that explains."""
+    """Starting point of a fit, and the share of variance that it explains."""
 
     explained: float
     at_mm: float
@@ -164,7 +164,7 @@ class _Start(NamedTuple):
 
 
 def _fitted(stage_mm: Array, values: Array, start: _Start, is_straight: bool) -> tuple[Foot, float]:
-    """Return the foot of a line or of a free power, and the sum of squares that it leaves."""
+    """Return the onset of contact by a line or a free power law, and the residual sum of squares."""
 
     def left(parameters: Array) -> Array:
         level, slope, at_mm = parameters[:3]
@@ -201,6 +201,6 @@ def stiffest_N_mm(stage_mm: Array, force_N: Array) -> float:
 
 
 def unloaded(samples: Sequence[Sample]) -> float:
-    """Return the mean of the last samples of a channel with nothing on it; 0 without any."""
+    """Return the mean of the last samples of an unloaded channel; 0 without samples."""
     values = [sample.values[0] for sample in samples[-UNLOADED_SAMPLES:]]
     return float(np.mean(values)) if values else 0.0

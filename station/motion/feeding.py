@@ -1,4 +1,4 @@
-"""A move fed to a controller in pieces: how long each is, and when it may be sent. No I/O here."""
+"""Feeding of a move to a controller: length of each piece and its earliest time. No I/O."""
 
 import math
 from collections import deque
@@ -18,7 +18,7 @@ class PieceFeed:
     """The pieces of one move that were not sent yet.
 
     Args:
-        ahead_mm: how far the controller may have been told to go beyond where the stage is.
+        ahead_mm: how far beyond the present position the controller may have commands.
     """
 
     def __init__(self, path: Trapezoid, ahead_mm: float, now_s: float) -> None:
@@ -34,7 +34,7 @@ class PieceFeed:
         return bool(self._pieces)
 
     def due_mm(self, now_s: float) -> float | None:
-        """Return where the next piece ends when it may be sent; None if too early, or none is left."""
+        """Return the end of the next piece in mm if it is due; None if it is too early, or no piece is left."""
         if not self._pieces:
             return None
         starts_s, ends_mm = self._pieces[0]
@@ -47,13 +47,13 @@ class PieceFeed:
 
 
 def runs_on_mm(move: Move, acceleration_mm_s2: float) -> float:
-    """Return how far a stage fed in pieces still goes, at most, when the host dies in a move."""
+    """Return the longest way in mm that a stage fed in pieces continues after a loss of the host."""
     fed_s = _ahead_s(move.speed_mm_s, acceleration_mm_s2) + PIECE_S
     return min(move.ahead_mm, move.speed_mm_s * fed_s)
 
 
 def runs_on_s(speed_mm_s: float, acceleration_mm_s2: float) -> float:
-    """Return after how long it stands, at most: the pieces that were fed, and braking."""
+    """Return the longest time to rest, in s: the fed pieces and the braking time."""
     return _ahead_s(speed_mm_s, acceleration_mm_s2) + PIECE_S + speed_mm_s / acceleration_mm_s2
 
 

@@ -1,4 +1,4 @@
-"""What may follow what in one run, what may move then and what is watched: one table. No device and no clock here.
+"""State table of a run: transitions, permitted moves and active monitors. No device and no clock.
 
 Nothing else switches a watch, and nothing else lets a stage move. A run is one deliberate start. It ends in OVER or in
 STOPPED; neither leads anywhere, so whatever moves next begins with a start of its own. From STOPPING on only LIFTING is
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 
 class State(StrEnum):
-    """How far a run is; it never goes back."""
+    """State of a run; states only advance."""
 
     WAKING = "waking"
     HOMING = "homing"
@@ -33,7 +33,7 @@ class State(StrEnum):
 
 
 class StageWatch(StrEnum):
-    """What can stop a run."""
+    """Safety monitors that can stop a run."""
 
     RISE = "rise"
     """The force grows while the stage homes."""
@@ -54,7 +54,7 @@ class StageWatch(StrEnum):
 
 
 class Moves(StrEnum):
-    """What the stage may do: stand, home, go up; or go down as well, so fast that a stop holds.
+    """Permitted moves of the stage: none, homing, up; or down as well, at a speed that a stop can hold.
 
     That is a stop on the stiffest thing, noticed by its touch (FREE) or by the force limit (UNKNOWN), or a stop on what
     was felt (KNOWN).
@@ -74,7 +74,7 @@ class Moves(StrEnum):
 
 
 class StateRow(NamedTuple):
-    """One state.
+    """One row of the state table.
 
     Args:
         needs: what must have been found before (attributes of `station.motion.watched.Learned`).
@@ -123,14 +123,14 @@ class Interlock:
 
     @property
     def row(self) -> StateRow:
-        """What holds in the present state."""
+        """Return the row of the present state."""
         return TABLE[self.state]
 
     def enter(self, state: State, known: Collection[str] = ()) -> None:
-        """Go on to a later state.
+        """Enter a later state.
 
         Raises:
-            ValueError: it may not follow, or what it needs is not known; a defect of softcal, nothing was sent.
+            ValueError: forbidden transition, or a missing quantity; a defect of softcal, no command was sent.
         """
         missing = sorted(set(TABLE[state].needs) - set(known))
         if state not in self.row.exits or missing:

@@ -1,4 +1,4 @@
-"""The one place that moves a stage: each move is watched, has a deadline, ends standing or in a stop that says so.
+"""The only module that moves a stage: each move is monitored, has a deadline, and ends at rest or in a stop.
 
 Nothing else in softcal calls `home`, `begin` or `stop` of a stage; `tests/station/test_hazards.py` holds that.
 """
@@ -38,19 +38,19 @@ _T = TypeVar("_T")
 
 
 class Cancelled(DeviceError):
-    """Somebody asked for a stop."""
+    """A person requested a stop."""
 
 
 class StoppedByHand(Cancelled):
-    """Somebody stopped the run at the keyboard."""
+    """A person stopped the run at the keyboard."""
 
 
 class Motion(Interlock):
     """The moves of one run, as far as its state lets the stage move.
 
     Args:
-        tick: lets a little time pass, reads every device and raises what is wrong; called all through every move.
-        ahead_mm: (position to go down to, speed) -> how far ahead its controller may be told to go.
+        tick: waits a short time, reads every device and raises faults; called throughout every move.
+        ahead_mm: (target of a downward move, speed) -> how far ahead its controller may have commands.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class Motion(Interlock):
 
     @property
     def speed_mm_s(self) -> float:
-        """Largest speed of the move in progress; 0 while the stage stands."""
+        """Largest speed of the move in progress in mm/s; 0 at rest."""
         return 0.0 if self._path is None else self._path.peak_mm_s
 
     @property
@@ -82,7 +82,7 @@ class Motion(Interlock):
         return self._path is not None and self._path.end_mm > self._path.start_mm
 
     def supervise(self, action: Callable[[], _T]) -> _T:
-        """Return what an action gives; whatever it raises, the stage is made safe first and the message says how."""
+        """Return the result of an action; after an exception make the stage safe and add its state to the message."""
         try:
             result = action()
             self.enter(State.OVER)
@@ -96,7 +96,7 @@ class Motion(Interlock):
             raise
 
     def home(self, on_wait: Callable[[], None]) -> None:
-        """Home the stage; what `on_wait` raises ends that, and `NoReply` when it takes too long."""
+        """Home the stage; an exception of `on_wait` ends it, and `NoReply` after its deadline."""
         self.enter(State.HOMING)
         end_s = self._clock.now_s() + self.row.late_s
 
@@ -108,7 +108,7 @@ class Motion(Interlock):
         self._stage.home(watch)
 
     def go(self, to_mm: float, speed_mm_s: float, is_over: Callable[[], bool] | None = None) -> DrivenMove:
-        """Go to a position, or until `is_over`, and stand there.
+        """Move to a position, or until `is_over`, and wait for rest.
 
         Raises:
             SafetyStop: deeper than allowed; nothing was sent.
@@ -159,9 +159,9 @@ class Motion(Interlock):
             self._tick()
 
     def make_safe(self, cause: BaseException) -> Reason:
-        """Stop the stage, lift it where that is safe, and say what was done and what stands on the unit.
+        """Stop the stage, lift it if that is safe, and return a message with the action and the remaining load.
 
-        It lifts where the position is known, or was lost by the stop alone. It never lifts while somebody holds the
+        It lifts if the position is valid, or was lost by the stop alone. It never lifts during a hold at the
         stage, after a door, an emergency stop or an alarm, nor a second time after an interruption.
         """
         if self.state in (State.STOPPED, State.OVER):
@@ -230,7 +230,7 @@ class Motion(Interlock):
                 raise NoReply(Reason("rig.late.lifting"))
 
     def _confirmed(self) -> Reason:
-        """Say that the stage is lifted where the load cell has fallen to rest; a controller's count proves nothing.
+        """Return whether the stage is lifted, by a load cell back at zero; the controller's count is no evidence.
 
         A cell that showed no force before may be dead: then the sensor must be at rest, too.
         """
@@ -250,7 +250,7 @@ class Motion(Interlock):
             self._stage.stop()
 
     def _left(self, state: Reason) -> Reason:
-        """Return what became of a stage that stays where it is, with what stands on the unit."""
+        """Return the message for a stage that stays in place, with the remaining load."""
         return self._said(state, self._standing_N())
 
     def _said(self, state: Reason, force_N: float | None) -> Reason:
@@ -263,7 +263,7 @@ class Motion(Interlock):
         return reason("left.stands", state=state, force_N=force_N, at_mm=self._stage.position_mm)
 
     def _standing_N(self) -> float | None:
-        """Return what the load cell shows at last; None where it says nothing, or has no zero."""
+        """Return the last force of the load cell; None if it is silent or has no zero."""
         if self._bench.force is None or self.zero_N is None:
             return None
         end_s = self._clock.now_s() + PATIENCE_S
@@ -274,7 +274,7 @@ class Motion(Interlock):
         return None if shown_N is None else shown_N - self.zero_N
 
     def _listen(self) -> None:
-        """Take what load cell and sensor show; one that fails is no witness."""
+        """Read load cell and sensor; ignore a device that fails."""
         for reader, seen in ((self._bench.force, self._cell), (self._bench.readout, self._output)):
             try:
                 seen += [(self._clock.now_s(), sample.values[0]) for sample in (reader.poll() if reader else ())]

@@ -1,4 +1,4 @@
-"""Watches of the force and of the channels, each asked at every sample while its state has it on; nothing here moves.
+"""Safety monitors of force and channels, checked at every sample of a state that activates them. No motion here.
 
 `watched.py` asks them, and itself checks what also needs the stage: depth, a force in the way of the approach, and one
 that rises while the stage homes.
@@ -92,9 +92,9 @@ class JumpWatch:
         self._moved_s = 0.0
 
     def check(self, force_N: float, is_moving: bool, now_s: float, latest_s: float) -> None:
-        """Raise `BadReply` when one sample differs from the one before by what no unit at rest can do.
+        """Raise `BadReply` if two successive samples differ by more than a unit at rest allows.
 
-        The sample may be `latest_s` late: so long ago the stage must have stood, too.
+        The sample may be `latest_s` late, so the stage must have been at rest for that long, too.
         """
         if is_moving:
             self._moved_s = now_s
@@ -105,7 +105,7 @@ class JumpWatch:
 
 
 class StuckWatch:
-    """Whether a channel still follows the stage: one that is frozen, a cell that hangs, a motor without supply.
+    """Monitor of a channel that must follow the stage: frozen value, stuck cell, motor without supply.
 
     Args:
         noise: standard deviation of the channel while nothing is pressed; 0 where any change will do.
@@ -144,7 +144,7 @@ class StuckWatch:
 
 
 class StreamWatch:
-    """Whether a stream still comes, and at its rate.
+    """Monitor of a stream: silence and sample rate.
 
     Args:
         rails: lowest and highest possible value of a readout, where staying there means a broken wire.
@@ -165,12 +165,12 @@ class StreamWatch:
         self._resumed_s = float("-inf")
 
     def resume(self, now_s: float) -> None:
-        """Begin to count anew: the host itself stood still, and what came meanwhile is read only now."""
+        """Restart the count after a stall of the host, which reads buffered samples late."""
         self._seen_s = self._resumed_s = now_s
         self._old_since_s, self._on_rail_since_s = float("inf"), None
 
     def check(self, sample: Sample) -> None:
-        """Raise `BadReply` when the channel is at its rail, or comes at another rate; `NoReply` when it is old."""
+        """Raise `BadReply` for a channel at its rail or at another rate; `NoReply` for an old sample."""
         self._seen_s = sample.host_s
         low, high = self._rails or (0.0, 0.0)
         if self._rails is None or not any(value <= low or value >= high for value in sample.values):

@@ -1,4 +1,4 @@
-"""A bench whose every reading is kept and checked while its stage moves: what a run and a self-test have in common."""
+"""A bench whose readings are stored and monitored while its stage moves, for runs and self-tests."""
 
 import math
 from collections.abc import Callable, Collection, Sequence
@@ -41,7 +41,7 @@ BOOT_S = 3.0
 
 @dataclass
 class Readings:
-    """Everything that was read, as it came."""
+    """All readings in order of arrival."""
 
     output: list[Sample] = field(default_factory=list)
     force: list[Sample] = field(default_factory=list)
@@ -50,7 +50,7 @@ class Readings:
 
 @dataclass
 class Learned:
-    """What a run has found so far; None for not yet. A state that needs something does not begin without it.
+    """Quantities that a run has measured so far, None before; a state requires some of them.
 
     Args:
         free_N, zero_N: the force in an empty path, and of the unloaded cell.
@@ -76,7 +76,7 @@ class WatchedBench:
     """The devices of a station with the watches on that `interlock.TABLE` names.
 
     Args:
-        on_tick: called after every look at the devices; what it raises stops the stage.
+        on_tick: called after every poll of the devices; an exception stops the stage.
     """
 
     def __init__(self, bench: Bench, spool: Spool | None = None, on_tick: Callable[[], None] = lambda: None) -> None:
@@ -99,12 +99,12 @@ class WatchedBench:
 
     @property
     def late_s(self) -> float:
-        """How late the load cell is, as far as that is known."""
+        """Latency of the load cell in s, as far as it is measured or stated."""
         return self.known.late_s or 0.0
 
     @property
     def latest_s(self) -> float:
-        """How late the load cell may be: the latest that is allowed while nobody knows."""
+        """Upper bound of the load cell's latency in s: the allowed maximum while it is not measured."""
         return LATEST_S if self.known.late_s is None else self.known.late_s
 
     @property
@@ -117,7 +117,7 @@ class WatchedBench:
         return min(fastest_mm_s or 0.0, self.bench.config.safety.speed_mm_s, self.bench.stage.max_speed_mm_s)
 
     def enter(self, state: State) -> None:
-        """Go on to a later state: with it the watches of its row are on, and no others."""
+        """Enter a later state and activate the monitors of its row alone."""
         self.motion.enter(state, self.known.names)
 
     def start(self) -> None:
@@ -129,7 +129,7 @@ class WatchedBench:
             self._streams["force"] = StreamWatch(bench.force, bench.config.safety, now_s)
 
     def await_streams(self) -> None:
-        """Wait until every channel speaks, before anything moves.
+        """Wait for a reading of every channel before the first motion.
 
         A board that is reset when its port is opened says nothing before it has booted.
         """
@@ -148,25 +148,25 @@ class WatchedBench:
         self.start()
 
     def home(self) -> None:
-        """Home the stage, and begin to read anew; `SafetyStop` where the force grows meanwhile."""
+        """Home the stage, and clear the readings; raise `SafetyStop` if the force grows meanwhile."""
         self._lowest_N = float("inf")
         self.motion.home(self._look_while_homing)
         self.start()  # A reset of the controller may have taken longer than any silence that is allowed.
         self.enter(State.LISTENING)
 
     def expect_nothing(self) -> None:
-        """Take the present force as that of an empty path: the touch force more is in the way."""
+        """Set the present force as that of an empty path; a rise by the touch force then means an obstacle."""
         self.known.free_N = self.motion.zero_N = unloaded(self.readings.force[-10:])
         self.motion.free_output = unloaded(self.readings.output[-10:])
         self.enter(State.APPROACHING)
 
     def take_zero(self, zero_N: float) -> None:
-        """Take the reading of the unloaded load cell, from now on subtracted."""
+        """Set the reading of the unloaded load cell as zero; later readings subtract it."""
         self.known.zero_N = self._force_watch.zero_N = self.motion.zero_N = zero_N
         self.enter(State.SEARCHING)
 
     def expect_contact(self, contact_mm: float) -> None:
-        """Take where the unit's surface is: from here on every channel must follow the stage."""
+        """Set the position of the unit's surface: beyond it every channel must follow the stage."""
         self.known.contact_mm = contact_mm
         for watch, reader, samples, stuck_mm in (
             (StageWatch.STUCK_OUTPUT, self.bench.readout, self.readings.output, STUCK_OUTPUT_MM),
@@ -178,22 +178,22 @@ class WatchedBench:
         self.enter(State.FEELING)
 
     def learn_latency(self, late_s: float) -> None:
-        """Take how late the load cell was found to be, where the station file does not say it."""
+        """Set the measured latency of the load cell, if the station file does not state it."""
         self.known.late_s = late_s
         delay_s = self.bounds.reaction.delay_s - LATEST_S + late_s
         self.bounds = replace(self.bounds, reaction=replace(self.bounds.reaction, delay_s=delay_s))
 
     def expect_press(self, contact_mm: float, felt_mm: float, safe_mm_s: float) -> None:
-        """Take the surface as a cell shows it whose lateness is known, and how deep and fast to press."""
+        """Set the surface by a cell of measured latency, and depth and speed of the press."""
         self.known.contact_mm, self.known.felt_mm, self.known.safe_mm_s = contact_mm, felt_mm, safe_mm_s
         self._expected_N = self.bounds.limit_N
         self.enter(State.PRESSING)
 
     def tick(self) -> None:
-        """Let a little time pass, read every device, and check everything that was read.
+        """Wait for a short time, read every device, and check all readings.
 
-        Where the host itself stood still, what came meanwhile is read and judged first; a stage that was moving is then
-        stopped, for nobody watched it.
+        After a stall of the host, buffered readings are read and checked first; a moving stage is then
+        stopped, as no monitor watched it.
         """
         self.bench.clock.sleep_s(TICK_S)
         is_unwatched = self._note_pause() and self._was_moving
@@ -223,14 +223,14 @@ class WatchedBench:
         return True
 
     def blame(self, error: DeviceError) -> DeviceError:
-        """Return an error, or that the host stood still where this is what a device is accused of."""
+        """Return an error, or a stall of the host if that explains the error."""
         is_recent = self.bench.clock.now_s() - self._resumed_s < CAUGHT_UP_S
         if self._paused_s and error.reason.code in (RECENT if is_recent else LASTING):
             return type(error)(reason("rig.host_paused", seconds=self._paused_s))
         return error
 
     def leave_stage_alone(self, seconds: float) -> None:
-        """Watch the channels and tell the stage nothing, as if its host had died."""
+        """Monitor the channels without commands to the stage, as after a loss of the host."""
         end_s = self.bench.clock.now_s() + seconds
         while self.bench.clock.now_s() < end_s:
             self.bench.clock.sleep_s(TICK_S)
@@ -276,11 +276,11 @@ class WatchedBench:
 
     @property
     def noticed_N(self) -> float:
-        """The force that stops the stage: the touch; else the limit, or what a step lets expect."""
+        """The force that stops the stage: the touch force; else the limit, or the prediction of a step."""
         return self.bounds.touch_N if self.motion.row.moves is Moves.FREE else self._expected_N
 
     def expect_rise(self, last_N: float) -> float:
-        """Take what the force may grow to over the next step of a slow press; return the present force.
+        """Set the largest force of the next step of a slow press; return the present force.
 
         It grew by `last_N` over the step before; inf for any force up to the limit.
         """
@@ -348,12 +348,12 @@ class WatchedBench:
             raise SafetyStop(reason("rig.in_the_way", position_mm=self.bench.stage.position_mm, force_N=force_N))
 
     def check_depth(self, at_mm: float) -> None:
-        """Raise `SafetyStop` where the stage is deeper than it may ever be."""
+        """Raise `SafetyStop` if the stage is below its travel limit."""
         if at_mm > (deepest_mm := self.bench.config.safety.deepest_mm) + 0.01:
             raise SafetyStop(reason("rig.deepest", at_mm=at_mm, deepest_mm=deepest_mm))
 
     def pressed_mm(self, ago_s: float = 0.0) -> float:
-        """How far the stage was below the contact so long ago; 0 above it, or without one."""
+        """Return the depth below the contact a given time ago in mm; 0 above it or without contact."""
         contact_mm = self.known.contact_mm
         if contact_mm is None or not self.readings.polls:
             return 0.0
@@ -364,7 +364,7 @@ class WatchedBench:
 
 
 def bounds_of(bench: Bench) -> ForceBounds:
-    """Return what a stop on this bench holds."""
+    """Return the bounds that a stop on this bench guarantees."""
     config, reader = bench.config, bench.force
     force = config.force
     late_s = force.latency_s if force is not None and force.is_latency_stated else LATEST_S

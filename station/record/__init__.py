@@ -1,1 +1,1 @@
-"""What a run leaves: samples and their proof."""
+"""Recording of a run: samples and their checks."""

@@ -17,7 +17,7 @@ FILTERED = "good rigs of benchmarks/station_proof.py, seeds 8 to 39, as they are
 
 @dataclass(frozen=True)
 class CellLagConfig:
-    """How late a load cell is behind the stage.
+    """Thresholds for the latency of a load cell relative to the stage.
 
     Args:
         latest_s: largest delay that is tried when force and stage are laid over each other.
@@ -41,8 +41,10 @@ class CellLagConfig:
 
 @dataclass(frozen=True)
 class LawConfig:
-    """What a force may be made of by the depth. A soft unit's force relaxes and so leads its depth: without the relaxed
-    terms that would be taken for an early cell.
+    """Terms of a force as a function of depth.
+
+    A soft unit's force relaxes and so leads its depth: without relaxation terms this lead would be taken for an early
+    cell.
 
     Args:
         grid_s: steps of the law; no soft unit and no load cell follows faster than that.
@@ -88,7 +90,7 @@ class HangConfig:
             a unit that softens is stiffest at its first peak.
         beside_s: the rest is all but so much on either side.
         rounds: of the fit by least absolute deviations.
-        largest: quantile that stands for the largest force.
+        largest: quantile that represents the largest force.
     """
 
     mean_s: float = setting(0.1, RIGS)
@@ -102,7 +104,7 @@ class HangConfig:
 
 @dataclass(frozen=True)
 class PressConfig:
-    """One press beside another.
+    """Thresholds for the comparison of two presses.
 
     Args:
         samples: a press has so many at least.
@@ -110,7 +112,7 @@ class PressConfig:
         depths: edges of the depths at which presses are compared.
         pressed: a press is compared where others show this share of the run's largest force.
         gain: largest ratio between the stiffest and the softest press of one run; a cell whose gain halves shows 2.
-        output_gain: the same of an output. It may creep and follow late by itself; it is looked at where no load cell
+        output_gain: ratio of outputs. An output may creep and lag by itself; it is compared if no load cell
             says whether the stage moved.
     """
 
@@ -124,7 +126,7 @@ class PressConfig:
 
 @dataclass(frozen=True)
 class OutputConfig:
-    """What an output must show.
+    """Thresholds for an output.
 
     Args:
         follows: least share of its variance that goes with the depth; good rigs show 0.84 and more.
@@ -153,7 +155,7 @@ class SlipConfig:
     """A stage that lost steps once in a run.
 
     Args:
-        left: of what the law of the depth leaves, that leaves this share at most. Good rigs show 0.47.
+        left: largest share that it leaves of the residual of the depth law. Good rigs show 0.47.
         clear: and this share of what any change of the cell leaves.
         beside_softening: and of what a unit leaves that softens where it was pressed: it seems a little higher, too.
         least_mm: less is not said.
@@ -172,7 +174,7 @@ class SlipConfig:
 
 @dataclass(frozen=True)
 class ResponseConfig:
-    """What the electronics of a load cell do to the force.
+    """Thresholds for the response of a load cell's electronics.
 
     Args:
         earliest_s: smallest delay that is tried: a track of the stage may be so much behind its polls.
@@ -199,7 +201,7 @@ class ResponseConfig:
 
 @dataclass(frozen=True)
 class ProofMethod(NumberedMethod):
-    """Every number of the proof, by what it looks at."""
+    """All thresholds of the checks of a run, by subject."""
 
     lag: CellLagConfig = field(default_factory=CellLagConfig)
     law: LawConfig = field(default_factory=LawConfig)

@@ -1,6 +1,6 @@
-"""Whether the channels of a finished run tell one story: force and stage in step, one gain from press to press.
+"""Checks of a finished run: force and stage in time, one gain in all presses.
 
-No I/O here. A channel that lies smoothly cannot be seen sample by sample; it is seen against the others.
+No I/O here. A single sample of a smooth channel shows no fault; a comparison with the other channels does.
 """
 
 from collections.abc import Callable, Sequence
@@ -58,17 +58,17 @@ class PressLaw:
 
     @property
     def _noise(self) -> float:
-        """What share of noise the best of all changes explains: a gain, a zero or a delay."""
+        """Return the share of noise that the best change of gain, zero or delay explains."""
         return float(2.0 * np.log(3 * self._method.change.moments)) / len(self._t_s)
 
     @property
     def _by_chance(self) -> float:
-        """What share of a misfit one change explains of a good rig; 1 where there are too few samples."""
+        """Return the share of a misfit that a change explains on a good rig; 1 for too few samples."""
         change = self._method.change
         return change.share + self._noise if len(self._t_s) >= change.moments else 1.0
 
     def check(self) -> None:
-        """Raise `BadReply` where one change of the cell explains what is off in force and output, at any moment.
+        """Raise `BadReply` if one change of the cell explains the misfit of force and output, at any moment.
 
         That is a gain, a zero or a delay; so is a force that leaves the law for a moment, as that of a cell that hangs.
         """
@@ -78,9 +78,9 @@ class PressLaw:
             raise BadReply(reason("rig.odd_force", at_s=float(self._moments_s[np.argmax(explained)] - self._t_s[0])))
 
     def check_slip(self) -> None:
-        """Raise `BadReply` when the stage lost steps: from one moment on it is higher than it counts.
+        """Raise `BadReply` if the stage lost steps: from one moment on it is above its counter.
 
-        That leaves less of what the law of the depth leaves than any change of the cell, and than a unit that softens
+        That leaves a smaller residual of the depth law than any change of the cell, and than a unit that softens
         where it was pressed (Mullins); and the sensor agrees with the cell.
         """
         t_s, grid_s, config = self._t_s, self._basis.grid_s, self._method.slip
@@ -106,7 +106,7 @@ class PressLaw:
             raise BadReply(reason("rig.slipped", at_s=float(at_s - t_s[0]), lost_mm=float(lost_mm)))
 
     def name_cause(self, error: BadReply) -> BadReply:
-        """Return what the output says that changed by itself where that is what is odd; else the error as it is.
+        """Return a change of the output as the cause if the output is inconsistent; else the error unchanged.
 
         It is where a change is far clearer in the output by the force than in the force by the depth.
         """
@@ -117,7 +117,7 @@ class PressLaw:
         return error if change is None else BadReply(change)
 
     def find_output_change(self) -> Reason | None:
-        """Return by how much the output at equal force changed at one moment, or drifts; None where it does neither.
+        """Return the change of the output at equal force, by a step or a drift; None without either.
 
         The cell is taken to be right: `check` has compared it with the depth.
         """
@@ -186,7 +186,7 @@ class PressLaw:
 
 
 class LawBasis:
-    """What a force may be made of by the depth, or an output by the force: powers, also relaxed, on a grid of time."""
+    """Terms of a force by depth, or of an output by force: powers, also relaxed, on a time grid."""
 
     def __init__(self, t_s: Array, method: ProofMethod, grid_s: Array | None = None) -> None:
         self._t_s, self._law = t_s, method.law
@@ -197,14 +197,14 @@ class LawBasis:
         return self._columns([], value, self._law.relaxation_s)
 
     def whole(self, value: Array, largest: float | None = None) -> Array:
-        """Return the law of a value on the grid, and what is left of a path before: it fades with the relaxation."""
+        """Return the model of a value on the grid, and the relaxing contribution of the path before it."""
         t_s = self._t_s
         relaxation_s = [time_s for time_s in self._law.every_relaxation_s if time_s < t_s[-1] - t_s[0]]
         before = [np.ones_like(t_s), *(np.exp((t_s[0] - t_s) / time_s) for time_s in relaxation_s)]
         return self._columns(before, value, relaxation_s, largest)
 
     def softening(self, depth_mm: Array) -> Array:
-        """Return the law of a depth beside that of a unit which is softer where it was pressed deeper before."""
+        """Return the model of depth and of a unit that softens with its largest depth so far."""
         share = depth_mm / max(float(np.max(depth_mm)), 1e-9)
         deepest = np.maximum.accumulate(share)
         virgin = [share**power * (1.0 - deepest) ** order for power in (1, 2) for order in (1, 2)]
@@ -242,7 +242,7 @@ def check_output_gain(stage_mm: Array, output: Array, config: PressConfig) -> No
 def check_follows(
     t_s: Array, output: Array, stage_mm_at: Callable[[Array], Array], contact_mm: float, method: ProofMethod
 ) -> None:
-    """Raise `BadReply` when too little of the variance of an output, (n, channels), goes with the depth.
+    """Raise `BadReply` if the depth explains too little of the variance of an output, (n, channels).
 
     An input that floats does not follow. Positions are those of `PressLaw`.
     """
@@ -259,9 +259,9 @@ def check_follows(
 
 
 def check_converter(t_s: Array, output: Array, stage_mm: Array, unit: str, method: ProofMethod) -> None:
-    """Raise `BadReply` when a bit of an output, (n, channels), hangs, or it jumps away for a moment and back.
+    """Raise `BadReply` if an output, (n, channels), has a stuck bit, or jumps for a moment and returns.
 
-    A rail may be the only reading with some bit, and a bit that hangs makes jumps: bits are read beside the dropouts.
+    A rail may be the only reading with some bit, and a stuck bit makes jumps: bits are checked outside dropouts.
     """
     dropouts = [dropout for values in output.T for dropout in find_dropouts(values, stage_mm, method.dropout)]
     is_off = np.zeros(len(t_s), dtype=bool)

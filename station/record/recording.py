@@ -1,4 +1,4 @@
-"""What a finished run gives: channels on the sensor's own clock, and how they were aligned."""
+"""Recording of a finished run: channels on the sensor's clock, with their alignment."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ FIT_SAMPLES = 3000
 
 @dataclass(frozen=True)
 class Alignment:
-    """How the channels came onto one time axis.
+    """Alignment of the channels to one time axis.
 
     Args:
         sensor_drift, force_drift: rate of the device clocks against the host's, minus 1.
@@ -56,14 +56,14 @@ class Alignment:
 
 @dataclass(frozen=True, eq=False)
 class StationRecording:
-    """One finished run of one unit.
+    """Recording of one finished run of one unit.
 
     Args:
-        serial: of the unit; with several channels each has a serial of its own, `serial` names the substrate.
+        serial: of the unit; with several channels each has a serial, and `serial` names the substrate.
         t_s: (n,) the sensor's own clock, s since the first sample of the profile.
         output: (n, channels) in `output_unit`.
         stage_mm: (n,) position, 0 at the start of the profile, positive when it compresses.
-        force_N: (n,) force beside it, zero subtracted; None for a unit without reference.
+        force_N: (n,) force with zero subtracted; None for a unit without reference.
         contact_mm: where contact was found, from the homing switch.
         zero_N, zero_return_N: the unloaded load cell before the run, and its change over the run.
         remarks: what a person should know of it although it is good.
@@ -97,7 +97,7 @@ class StationRecording:
         )
 
     def labelled_recording(self) -> LabelledRecording:
-        """Return the first channel with the force beside it; `ValueError` where none was kept."""
+        """Return the first channel with the force as reference; raise `ValueError` without a force."""
         if self.force_N is None:
             raise ValueError(f"{self.serial}: recorded without a reference")
         return LabelledRecording(self.output_recording(), self.force_N, "N")
@@ -105,7 +105,7 @@ class StationRecording:
 
 @dataclass(frozen=True)
 class RunFacts:
-    """What a run says of itself beside its samples, in values a text file can hold.
+    """Metadata of a run that a text file can store.
 
     Args:
         moves: (start_mm, end_mm, speed_mm_s, acceleration_mm_s2, begun_s, confirmed_s) of every move.
@@ -113,8 +113,8 @@ class RunFacts:
         zero_mm: stage position that is 0 in the recording.
         contact_mm, zero_N, zero_return_N: as in `StationRecording`.
         with_reference: whether the recording keeps the force.
-        force_late_s: how late the load cell is, as far as that was known in the run; taken off its times.
-        is_latency_stated: whether the station file says that; where it does not, what the run shows is taken off.
+        force_late_s: latency of the load cell as used in the run; subtracted from its times.
+        is_latency_stated: whether the station file states the latency; otherwise the measured latency is subtracted.
     """
 
     serial: str
@@ -135,7 +135,7 @@ class RunFacts:
 
 @dataclass(frozen=True)
 class Raw:
-    """Everything a run read, as it came; no force without a load cell."""
+    """All readings of a run, in order of arrival; no force without a load cell."""
 
     output: Sequence[Sample]
     force: Sequence[Sample]
@@ -143,7 +143,7 @@ class Raw:
 
 
 def assemble(raw: Raw, facts: RunFacts, method: ProofMethod = METHOD) -> StationRecording:
-    """Bring all channels onto the sensor's clock and cut the profile out of the run.
+    """Interpolate all channels to the sensor's clock and cut the profile out of the run.
 
     Raises:
         BadReply: too many samples were lost, a device clock is far off, or the load cell does not tell the stage's
@@ -231,7 +231,7 @@ def restore(run: SpooledRun, method: ProofMethod = METHOD) -> StationRecording:
 
 
 def clock_of(samples: Sequence[Sample]) -> tuple[Array, ClockFit]:
-    """Return (n,) times by the device's clock, the host's where it has none, and what that is to the host's."""
+    """Return (n,) times by the device's clock, or the host's if it has none, and the fit to the host's clock."""
     device_s = np.array([sample.host_s if sample.device_s is None else sample.device_s for sample in samples])
     if samples[0].device_s is None:
         return device_s, ClockFit(0.0, 1.0, 0.0, 0.0)
@@ -239,7 +239,7 @@ def clock_of(samples: Sequence[Sample]) -> tuple[Array, ClockFit]:
 
 
 def device_times_s(samples: Sequence[Sample]) -> Array:
-    """Return (n,) when samples were taken, host clock: by the device's clock where it has one."""
+    """Return (n,) sampling times by the host clock, through the device's clock if it has one."""
     device_s, clock = clock_of(samples)
     return clock.to_host(device_s)
 
@@ -287,7 +287,7 @@ def _enough(samples: Indices) -> Indices:
 def _check_cell(
     cell: _Channel, sensor: _Channel, track: StageTrack, facts: RunFacts, late_s: float, method: ProofMethod
 ) -> tuple[Reason, ...]:
-    """Compare all presses, also the slow one before the profile: a gain may change in between; return what is said."""
+    """Compare all presses including the slow one, as a gain may change between them; return the remarks."""
     force_s, force_N = cell.host_s - late_s, cell.values[:, 0] - facts.zero_N
     inside = _in_presses(force_s, facts)
     if not len(inside):

@@ -1,4 +1,4 @@
-"""How a load cell answers the force: a delay and a first-order low pass, told apart on presses (ISO 4965-1). No I/O.
+"""Response of a load cell: delay and first-order low pass, fitted to presses (ISO 4965-1). No I/O.
 
 Slowly pressed, a low pass looks like a delay. Where the stage turns or stands it does not: a late cell shows the corner
 later, a filtered one rounds it.
@@ -19,7 +19,7 @@ from softcal.station.record.method import CellLagConfig, ProofMethod, ResponseCo
 
 @dataclass(frozen=True, eq=False)
 class CellResponse:
-    """The response of a load cell, as one run shows it.
+    """Response of a load cell, estimated from one run.
 
     Args:
         delay_s: pure delay, positive when the force is late; NaN where the run does not tell: too shallow, too slow,
@@ -41,7 +41,7 @@ class CellResponse:
 
     @property
     def lag_s(self) -> float:
-        """How much later the readings show a slow change: delay and time constant."""
+        """Lag of the readings behind a slow change in s: delay plus time constant."""
         return self.delay_s + self.time_constant_s
 
     def error_N(self, late_s: float) -> float:
@@ -111,7 +111,7 @@ def check_response(response: CellResponse, error_N: float, config: ResponseConfi
 
 
 def check_error(constant_s: float, error_N: float, allowed_N: float) -> None:
-    """Raise `BadReply` where the RMS error that a low pass leaves is above what is allowed."""
+    """Raise `BadReply` if the RMS error by a low pass is above its limit."""
     if error_N > allowed_N:
         raise BadReply(reason("rig.low_pass", constant_s=constant_s, error_N=error_N, allowed_N=allowed_N))
 
@@ -146,7 +146,7 @@ class _Law:
         self._force_N = np.interp(self._at_s, t_s, force_N)
 
     def best(self, constant_s: float, delays_s: Array) -> _Candidate:
-        """Return the best of these delays and of finer ones around it."""
+        """Return the best of these delays, refined around the minimum."""
         columns = low_pass(self._columns, constant_s, self._step_s)
         allowed_s = np.unique(np.maximum(delays_s, self._config.earliest_s))
         coarse = min(self._candidate(columns, constant_s, delay_s) for delay_s in allowed_s.tolist())
@@ -155,13 +155,13 @@ class _Law:
         return min([coarse, *near])
 
     def best_apart(self, fit: _Candidate, delays_s: Sequence[float], apart_s: float) -> float:
-        """Return the least misfit of these delays that are so far from the one of a fit."""
+        """Return the least misfit of delays at a given distance from the fitted delay."""
         columns = low_pass(self._columns, fit.constant_s, self._step_s)
         others_s = [delay_s for delay_s in delays_s if abs(delay_s - fit.delay_s) > 0.99 * apart_s]
         return min(self._candidate(columns, fit.constant_s, delay_s).misfit for delay_s in others_s)
 
     def forces_N(self, fit: _Candidate) -> tuple[Array, Array]:
-        """Return the force on the grid, and the same as the cell shows it."""
+        """Return the force on the grid, and the force after the response of the cell."""
         shown = low_pass(self._columns, fit.constant_s, self._step_s)
         weights, _ = self._weights(shown, fit.delay_s)
         level_N = float(np.mean(self._force_N - self._later(shown, fit.delay_s) @ weights))

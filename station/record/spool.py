@@ -1,4 +1,4 @@
-"""What was read goes to disk as it comes: append-only lines, each with its checksum, so a power cut costs a second.
+"""Spool of a run on disk: append-only lines with checksums, so that a power cut costs a second.
 
 A line is `crc32 json`. The first one is the header, the last one of a finished run says how it ended; a spool without
 an end is a run that was cut off, and counts as aborted.
@@ -24,12 +24,12 @@ SCHEMA = "softcal.spool/1"
 
 @dataclass(frozen=True)
 class SpooledRun:
-    """One spool as it was found.
+    """Content of a spool file.
 
     Args:
         header: serial, profile and what else the run wrote first.
         output, force, polls: everything that was read, in order.
-        facts: what the run said of itself at its end; empty when it was cut off.
+        facts: metadata of the run at its end; empty for an interrupted run.
         end: "done", or why the run ended otherwise; "cut off" where nothing says so.
         damaged: lines whose checksum does not fit; what follows the first of them is not used.
     """
@@ -48,7 +48,7 @@ class SpooledRun:
 
 
 class Spool:
-    """A spool being written. A thread of its own writes and syncs: a slow disk never makes the stage wait.
+    """Writer of a spool, which writes and syncs in a thread, so that a slow disk never delays the stage.
 
     Args:
         header: serial, profile, station, time: texts that say what this is.
@@ -91,7 +91,7 @@ class Spool:
             self._check()
 
     def append(self, output: Sequence[Sample], cell: Sequence[Sample], polls: Sequence[StagePosition]) -> None:
-        """Add what was read; `DeviceError` where an earlier line could not be written."""
+        """Append readings; raise `DeviceError` if an earlier line could not be written."""
         self._check()
         if output or cell or polls:
             self._put(
@@ -103,7 +103,7 @@ class Spool:
             )
 
     def add_facts(self, facts: dict[str, Any]) -> None:
-        """Add what is needed beside the samples to make a recording of them again."""
+        """Add the metadata by which the samples become a recording again."""
         self._put({"facts": facts})
 
     def _check(self) -> None:
@@ -131,7 +131,7 @@ class Spool:
 
 
 def read_spool(path: Path) -> SpooledRun:
-    """Read a spool up to its first damaged line; `InputError` where it is none."""
+    """Return a spool up to its first damaged line; raise `InputError` if the file is no spool."""
     try:
         lines = path.read_bytes().split(b"\n")
     except OSError as error:

@@ -1,4 +1,4 @@
-"""The trapezoid a motion controller drives, and the stage's position in time from it and the status polls. No I/O."""
+"""Trapezoidal motion profile, and the stage position over time from it and status polls. No I/O."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from softcal.station.interfaces import StagePosition
 
 @dataclass(frozen=True)
 class Trapezoid:
-    """A straight move from rest to rest: accelerate, brake, and cruise where it is long enough."""
+    """Move from rest to rest: acceleration, constant speed if the move is long enough, braking."""
 
     start_mm: float
     end_mm: float
@@ -30,7 +30,7 @@ class Trapezoid:
         return float(abs(self.end_mm - self.start_mm) / self.peak_mm_s + self.peak_mm_s / self.acceleration_mm_s2)
 
     def position_mm(self, t_s: Array) -> Array:
-        """Return positions at times since the start; before and after it the ends."""
+        """Return positions at times since the start; outside the move those of its ends."""
         ramp_s = self.peak_mm_s / self.acceleration_mm_s2
         t = np.clip(t_s, 0.0, self.duration_s)
         left = self.duration_s - t
@@ -45,7 +45,7 @@ class Trapezoid:
 
 @dataclass(frozen=True)
 class DrivenMove:
-    """A move of a run: what was commanded, and between which host times it happened."""
+    """One move of a run: the command, and the host times of its start and end."""
 
     path: Trapezoid
     begun_s: float
@@ -129,7 +129,7 @@ def _follows(move: DrivenMove, start_s: float, poll_s: Array, poll_mm: Array) ->
 
 
 def _delay_s(move: DrivenMove, poll_s: Array, poll_mm: Array) -> float | None:
-    """How long after it was sent the move began, from the polls on its flanks."""
+    """Return the delay from command to motion in s, from the polls on its flanks."""
     path = move.path
     inside = (poll_s > move.begun_s) & (poll_s < move.confirmed_s)
     gone = np.abs(poll_mm - path.start_mm)

@@ -1,4 +1,4 @@
-"""What every far end of a line does, and the one that is enough for most instruments."""
+"""Base class of simulated devices on a line, and a device that answers each line."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -8,7 +8,7 @@ from softcal.station.simulated.wire import Wire
 
 
 class FarEnd:
-    """A device in simulated time: takes what the host writes, and says something by itself where that is due.
+    """A device in simulated time: it receives bytes of the host and sends due messages.
 
     Args:
         wire: the line; its fault switches are this device's.
@@ -30,19 +30,19 @@ class FarEnd:
         return self.axis.position_mm if self.frozen_mm is None else self.frozen_mm
 
     def receive(self, now_s: float) -> None:
-        """Take the bytes the host has written and act on them."""
+        """Receive the bytes that the host has written and act on them."""
         if content := self.wire.receive():
             self.axis.advance(now_s)
             self.take(content, now_s)
 
     def take(self, content: bytes, now_s: float) -> None:
-        """Take bytes as they come: here line by line."""
+        """Receive bytes on arrival and split them into lines."""
         *lines, self._received = (self._received + content).split(self._line_end)
         for line in lines:
             self.take_line(line, now_s)
 
     def take_line(self, line: bytes, now_s: float) -> None:
-        """Take one line, its end taken off: here it is answered."""
+        """Receive one line without its end and answer it."""
         self.say(self.answer(line.decode("ascii", "replace").strip(), now_s), now_s)
 
     def answer(self, words: str, now_s: float) -> str:
@@ -66,19 +66,19 @@ class FarEnd:
         return min(self.due_s, self.axis.ends_s, self.wire.next_arrival_s)
 
     def advance(self, now_s: float) -> None:
-        """Do everything that is due until now, bytes that have reached the host included."""
+        """Do everything that is due until now, including bytes that have reached the host."""
         self.axis.advance(now_s)
         while self.due_s <= now_s:
             self.do_due()
         self.wire.deliver(now_s)
 
     def do_due(self) -> None:
-        """Do what is due at `due_s`, and put that off to the next time."""
+        """Do the task that is due at `due_s`, and set its next time."""
         self.due_s += self.period_s
 
 
 class SimulatedAnswers(FarEnd):
-    """Answers every line it gets.
+    """A device that answers every line.
 
     Args:
         answer: (words, simulated time in s) -> answer; "" for none.

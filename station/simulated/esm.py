@@ -1,4 +1,4 @@
-"""A Mark-10 ESM stand with its gauge at the far end of a line (ESM303 User's Guide, 6.2)."""
+"""Simulated Mark-10 ESM stand with its gauge (ESM303 User's Guide, 6.2)."""
 
 import re
 
@@ -13,7 +13,7 @@ _COMMAND = re.compile(
 
 
 class SimulatedEsm(FarEnd):
-    """A crosshead that goes down from its upper limit switch, and a gauge on it.
+    """A crosshead that moves down from its upper limit switch, with a gauge.
 
     Faults are switches: `is_switch_missing`, `press_panel()`, and all the wire can do.
 

@@ -1,4 +1,4 @@
-"""Load cells with their own electronics at the far end of a serial line: Mark-10, Loadstar, a weighing indicator."""
+"""Simulated load cells with their own electronics on a serial line: Mark-10, Loadstar, a weighing indicator."""
 
 import math
 from collections.abc import Callable
@@ -20,7 +20,7 @@ class SimulatedGauge(FarEnd):
 class SimulatedMark10(SimulatedGauge):
     """A gauge that answers GCL2; a successful command gets no answer.
 
-    Faults are switches: `unit`, `mode`, `is_numeric_only` as somebody set them by hand.
+    Faults are switches: `unit`, `mode`, `is_numeric_only` as set at the gauge.
     """
 
     def __init__(self, wire: Wire, force_N: Callable[[float], float]) -> None:
@@ -66,7 +66,7 @@ class SimulatedIndicator(SimulatedGauge):
 
 
 class SimulatedLoadstar(SimulatedGauge):
-    """A DI-1000 that streams in pounds, 80 times a second, once it is asked to.
+    """A DI-1000 that streams in pounds, 80 readings a second, after a start command.
 
     Faults are switches: `model`, `unit`, and `is_faulty`, where it answers E.
     """

@@ -57,7 +57,7 @@ class SimulatedGrbl(FarEnd):
         self._greet()
 
     def believe_zero_here(self) -> None:
-        """Take the present place for Z = 0, as a controller does after power-up."""
+        """Set the present position as Z = 0, as a controller does after power-up."""
         self._offset_mm = -self.axis.position_mm
 
     def receive(self, now_s: float) -> None:
@@ -65,7 +65,7 @@ class SimulatedGrbl(FarEnd):
         super().receive(now_s)
 
     def take(self, content: bytes, now_s: float) -> None:
-        """Take real-time bytes at once, lines into the buffer."""
+        """Receive real-time bytes at once, and lines into the buffer."""
         for code in content:
             byte = bytes([code])
             if byte == grbl.STATUS and self.state != "Home":
@@ -114,7 +114,7 @@ class SimulatedGrbl(FarEnd):
         self.is_locked_until_reset = True
 
     def dip_power(self) -> None:
-        """The supply drops for a moment: it starts again and knows nothing of its position."""
+        """Interrupt the supply for a moment: the controller restarts without a valid position."""
         self.axis.flush()
         self._start_again()
         self.believe_zero_here()
@@ -131,7 +131,7 @@ class SimulatedGrbl(FarEnd):
         self.state = "Door"
 
     def press_hold(self) -> None:
-        """Somebody presses the hold button at the machine, and keeps it pressed."""
+        """Press and keep the hold button at the machine."""
         self._is_hold_pressed = True
         self._hold()
 

@@ -1,4 +1,4 @@
-"""A LabJack at the far end, and what stands in the place of the LJM library in front of it."""
+"""Simulated LabJack, and the substitute for the LJM library in front of it."""
 
 import socket
 from collections.abc import Callable
@@ -34,7 +34,7 @@ class SimulatedLabjack(SimulatedAnswers):
 
 
 class SimulatedLjm:
-    """What softcal uses of the module `labjack.ljm`, in front of a simulated LabJack."""
+    """The functions of `labjack.ljm` that softcal uses, in front of a simulated LabJack."""
 
     class LJMError(Exception):
         """The library's only kind of error."""

@@ -1,4 +1,4 @@
-"""One axis in time: queued straight moves, constant acceleration, look-ahead, feed hold."""
+"""Motion of one axis: queued straight moves, constant acceleration, look-ahead, feed hold."""
 
 import math
 from collections import deque
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 @dataclass
 class QueuedMove:
-    """One queued move to `target_mm` at `speed_mm_s`."""
+    """A queued move to `target_mm` at `speed_mm_s`."""
 
     target_mm: float
     speed_mm_s: float
@@ -49,7 +49,7 @@ class Axis:
             self._plan()
 
     def hold(self) -> None:
-        """Brake at the drive's acceleration and stay; the queue is kept."""
+        """Brake with the drive's acceleration to rest; the queue is kept."""
         self.is_held = True
         braking_s = abs(self.velocity_mm_s) / self.acceleration_mm_s2
         braking = _Phase(braking_s, -math.copysign(self.acceleration_mm_s2, self.velocity_mm_s))
@@ -65,12 +65,12 @@ class Axis:
             self.add(QueuedMove(stop_mm, abs(speed)))
 
     def resume(self) -> None:
-        """Go on with the queue after a hold."""
+        """Continue the queue after a hold."""
         self.is_held = False
         self._plan()
 
     def flush(self) -> None:
-        """Forget the queue and stand still at once, as a reset of the controller does."""
+        """Clear the queue and stop at once, as a reset of the controller does."""
         self.queue.clear()
         self._set_phases(())
         if self.velocity_mm_s:
@@ -101,7 +101,7 @@ class Axis:
                 self._place(now_s - self._began_s)
 
     def positions_mm(self, times_s: Iterable[float]) -> list[float]:
-        """Return where the carriage will be at later instants, ascending, if nobody interferes."""
+        """Return the positions of the carriage at later, ascending times, without further commands."""
         ahead = copy(self)
         ahead.queue, ahead._phases, ahead.standstills_s = copy(self.queue), copy(self._phases), deque()
         positions_mm = []
@@ -111,14 +111,14 @@ class Axis:
         return positions_mm
 
     def _set_phases(self, phases: Iterable[_Phase]) -> None:
-        """Begin the first of these phases here and now."""
+        """Start the first of these phases at the present position and time."""
         self._phases = deque(phases)
         # Counted from the start of the phase: where it is must not depend on how often somebody looked.
         self._began_s, self._began_mm, self._began_mm_s = self.time_s, self.position_mm, self.velocity_mm_s
         self.ends_s = self.time_s + self._phases[0].seconds if self._phases else math.inf
 
     def _place(self, seconds: float) -> None:
-        """Put the carriage where it is so long after the phase began."""
+        """Set the carriage to its position at a time after the start of the phase."""
         acceleration = self._phases[0].acceleration
         self.position_mm = self._began_mm + self._began_mm_s * seconds + 0.5 * acceleration * seconds**2
         self.velocity_mm_s = self._began_mm_s + acceleration * seconds

@@ -26,13 +26,13 @@ class Physics(Protocol):
         """Whether instants in chunks of any size give the same numbers."""
 
     def advance(self, t_s: Array, stage_mm: Array) -> tuple[Array, Array]:
-        """Go on in time and return (force_N, output_V) as load cell and converter read them."""
+        """Advance the time and return (force_N, output_V) as read by load cell and converter."""
 
     def state(self) -> Any:
         """Return all that `advance` depends on."""
 
     def go_back(self, state: Any) -> None:
-        """Go back to such a state."""
+        """Restore an earlier state."""
 
 
 Way: TypeAlias = Sequence[tuple[float, float]]
@@ -40,7 +40,7 @@ Way: TypeAlias = Sequence[tuple[float, float]]
 
 
 class PressedUnits:
-    """Units beside each other under one stage, read at one instant after the other.
+    """Several units under one stage, read one after the other.
 
     They are computed in blocks ahead. Where the stage goes another way than was expected, they go back to the start of
     the block and come the way it went, so that readings are those of units read one by one.
@@ -57,7 +57,7 @@ class PressedUnits:
         """Return force_N of the first unit and output_V of each, at the next instant.
 
         Args:
-            coming: count -> so many further instants at most, if nobody interferes.
+            coming: count -> at most so many further instants, without further commands.
         """
         if self._used == len(self._way) or self._way[self._used] != (t_s, u_mm):
             self._look_ahead(t_s, u_mm, coming)
@@ -105,7 +105,7 @@ class SimulatedRig:
         self.largest_force_N = 0.0
 
     def mount(self, units: Sequence[Physics], clearance_mm: float, now_s: float) -> None:
-        """Put a unit under the stage, or several beside each other; the load cell feels the first one.
+        """Put a unit, or several units side by side, under the stage; the load cell measures the first.
 
         Args:
             clearance_mm: stage position that is the unit's u = 0.
@@ -151,11 +151,11 @@ class SimulatedRig:
 
     @property
     def carriage_mm(self) -> float:
-        """Where the carriage is, whatever the controller counts."""
+        """Position of the carriage in mm, whatever the controller counts."""
         return self._carriage_at_mm(self.axis.position_mm)
 
     def cut_motor(self) -> None:
-        """The motor loses its supply: the controller counts on, the carriage stays where it is."""
+        """Cut the supply of the motor: the controller keeps counting, the carriage stays."""
         self._stands_at_mm = self.axis.position_mm
 
     def lose_steps(self, lost_mm: float) -> None:

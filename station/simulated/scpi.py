@@ -1,4 +1,4 @@
-"""Bench instruments that speak SCPI at the far end of a socket: a multimeter and an LCR meter."""
+"""Simulated bench instruments with SCPI on a socket: a multimeter and an LCR meter."""
 
 import math
 import re
@@ -13,7 +13,7 @@ OVERLOAD = "+9.90000000E+37"
 
 
 class SimulatedScpi(FarEnd):
-    """An instrument that measures for a while before it answers.
+    """An instrument that needs a measuring time before it answers.
 
     Faults are switches: `is_overloaded`, `refuses` (a command it calls undefined), and all the wire can do.
 
@@ -64,18 +64,18 @@ class SimulatedScpi(FarEnd):
         self.due_s = self._triggered[0] if self._triggered else math.inf
 
     def trigger(self, now_s: float) -> None:
-        """Begin a reading; it is answered when it is done."""
+        """Start a reading; its answer follows at the end of the measuring time."""
         busy_until_s = self._triggered[-1] if self._triggered else now_s
         self._triggered.append(max(busy_until_s, now_s) + self.measure_s)
         self.due_s = self._triggered[0]
 
     @abstractmethod
     def measured(self, header: str, now_s: float) -> bool:
-        """Whether a header asks for a reading; then it is begun."""
+        """Return whether a header requests a reading, and start that reading."""
 
 
 class SimulatedDmm(SimulatedScpi):
-    """A 34461A: `READ?` triggers and answers with (simulated time) -> what it measures."""
+    """A 34461A: `READ?` triggers a reading and answers with a function of simulated time."""
 
     def __init__(self, wire: Wire, value: Callable[[float], float]) -> None:
         functions = ("RES", "FRES", "VOLT:DC")

@@ -1,4 +1,4 @@
-"""An Arduino at the far end: a readout or an amplifier that prints `ms,value` by its own clock."""
+"""Simulated Arduino: a readout or an amplifier that prints `ms,value` by its own clock."""
 
 from collections.abc import Callable
 
@@ -11,7 +11,7 @@ CELL_COUNTS_PER_N, CELL_ZERO_COUNTS = 9870.0, 84_210.0
 
 
 class SimulatedTextStream(FarEnd):
-    """A device that samples by its own crystal and prints every sample.
+    """A device that samples by its own clock and prints every sample.
 
     Faults are switches: `is_frozen` (the last value for ever), `rate_factor` (0.5 = half rate), `has_checksum`,
     `device_ms` (its clock, as `millis()` shows it; near 2**32 it soon wraps), `restart()`, and everything the wire can

@@ -1,4 +1,4 @@
-"""The far end of one line: what it runs over, bytes that arrive late and in bursts, and the faults a wire can have."""
+"""Simulated end of a line: delays and bursts of bytes, and faults of a connection."""
 
 import math
 import os
@@ -113,12 +113,12 @@ Medium: TypeAlias = PtyEnd | SocketEnd
 
 
 def serial_line() -> Medium:
-    """Return what stands for a serial line: a socket where there are no pseudo terminals."""
+    """Return a serial line: a pty, or a socket without pseudo-terminals."""
     return PtyEnd() if os.name == "posix" else SocketEnd()
 
 
 class BleEnd(SocketEnd):
-    """A board behind Bluetooth, whose packets come over the air; a host finds it by its `port`."""
+    """A board with Bluetooth, which sends packets; the host connects to its `port`."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -153,7 +153,7 @@ class Wire:
         return self._medium.read() if self.is_plugged else b""
 
     def send(self, content: bytes, now_s: float) -> None:
-        """Hand bytes to the line; the host sees them after the delays of the line, in order."""
+        """Send bytes to the line; the host receives them in order, after the delays of the line."""
         if self.is_silent or not self.is_plugged:
             return
         for copy in self._with_faults(content):

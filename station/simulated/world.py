@@ -1,4 +1,4 @@
-"""Simulated time: it passes only while the host waits, so a run is as fast as the computer and always the same.
+"""Simulated time: it advances only while the host waits, so runs are fast and repeatable.
 
 Every far end is stepped from one event to the next inside `sleep_s`. Bytes still cross a real pty: the kernel hands
 them over before a read returns, so no wall clock decides what the host sees.
@@ -18,7 +18,7 @@ LARGEST_LAG_S, BACKGROUND_STEP_S = 0.1, 0.002
 
 
 class World:
-    """The clock of a simulated rig and all that lives in it; a `station.interfaces.Clock`.
+    """The clock of a simulated rig and all devices in it; a `station.interfaces.Clock`.
 
     Args:
         time_factor: simulated seconds per real second at most; None runs as fast as the computer can.
@@ -37,7 +37,7 @@ class World:
         self._far_ends.append(far_end)
 
     def at(self, time_s: float, happening: Callable[[], None]) -> None:
-        """Let something happen at a simulated time, such as a fault; any thread may ask."""
+        """Schedule a callback at a simulated time, such as a fault; any thread may call this."""
         with self._lock:
             heappush(self._planned, (time_s, next(self._order), happening))
 
@@ -57,7 +57,7 @@ class World:
 
     @contextmanager
     def in_background(self) -> Iterator[None]:
-        """Let time pass at the real rate: for far ends that a program outside softcal talks to."""
+        """Advance simulated time at the real rate, for devices that a program outside softcal uses."""
         stop = threading.Event()
 
         def run() -> None:

@@ -58,7 +58,7 @@ class SimulatedZaber(FarEnd):
             self._is_homed, self._is_homing = True, False
 
     def stall(self) -> None:
-        """Something blocks the carriage; the device stops and says so."""
+        """Block the carriage; the device stops and reports the stall."""
         self.axis.flush()
         self.warning = "FS"
 

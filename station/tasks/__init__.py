@@ -1,1 +1,1 @@
-"""What a station does: record, rest, test itself, find its devices, serve."""
+"""Tasks of a station: record, read at rest, self-test, find devices, serve."""

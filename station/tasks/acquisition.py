@@ -49,7 +49,7 @@ class ZeroMoved(BadReply):
 
 @dataclass(frozen=True)
 class RunProgress:
-    """Where a run stands: what happens now, the done share of it, and the newest reading of each channel.
+    """Progress of a run: present phase, completed fraction, and newest reading of each channel.
 
     Readings are None before the first one, and where no such device is.
     """
@@ -103,13 +103,13 @@ def record(
     on_wait: OnWait = ignore_wait,
     method: ProofMethod = METHOD,
 ) -> StationRecording:
-    """Press one unit with one profile and return what was read.
+    """Press one unit with one profile and return the readings.
 
     Args:
         profile: position 0 is `fixture.clearance_mm` above the contact.
         with_reference: keep the load cell's reading in the recording (source unit); it guards the run in any case.
         on_progress: called about every 0.1 s.
-        on_wait: called at every look at the devices; what it raises stops the stage.
+        on_wait: called at every poll of the devices; an exception stops the stage.
         method: the numbers that decide whether the run is a recording.
 
     Raises:
@@ -282,10 +282,10 @@ class _Run:
         return search.touch(reconstruct(polls, [move]).at)
 
     def _feel(self, zero_mm: float, touch: Touch, zero_N: float) -> tuple[float, float]:
-        """Press once, slowly, as deep as the profile will: only where the unit was felt may the stage go fast.
+        """Press once slowly to the depth of the profile: only there may the stage then move fast.
 
         Returns how deep that was (0 where the profile itself is slow enough, or no load cell reads), and the fastest
-        speed down to there that a stop can hold; a profile that is faster is refused, its unit was only felt.
+        speed down to there that a stop can hold; a faster profile is refused after the slow press.
         """
         slow_mm_s = self.watched.fastest_mm_s
         if self._bench.force is None or self._profile.fastest_mm_s <= slow_mm_s:
@@ -343,7 +343,7 @@ class _Run:
         return True
 
     def _measure_latency(self, began: int, force_N: Array, at: Callable[[Array], Array], touch: Touch) -> None:
-        """See how late the cell is in the slow press, by its own clock: lines come late, too."""
+        """Measure the latency of the cell in the slow press by its own clock, as lines are delayed, too."""
         force, reader, late_s = self._bench.config.force, self._bench.force, self.watched.late_s
         if force is None or reader is None:
             return

@@ -1,4 +1,4 @@
-"""The sensor read at rest, under a load that a person put on. Nothing is told to the stage here."""
+"""Reading of the sensor at rest under a load that a person applied. No commands to the stage."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ from softcal.station.motion.watched import BOOT_S
 
 @dataclass(frozen=True, eq=False)
 class RestReading:
-    """What was read: output (n, channels) in its unit."""
+    """A reading at rest: output (n, channels) in its unit."""
 
     serial: str
     output: Array
@@ -29,7 +29,7 @@ def read_at_rest(
     """Wait until a unit has settled, then read its output.
 
     Args:
-        on_look: called at every look with the share that is done and the seconds that are left; what it raises ends
+        on_look: called at every poll with the completed fraction and the remaining seconds; an exception ends
             the reading.
     """
     if bench.stage.is_moving:

@@ -1,4 +1,4 @@
-"""What is on the other end of a port: listen first, ask only then, and never move anything."""
+"""Identification of the device at a port: listen first, query only then, and never move."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -32,14 +32,14 @@ CONVERTER_COUNTS, CELL_RATES_HZ = 4095, (10.0, 80.0)
 
 @dataclass(frozen=True)
 class DeviceIdentity:
-    """What answers at a port.
+    """The device that answers at a port.
 
     Args:
         role: stage, force, readout; "" when it is nothing softcal knows, or could be either of two.
         kind: the dialect, as in the station file.
-        says: what it said of itself and what it is taken for, or why it is not known.
+        says: its greeting and the recognised device, or the reason why it is unknown.
         rate_Hz: of a stream, by its own clock.
-        channels: of a stream; of a stand 1 where a gauge answers behind it.
+        channels: of a stream; of a stand 1 if a gauge answers.
     """
 
     port: str
@@ -51,7 +51,7 @@ class DeviceIdentity:
 
 
 def identify(port: str, clock: Clock) -> DeviceIdentity:
-    """Return what answers at a port; `NoReply`: it does not exist or belongs to another process."""
+    """Return the device at a port; raise `NoReply` if the port is missing or owned by another process."""
     link = Link(port, clock)
     try:
         for probe in (_stream, _esm, _grbl, _zaber, _mark10, _loadstar):

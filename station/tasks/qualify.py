@@ -1,6 +1,6 @@
-"""What the whole chain of a station shows on one unit: response of the cell, lost motion, frame, repeatability, noise.
+"""Qualification of a station on one unit: cell response, lost motion, frame compliance, repeatability, noise.
 
-A stiff spring shows the rig alone; any other unit adds what it does itself, so that every figure is an upper bound.
+A stiff spring shows the rig alone; any other unit adds its own effects, so that every figure is an upper bound.
 """
 
 import math
@@ -43,7 +43,7 @@ MIDDLE, STEEP = 0.5, (0.5, 0.9)
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure of a qualification.
+    """One figure of a qualification with its limit.
 
     Args:
         value, limit: in `unit`; a limit of infinity is none.
@@ -61,7 +61,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Qualification:
-    """What a station showed.
+    """The figures of a station.
 
     Args:
         figures: each with its limit.
@@ -97,10 +97,10 @@ def qualify(
     on_progress: OnProgress | None = None,
     method: ProofMethod = METHOD,
 ) -> Qualification:
-    """Press a unit and return what the station showed. Every watch of a run is on.
+    """Press a unit and return the figures of the station. All monitors of a run are active.
 
     Args:
-        stiffness_N_mm: of the spring, where it is known; then the frame's compliance is told from it.
+        stiffness_N_mm: of the spring, if stated; the frame's compliance is then computed from it.
 
     Raises:
         CommandRefused: no load cell.
@@ -188,7 +188,7 @@ def _figures(
 
 
 def behind_backlash(t_s: Array, stage_mm: Array, backlash_mm: float) -> Callable[[Array], Array]:
-    """Return where the tip is at a time: it follows a stage, (n,), upwards only when the backlash is taken up."""
+    """Return the position of the tip: it follows the stage, (n,), upwards only after the backlash."""
     tip_mm = np.array(stage_mm)
     for k in range(1, len(tip_mm)):
         tip_mm[k] = max(stage_mm[k], min(tip_mm[k - 1], stage_mm[k] + backlash_mm))
@@ -221,7 +221,7 @@ class _Presses:
 
     @property
     def backlash_mm(self) -> float:
-        """By how much deeper the stage stands on the way down than on the way up, at equal force."""
+        """Return the backlash in mm: the difference of stage depth between loading and unloading, at equal force."""
         return max(0.0, float(np.median([press.at_mm(MIDDLE) - press.at_mm(MIDDLE, False) for press in self.slow])))
 
 

@@ -1,4 +1,4 @@
-"""How long a unit takes on a rig, phase by phase, and what would shorten it: what is said before and while it runs."""
+"""Duration of a unit on a rig, phase by phase, and the keys of the station file that would shorten it."""
 
 import math
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ SHORTER_N_MM = 100.0
 def seconds_of(config: StationConfig, bounds: ForceBounds, profile: Profile, from_mm: float | None) -> dict[str, float]:
     """Return how long each phase of a run takes at most, about: for a unit whose force grows evenly to the limit.
 
-    The stage stands at `from_mm`; None where it must be homed.
+    The stage is at `from_mm`; None if it must be homed.
     """
     fixture, fastest_mm_s = config.fixture, config.safety.speed_mm_s
     free_mm_s = fastest_mm_s if config.force is None else min(fastest_mm_s, bounds.free_mm_s)

@@ -1,4 +1,4 @@
-"""Is this station fit to press: every device at its rate, the load cell at zero, the stage homed and where it says."""
+"""Self-test of a station: every device at its rate, the load cell at zero, the stage homed and in position."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ RATE_SHARE = 0.05
 
 @dataclass(frozen=True)
 class SelfTestItem:
-    """One thing the self-test looked at.
+    """One result of the self-test.
 
     Args:
         cure: what to do; None when it is good.
@@ -59,17 +59,17 @@ def self_test(
     on_wait: Callable[[], None] = lambda: None,
     profile: Profile | None = None,
 ) -> list[SelfTestItem]:
-    """Home the stage and move it a little, watched as any other move, then read every channel for some seconds.
+    """Home the stage and move it by a short way under all monitors, then read every channel for some seconds.
 
-    A device that fails is a finding, so that all faults are seen at once.
+    A device that fails is a finding, so that one self-test reports all faults.
 
     Args:
         may_move: home the stage and move it by up to 2 mm, never deeper than the approach.
-        on_wait: called all the time; what it raises stops the stage and ends the self-test.
+        on_wait: called throughout; an exception stops the stage and ends the self-test.
         profile: of the units; then it is said how long one takes.
 
     Raises:
-        Cancelled: somebody asked for a stop, or pressed Ctrl-C; the stage was made safe.
+        Cancelled: a stop was requested, or Ctrl-C pressed; the stage was made safe.
     """
     findings = _stage_findings(bench, on_wait) if may_move else []
     readers: list[ForceReader | Readout] = [bench.readout, *([bench.force] if bench.force else [])]
@@ -154,8 +154,11 @@ def _stage_findings(bench: Bench, on_wait: Callable[[], None]) -> list[SelfTestI
 
 @dataclass(frozen=True)
 class _Way:
-    """How fast the stage went, how long down and up took, how far down it went, by how much it came back elsewhere, and
-    how far it ran on when it was left alone (NaN where it was not)."""
+    """Speeds and times of one way of the self-test.
+
+    They are the speed of the stage, the times down and up, the depth, the difference of position after the return, and
+    the overrun without commands (NaN if not measured).
+    """
 
     speed_mm_s: float
     took_s: float
@@ -185,7 +188,7 @@ def _go_out_and_back(watched: WatchedBench) -> _Way:
 
 
 def _ran_on_mm(watched: WatchedBench, to_mm: float, speed_mm_s: float) -> float:
-    """Go there, leave the stage alone on the way as if its host had died; return how far it went."""
+    """Move without commands from the way on, as after a loss of the host; return the overrun in mm."""
     stage, clock, polls = watched.bench.stage, watched.bench.clock, watched.readings.polls
     from_mm = stage.position_mm + GONE_SHARE * (to_mm - stage.position_mm)
     gone: list[tuple[float, float]] = []  # (from when, until when it was left alone)
@@ -207,7 +210,7 @@ def _ran_on_mm(watched: WatchedBench, to_mm: float, speed_mm_s: float) -> float:
 
 
 def _safety_findings(watched: WatchedBench, way: _Way) -> Iterator[SelfTestItem]:
-    """What a stop holds on this rig, also when the host dies: at most and as measured."""
+    """Return the force that a stop on this rig allows, and after a loss of the host: bound and measurement."""
     bounds, stage = watched.bounds, watched.bench.stage
     for setting, mend in stage.unsafe_settings() if isinstance(stage, Advises) else ():
         yield SelfTestItem(named("stage"), Reason("check.setting"), plain(setting), mend)

@@ -52,11 +52,11 @@ SILENT_S = 2.0
 
 @dataclass(frozen=True)
 class Hooks:
-    """What the service needs from whoever hosts it.
+    """Callbacks from the service to its host.
 
     Args:
         report: takes progress; called about ten times a second of station time.
-        is_stop_wanted: whether somebody asked to stop the run in progress; asked at every look at the devices.
+        is_stop_wanted: whether a stop of the run in progress was requested; called at every poll of the devices.
         gate: whether an order of this kind may run now, with this rig.
     """
 
@@ -117,7 +117,7 @@ class StationService:
         self.settle()
 
     def settle(self) -> None:
-        """Look at the gate again, between orders."""
+        """Check the gate again, between orders."""
         if self.state in (StationState.STOPPED, StationState.RUNNING):
             return
         self.gate = self._hooks.gate(OrderKind.UNIT, self.rig)
@@ -125,7 +125,7 @@ class StationService:
         self.reasons = self.gate.reasons
 
     def watch(self, seconds: float) -> None:
-        """Let a little time pass between orders and read: a device that is gone is seen now."""
+        """Wait a short time between orders and read all devices, so that a lost device is reported at once."""
         bench = self._bench
         if bench is None or self.state not in (StationState.READY, StationState.CLOSED):
             return
@@ -145,7 +145,7 @@ class StationService:
             self.state, self.reasons = StationState.STOPPED, (error.reason,)
 
     def perform(self, order: Order) -> StationRecording | RestReading | None:
-        """Perform one order; return what a run that went through recorded, which the host keeps and reports done.
+        """Perform one order and return the recorded run, which the host stores and reports as done.
 
         Every other outcome is reported here.
         """
@@ -265,7 +265,7 @@ class _Relay:
         self.phase = ""
 
     def look(self) -> None:
-        """Raise `Cancelled` when somebody asked for a stop."""
+        """Raise `Cancelled` if a stop was requested."""
         if self._hooks.is_stop_wanted():
             raise Cancelled(Reason("rig.by_hand"))
 

@@ -1,4 +1,4 @@
-"""A test kit that every driver passes, shipped or not, over its own simulated far end on a real wire.
+"""Test kit for drivers, shipped or not, on their simulated devices over a real connection.
 
     import pytest
     from softcal.station.testing import checks
@@ -8,7 +8,7 @@
     def test_driver(check):
         check()
 
-Needs no pytest: a check is called and raises `Nonconformity`, an `AssertionError`, that says what was expected.
+Needs no pytest: a check is called and raises `Nonconformity`, an `AssertionError`, with the expected behaviour.
 """
 
 from collections.abc import Callable
@@ -25,7 +25,7 @@ __all__ = ["Check", "Nonconformity", "DriverRig", "checks"]
 
 @dataclass(frozen=True)
 class Check:
-    """One thing a driver must do; call it to see whether it does, on a rig of its own."""
+    """One check of a driver; call it to run the check on a new rig."""
 
     driver: AnyDriver
     sentence: str

@@ -1,4 +1,4 @@
-"""What every driver must do, whatever it drives: declare itself, open, refuse, close."""
+"""Checks of every driver: declaration, opening, refusal, closing."""
 
 import socket
 import threading
@@ -56,7 +56,7 @@ def _names_a_missing_port(rig: DriverRig) -> None:
 
 
 def _says_nothing(switch: str, value: object, what: str) -> Callable[[DriverRig], None]:
-    """A device whose wire has this fault, which is refused when it is opened, or delivers nothing."""
+    """A device on a faulty connection, which must be refused on opening, or deliver no reading."""
 
     def examine(rig: DriverRig) -> None:
         setattr(rig.wire, switch, value)

@@ -1,4 +1,4 @@
-"""Everything that can break on a station, as switches of the simulated one, and in which phase."""
+"""Faults of a station as switches of the simulated station, with their phase."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -32,12 +32,12 @@ Inject = Callable[[SimulatedStation], None]
 
 @dataclass(frozen=True)
 class Fault:
-    """One way a station can fail.
+    """One fault of a station.
 
     Args:
         phase: phase of the run in which it happens; "" for before the run.
         after_s: seconds into that phase.
-        is_seen_late: whether it takes a stretch of the run, or all of it, to show this; others are seen at once.
+        is_seen_late: whether only a stretch of the run, or all of it, reveals the fault; others are detected at once.
         stage_kind, force_kind: which drivers, as in a station file.
     """
 
@@ -96,12 +96,12 @@ def _output(change: Callable[[float], float]) -> Inject:
 
 
 def _stuck_noisy(now_s: float, value: float) -> float:
-    """A value that hangs, with noise that goes on: no two readings are the same."""
+    """A stuck value with noise, so that no two readings are equal."""
     return 1.2 + 0.004 * math.sin(977.0 * now_s)
 
 
 def hang(station: SimulatedStation, seconds: float) -> None:
-    """The load cell stays at the force of this instant for so long, and its noise goes on."""
+    """Hold the load cell at its present force for a time, with noise."""
     since_s, rng = station.world.now_s(), np.random.default_rng(1)
     level_N: list[float] = []
 

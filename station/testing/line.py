@@ -1,4 +1,4 @@
-"""A simulated station of a service: every order finds its unit, faults come on demand."""
+"""Simulated station of a service: every order has its unit, and faults are injected on demand."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -35,7 +35,7 @@ class SimulatedLine:
 
     @contextmanager
     def open(self) -> Iterator[Bench]:
-        """Open the station; what was broken before is whole again."""
+        """Open the station, with earlier faults repaired."""
         self._seed += 1
         with open_simulated_bench(None, self._seed, self._time_factor) as (bench, self._station):
             self._armed.clear()
@@ -53,7 +53,7 @@ class SimulatedLine:
         self._release("")
 
     def follow(self, phase: str) -> None:
-        """Take the phase a run is in; faults that wait for it come now."""
+        """Receive the phase of a run, and inject the faults that wait for it."""
         if phase != self._phase:
             self._phase = phase
             self._release(phase)

@@ -1,4 +1,4 @@
-"""What a load cell and a readout must do: true readings in time, never one that is none."""
+"""Checks of a load cell and a readout: correct readings in time, and never a false reading."""
 
 from collections.abc import Callable, Sequence
 

@@ -1,4 +1,4 @@
-"""One device, its simulated far end on a real wire, and the truth it should tell."""
+"""One device, its simulated counterpart on a real connection, and the true values."""
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -39,7 +39,7 @@ class DriverRig:
     """The device of one driver; a context manager that closes everything.
 
     `level` is the truth of a reader: N on a load cell, V at the input of a readout. A function of the simulated time
-    may stand in its place. `wire` has the fault switches of the line, `axis` the true motion of a stage.
+    may replace it. `wire` has the fault switches of the line, `axis` the true motion of a stage.
     """
 
     def __init__(self, driver: AnyDriver, seed: int = 1) -> None:
@@ -76,7 +76,7 @@ class DriverRig:
         return self.simulated.config
 
     def open(self, **changed: object) -> Any:
-        """Open the device; it is closed with the rig."""
+        """Open the device, which is closed with the rig."""
         if self.beside is not None and self._stage is None:
             self._stage = self.beside.open(self._beside_config, Opening(self.clock))
             self._stack.callback(self._stage.close)
@@ -85,7 +85,7 @@ class DriverRig:
         return device
 
     def reader(self) -> Reader:
-        """Open a load cell or readout and let it run in."""
+        """Open a load cell or readout and let it settle."""
         reader: Reader = self.open()
         reader.start()
         self.collect(reader, 0.5)
@@ -97,14 +97,14 @@ class DriverRig:
         return stage
 
     def collect(self, reader: Reader, seconds: float) -> list[Sample]:
-        """Return what a reader delivers over a while, read as the acquisition reads."""
+        """Return the samples of a reader over a time, read like the acquisition."""
         samples, error = self.fault_within(seconds, reader.poll)
         if error is not None:
             raise error
         return samples
 
     def watch(self, stage: Stage, seconds: float, is_over: Callable[[], bool] = lambda: False) -> list[StagePosition]:
-        """Return what a stage says over a while, and note where it truly is."""
+        """Return the reports of a stage over a time, with its true positions."""
         polls: list[StagePosition] = []
         end_s = self.clock.now_s() + seconds
         while self.clock.now_s() < end_s and not is_over():
@@ -114,7 +114,7 @@ class DriverRig:
         return polls
 
     def fault_within(self, seconds: float, read: Callable[[], Sequence[T]]) -> tuple[list[T], DeviceError | None]:
-        """Return what was read until that raised a `DeviceError`, and the error; None for none."""
+        """Return the samples until a `DeviceError`, and the error, or None."""
         found: list[T] = []
         end_s = self.clock.now_s() + seconds
         while self.clock.now_s() < end_s:
@@ -130,7 +130,7 @@ class DriverRig:
         return self.axis.position_mm
 
     def stands(self, within_s: float) -> bool:
-        """Whether the stage comes to rest by itself within a while, and stays."""
+        """Return whether the stage comes to rest within a time, and stays there."""
         self.clock.sleep_s(within_s)
         before_mm = self.position_mm()
         self.clock.sleep_s(1.0)

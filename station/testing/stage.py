@@ -1,4 +1,4 @@
-"""What a stage must do: go where it is told, say where it is, refuse what it cannot do, and stop whatever happens."""
+"""Checks of a stage: motion to a target, position reports, refusals, and a stop in every state."""
 
 from collections.abc import Callable
 
@@ -18,7 +18,7 @@ TARGETS_MM = (5.0, 12.5, 12.5, 3.0, 3.2)
 
 
 class _BrokenOffError(Exception):
-    """Somebody asked for a stop while the stage was homing."""
+    """A stop was requested while the stage was homing."""
 
 
 def _speed_mm_s(stage: Stage) -> float:

@@ -1,4 +1,4 @@
-"""Readings of a device that is asked one by one and has no clock of its own."""
+"""Readings of a device without a clock, queried one by one."""
 
 import math
 from collections.abc import Callable
@@ -21,7 +21,7 @@ class AskedReader:
     """Asks at a steady rate and takes every answer for a reading from the middle between question and answer.
 
     One question is open at a time. An answer that never comes ends the readings. Asking again could take a late answer
-    for the next one, and the silence is seen by whoever watches. `start` begins anew.
+    for the next one, and a monitor detects the silence. `start` begins again.
 
     Args:
         parse: one line, its end taken off -> one number per channel; raises `BadReply`.
@@ -52,7 +52,7 @@ class AskedReader:
         self._asked_s, self._next_s = None, self._link.clock.now_s()
 
     def poll(self) -> list[Sample]:
-        """Return the readings that came, and ask anew when it is time; `BadReply` where one is none."""
+        """Return the received readings, and send the next query when due; raise `BadReply` for an invalid reading."""
         samples = []
         for line in self._link.read_lines():
             if self._asked_s is None:

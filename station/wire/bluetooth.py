@@ -20,7 +20,7 @@ CONNECT_S, ANSWER_S = 15.0, 1.0
 
 
 class BleTransport(Arriving):
-    """Bytes to and from one board; a thread of its own keeps the connection.
+    """Bytes to and from one Bluetooth board; a thread keeps the connection.
 
     Raises:
         OSError: Bleak is not installed, there is no Bluetooth, or the board does not answer.

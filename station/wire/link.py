@@ -26,7 +26,7 @@ LONGEST_LINE = 4096
 
 @dataclass(frozen=True)
 class Line:
-    """One line without its end, and the host time at which its last byte was read."""
+    """One line without its end, and the host time of its last byte."""
 
     text: bytes
     host_s: float
@@ -91,7 +91,7 @@ class Link:
         self._rest = b""
 
     def close(self) -> None:
-        """Give the port back; closing twice, or after the device is gone, is fine."""
+        """Close the port; closing twice, or after the device is gone, has no effect."""
         self._transport.close()
 
     def _receive(self) -> None:
@@ -116,7 +116,7 @@ class Link:
 
 @contextmanager
 def link_for_driver(port: str, clock: Clock, baud_rate: int, name: str) -> Iterator[Link]:
-    """Open a port for a driver that is being made; give it back when another device is there."""
+    """Open a port for a driver under construction; close it again if another device answers."""
     link = Link(port, clock, baud_rate, name)
     try:
         yield link
@@ -126,7 +126,7 @@ def link_for_driver(port: str, clock: Clock, baud_rate: int, name: str) -> Itera
 
 
 def is_device(port: str) -> bool:
-    """Whether a port is a piece of hardware: a pty is held open by the program at its other end."""
+    """Return whether a port is hardware: a pty is held open by the program at its other end."""
     return wire_of(port) == "serial" and not os.path.realpath(port).startswith(PSEUDO_TERMINALS)
 
 
@@ -150,7 +150,7 @@ def _why_closed(port: str, error: Exception) -> Reason:
 
 
 def _owner(port: str) -> Reason | None:
-    """Name another process that has the port open, where the system lets us see it."""
+    """Return the name of another process that has the port open, if the system shows it."""
     target = os.path.realpath(port)
     for link in Path("/proc").glob("[0-9]*/fd/*"):
         try:
@@ -163,7 +163,7 @@ def _owner(port: str) -> Reason | None:
 
 
 def open_transport(port: str, baud_rate: int) -> Transport:
-    """Open what a port names; `OSError`: it cannot be opened; `ValueError`: it names nothing."""
+    """Open the transport of a port; raise `OSError` if it cannot be opened, `ValueError` for an invalid name."""
     match wire_of(port):
         case "tcp":
             return TcpTransport(port)

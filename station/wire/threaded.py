@@ -1,4 +1,4 @@
-"""Readings through a library that blocks: a thread of its own calls it, and nobody waits for it."""
+"""Readings through a blocking library, which a separate thread calls."""
 
 import math
 import threading
@@ -16,7 +16,7 @@ from softcal.station.wire.asked import next_turn_s
 
 @dataclass(frozen=True)
 class Reading:
-    """What one call of a library gives.
+    """Result of one call of a library.
 
     Args:
         values: one number per channel, in the unit the reader declares.
@@ -29,7 +29,7 @@ class Reading:
 
 
 class ThreadedReader:
-    """Calls a blocking function at a steady rate; `poll` hands out what it gave and never blocks.
+    """Calls a blocking function at a constant rate; `poll` returns its results and never blocks.
 
     A call that does not return, and a library that goes on giving the same reading, are stale data: `poll` raises.
 
@@ -67,7 +67,7 @@ class ThreadedReader:
         self._thread.start()
 
     def start(self) -> None:
-        """Throw away what was read; only what is asked for from now on counts."""
+        """Discard earlier readings; only later readings count."""
         with self._lock:
             self._samples.clear()
             self._discard_before_s = self._newest_s = self._clock.now_s()

@@ -1,4 +1,4 @@
-"""The wire under a link: a serial port, a TCP socket, a VISA resource or a Bluetooth UART, told apart by the name."""
+"""Transport of a link: a serial port, a TCP socket, a VISA resource or a Bluetooth UART, chosen by the name."""
 
 import importlib
 import re
@@ -27,7 +27,7 @@ VISA_ANSWER_S = 2.0
 
 
 class Transport(Protocol):
-    """Bytes to a device and the bytes that have come from it; nothing here waits for an answer."""
+    """Bytes to and from a device; no method waits for an answer."""
 
     def write(self, content: bytes) -> None:
         """Send bytes; raise `OSError` when the device is gone."""
@@ -36,18 +36,18 @@ class Transport(Protocol):
         """Return what has arrived, b"" for nothing; raise `OSError` when the device is gone."""
 
     def close(self) -> None:
-        """Give the wire back; closing twice is fine."""
+        """Close the transport; closing twice has no effect."""
 
 
 class Arriving:
-    """Bytes that a thread takes from a device, and what ended it."""
+    """Bytes that a thread has received from a device, and the error that ended it."""
 
     def __init__(self) -> None:
         self._arrived: deque[bytes] = deque()
         self._fault: Exception | None = None
 
     def read(self) -> bytes:
-        """Return everything that has arrived; where nothing has, raise what ended it."""
+        """Return all received bytes; without any, raise the error that ended the thread."""
         content = b""
         while self._arrived:
             content += self._arrived.popleft()
@@ -61,7 +61,7 @@ class Arriving:
 
 
 def wire_of(port: str) -> WireKind:
-    """Return what a port names: `tcp://host:5025`, `ble://AA:BB:…`, `USB0::…`, or a serial port."""
+    """Return the connection that a port names: `tcp://host:5025`, `ble://AA:BB:…`, `USB0::…`, or a serial port."""
     if port.startswith("tcp://"):
         return "tcp"
     if port.startswith(BLE):
@@ -134,7 +134,7 @@ class TcpTransport:
 class VisaTransport(Arriving):
     """A VISA resource through PyVISA: USB-TMC, GPIB, LXI.
 
-    Such a device speaks when it is asked, and asking blocks: a thread of its own asks. A message with a `?` is a
+    Such a device answers queries, and a query blocks: a separate thread sends it. A message with a `?` is a
     question and takes one answer. What is written waits behind a question that is still open, so no stage may be moved
     over it.
 
@@ -168,7 +168,7 @@ class VisaTransport(Arriving):
         self._to_send.put(content)
 
     def close(self) -> None:
-        """End the session after an open question: the next one is to get its own answer."""
+        """Close the session after an open query, so that a later query gets its own answer."""
         if not self._thread.is_alive() and self._session is None:
             return
         self._to_send.put(None)

@@ -8,7 +8,7 @@ from common.drawn_faults import KINDS
 from softcal.station.testing.faults import FAULTS
 
 ROOT = Path(__file__).parents[2]
-TABLE, POWER = (ROOT / "docs" / "hazards.md").read_text().split("## What may stay unseen")
+TABLE, POWER = (ROOT / "docs" / "hazards.md").read_text().split("## Undetected faults")
 ROWS = [
     [cell.strip() for cell in line.strip("|").split("|")]
     for line in TABLE.splitlines()

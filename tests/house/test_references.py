@@ -76,6 +76,7 @@ def test_every_file_that_is_named_exists() -> None:
 
 def test_every_python_file_that_is_named_alone_exists() -> None:
     there = {path.name for folder in HOMES.split("|") for path in (ROOT / folder).rglob("*.py")}
+    there |= {path.name for path in ROOT.glob("*.py")}
     name = re.compile(r"(?<![\w./-])([a-z_]\w*\.py)\b")
     made = {one for _, text in _said() for one in re.findall(r"(?:^`|--out )(\w+\.py)", text, re.MULTILINE)}
     assert [(where, one) for where, text in _said() for one in name.findall(text) if one not in there | made] == []

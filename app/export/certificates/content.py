@@ -38,7 +38,7 @@ class Uncertainty:
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """What is certified and what it rests on. Errors and ranges are in `lot.reference_unit`.
+    """Content of a certificate. Errors and ranges are in `lot.reference_unit`.
 
     Args:
         identifier: unique over all certificates of a registry.
@@ -48,16 +48,16 @@ class Certificate:
         forecast, measured: predicted RMSE, and that on an audit recording, if any.
         limit: largest error a unit may have, and where that comes from.
         is_sampled: whether audits of other units decided.
-        is_trimmed: whether its map was trimmed since it was judged by its recording and its audit.
+        is_trimmed: whether its map was trimmed after its audit.
         reference: what the source was compared with; None where nobody said.
         blocking_reasons: why the reference lets no unit pass; empty where it does.
         budget: at the source's RMS load; None after a trim.
-        by_loads: what known loads did to the map; empty where there were none.
-        by_audits: what was taken off the map as audited units misread alike, if any.
+        by_loads: adjustment of the map by known loads; empty without any.
+        by_audits: correction of the common bias of audited units, if any.
         audit_rows: how many rows of its audit have an estimate, and how many have none.
         revision_reason: why this revision was made, in the registry's words.
         bands: U_est by range; none where no estimate lies in the source's range.
-        output, mapped: (k,) output levels of this unit and the source output each stands for.
+        output, mapped: (k,) output levels of this unit and the source output of each.
         estimated: the unit's own recording as estimated, with U_est around it.
     """
 
@@ -100,7 +100,7 @@ class Certificate:
 
     @property
     def recorded(self) -> str:
-        """How many samples it rests on, and how many of its file were left out."""
+        """Sentence on the number of samples used, and the number left out."""
         left_out = f" (invalid samples left out: {self.excluded_samples})" if self.excluded_samples else ""
         return f"{self.samples} samples at {self.lot.sample_rate_Hz:g} Hz{left_out}"
 
@@ -119,7 +119,7 @@ class Certificate:
         return self.measured or self.forecast
 
     def interval_of(self, error: ErrorForecast) -> tuple[float, float] | None:
-        """Return the 95 % interval of an error; None where it is not known, or audits leave it."""
+        """Return the 95 % interval of an error; None if it is unknown."""
         is_known = np.isfinite(error.upper) and not (self.is_sampled and error is self.forecast)
         return (error.lower, error.upper) if is_known else None
 
@@ -143,7 +143,7 @@ class Certificate:
 
     @property
     def decimals(self) -> int:
-        """Decimals of the errors on paper: those of U with two digits, more where the decision would read otherwise."""
+        """Decimals of errors on paper: those of U with two digits, more where rounding would change the statement."""
         error, limit = self.error, self.limit
         if error is None or not np.isfinite(error.upper):
             return decimals_of(float("nan"))
@@ -155,7 +155,7 @@ class Certificate:
 
     @property
     def withheld(self) -> tuple[str, ...]:
-        """Codes of `WITHHELD`: why no statement of conformity is made; empty where one is."""
+        """Codes of `WITHHELD`: reasons for making no statement of conformity; empty with one."""
         is_withheld = {
             "simulated": self.is_simulated,
             "no_limit": self.limit is None or not self.limit.is_stated,
@@ -169,18 +169,18 @@ class Certificate:
 
     @property
     def conformity(self) -> str:
-        """Pass, conditional pass, fail; empty where no statement may be made."""
+        """Pass, conditional pass or fail; empty without a statement."""
         return "" if self.withheld else Verdict(self.verdict).conformity
 
     @property
     def no_statement(self) -> str:
-        """Why no statement of conformity is made, in a sentence; empty where one is."""
+        """Sentence with the reason for making no statement of conformity; empty with one."""
         why = "; ".join(statements.WITHHELD[code] for code in self.withheld)
         return f"No statement of conformity is made: {why}." if why else ""
 
     @property
     def is_by_loads_alone(self) -> bool:
-        """Whether the map hangs on known loads, and nobody measured the unit since."""
+        """Whether known loads adjusted the map after the last audit."""
         return bool(self.by_loads) and (self.measured is None or self.is_trimmed)
 
     @property
@@ -190,13 +190,13 @@ class Certificate:
 
     @property
     def is_traceable(self) -> bool:
-        """Whether the results are traced to a certificate that held when the reference was used."""
+        """Whether results are traceable to a certificate that was valid when the reference was used."""
         is_valid = self.reference is not None and self.reference.standing is Standing.VALID
         return is_valid and not self.blocking_reasons and not self.is_by_loads_alone
 
     @property
     def method_name(self) -> str:
-        """The method in a few words, as it was."""
+        """Short name of the method of the calibration."""
         return statements.METHODS.get(self.map_family, (self.map_family, ""))[0]
 
     @property
@@ -210,14 +210,14 @@ class Certificate:
 
     @property
     def deviations(self) -> str:
-        """What the registry knows and what the laboratory states of deviations from the method."""
+        """Deviations from the method, from the registry and from the laboratory."""
         stated = self.laboratory.performance.deviations
         corrections = [text for text in (self.by_loads, self.by_audits) if text]
         return "; ".join([*corrections, f"others: {stated}"]) if corrections else stated
 
     @property
     def location(self) -> str:
-        """Where the calibration was performed, as far as somebody stated it."""
+        """Place of the calibration, as stated."""
         performance = self.laboratory.performance
         if performance.place != NOT_STATED or performance.at == NOT_STATED:
             return performance.place
@@ -227,18 +227,18 @@ class Certificate:
 
     @property
     def began_on(self) -> date:
-        """First day of performance: as stated, else as the registry knows it."""
+        """First day of performance: as stated, else from the registry."""
         return self.laboratory.performance.began_on or min(self.in_registry_since, self.ended_on)
 
     @property
     def ended_on(self) -> date:
-        """Last day of performance: as stated, else as the registry knows it."""
+        """Last day of performance: as stated, else from the registry."""
         stated = self.laboratory.performance
         return stated.ended_on or max(self.calculated_on, stated.began_on or self.calculated_on)
 
     @property
     def performed(self) -> str:
-        """When it was performed: what somebody stated, and what the registry knows."""
+        """Dates of performance: as stated, and from the registry."""
         stated = self.laboratory.performance
         return (
             f"first day: {stated.began_on or NOT_STATED}; last day: {stated.ended_on or NOT_STATED}; "
@@ -247,7 +247,7 @@ class Certificate:
 
     @property
     def provenance_rows(self) -> list[tuple[str, str]]:
-        """What made this revision and from what, a row each, for people."""
+        """Provenance of this revision, one row per entry, for people."""
         return [*self.provenance.rows, ("SHA-256 of the map", self.map_sha256)]
 
     @property
@@ -341,7 +341,7 @@ def build_certificate(unit: CalibratedUnit) -> Certificate:
 
 
 def _check_load_cell(laboratory: Laboratory, reference: Reference | None) -> None:
-    """Refuse a certificate about another instrument than the verdict was made with."""
+    """Refuse a certificate about another load cell than that of the verdict."""
     if reference is None or reference.is_simulated:
         return
     named = laboratory.load_cell
@@ -356,7 +356,7 @@ def _check_load_cell(laboratory: Laboratory, reference: Reference | None) -> Non
 
 
 def _rows(state: UnitState) -> str:
-    """Say how many rows the measured error was made from; empty without an audit."""
+    """Return the sentence on the number of rows of the measured error; empty without an audit."""
     if state.scores is None:
         return ""
     left_out = ", ".join(f"{flag} {count}" for flag, count in state.scores.unscored.items() if count)
@@ -364,7 +364,7 @@ def _rows(state: UnitState) -> str:
 
 
 def _by_loads(state: UnitState, unit: str) -> str:
-    """Say what known loads did to the map; empty where there were none."""
+    """Return the sentence on adjustments of the map by known loads; empty without any."""
     anchored = state.unit_map
     if not state.knowledge.is_anchored or not isinstance(anchored, AnchoredMap):
         return ""

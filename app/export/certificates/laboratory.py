@@ -1,4 +1,4 @@
-"""Who calibrates, for whom, where and how: a TOML file, or what the registry keeps."""
+"""Laboratory, customer, place and conditions of a calibration: from a TOML file, or from the registry."""
 
 from dataclasses import dataclass, fields
 from datetime import date
@@ -37,7 +37,7 @@ class Party:
 
 @dataclass(frozen=True)
 class Person:
-    """Who answers for the certificate."""
+    """Person responsible for the certificate."""
 
     name: str = NOT_STATED
     role: str = NOT_STATED
@@ -45,7 +45,7 @@ class Person:
 
 @dataclass(frozen=True)
 class LoadCell:
-    """What people want to read of the reference beside what the lot states of it.
+    """Data of the reference for readers, in addition to the lot's statement.
 
     Args:
         certificate: must be the one the lot states, where it states one.
@@ -74,7 +74,7 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Performance:
-    """How the calibration was performed, beside the recordings (ISO/IEC 17025:2017, 7.8.2.1).
+    """Performance of the calibration, in addition to the recordings (ISO/IEC 17025:2017, 7.8.2.1).
 
     Args:
         at: one of `PLACES`.
@@ -82,7 +82,7 @@ class Performance:
         condition: of the item when it was received.
         received_on: day the item was received.
         issued_on: day of issue; the day of the export where it is left out.
-        deviations: from the method, beside those that the registry knows.
+        deviations: from the method, in addition to those of the registry.
         began_on, ended_on: first and last day the units were pressed.
     """
 
@@ -104,7 +104,7 @@ class Performance:
 
 @dataclass(frozen=True)
 class Laboratory:
-    """Everything a certificate says that no recording knows."""
+    """All data of a certificate that no recording contains."""
 
     laboratory: Party = Party()
     customer: Party = Party()
@@ -115,7 +115,7 @@ class Laboratory:
 
 
 def read_laboratory(path: Path | None) -> Laboratory:
-    """Read the file (`InputError`: it cannot be used); without one everything is "not stated"."""
+    """Return the laboratory data of a file (`InputError`: unusable); without a file everything is "not stated"."""
     if path is None:
         return Laboratory()
     values = read_toml(path)
@@ -126,13 +126,13 @@ def read_laboratory(path: Path | None) -> Laboratory:
 
 
 def registry_laboratory(registry: Registry) -> Laboratory:
-    """Return what the registry keeps for every certificate; "not stated" before."""
+    """Return the laboratory data in the registry; "not stated" before they were stored."""
     rows = registry.declarations.in_force("laboratories")
     return msgspec.convert({row["section"]: row["statements"] for row in rows}, Laboratory)
 
 
 def store_laboratory(registry: Registry, laboratory: Laboratory, actor: str | None = None) -> None:
-    """Keep what every later certificate is to say."""
+    """Store the laboratory data for every later certificate."""
     with registry.transaction():
         for section, values in msgspec.to_builtins(laboratory).items():
             registry.declarations.declare("laboratories", {"section": section, "statements": values}, actor=actor)

@@ -1,4 +1,4 @@
-"""The statement on a lot as one page: what is promised, on what evidence, at what risk."""
+"""The statement on a lot as one page: release, evidence, consumer's risk."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,11 +29,11 @@ ENGLISH: Words = partial(text, "en")
 
 @dataclass(frozen=True)
 class LotStatement:
-    """What the page says.
+    """Content of the page on a lot.
 
     Args:
-        decided: on those that nobody measured.
-        provenance: what it was made by and from, networks and audits.
+        decided: on its unmeasured units.
+        provenance: its origin: software, networks and audits.
         sample: what of the audits was drawn before it was measured.
         is_simulated: whether the lot's recordings come from a simulation.
     """
@@ -48,7 +48,7 @@ class LotStatement:
 
 
 def build_lot_statement(registry: Registry, standing: LotStanding, decided: LotRelease) -> LotStatement:
-    """Gather what the page on a lot says (`decided`: on its units that nobody measured)."""
+    """Return the content of the page on a lot (`decided`: of its unmeasured units)."""
     lot_id = standing.lot_id
     calibrated = next(u.serial for u in registry.lots.units(lot_id) if u.role == "target" and u.revision is not None)
     fit = registry.calibrations.get(calibrated, lot_id=lot_id).state.fit

@@ -30,7 +30,7 @@ VERDICT_COLOURS = {"pass": "#1b7f3b", "conditional": "#8a6100", "fail": "#b3261e
 
 @dataclass(frozen=True)
 class Document:
-    """What holds for every page of a document, as paper can show it.
+    """Properties of every page of a document.
 
     Args:
         across: word written across every page; empty for none.
@@ -113,7 +113,7 @@ class _NumberedCanvas(Canvas):  # type: ignore[misc]
         self.restoreState()
 
     def _write(self, x: float, y: float, runs: list[tuple[str, str]], size: float) -> None:
-        """Write runs of letters beside each other."""
+        """Write runs of letters side by side."""
         for font, letters in runs:
             self.setFont(font, size)
             self.drawString(x, y, letters)
@@ -121,13 +121,13 @@ class _NumberedCanvas(Canvas):  # type: ignore[misc]
 
 
 def section(title: str, body: Flowable) -> list[Flowable]:
-    """Return a heading over a body, kept together."""
+    """Return a heading with its body, kept on one page."""
     heading = Paragraph(marked_up(title), style(10, BOLD))
     return [Spacer(1, 4.5 * mm), KeepTogether([heading, Spacer(1, 1.5 * mm), body])]
 
 
 def property_table(rows: Sequence[tuple[str, str]], size: float = 8) -> Flowable:
-    """Return a table of names and what is to be said of them."""
+    """Return a table of names and values."""
     cells = [[paragraph(name, size, QUIET), paragraph(value, size)] for name, value in rows]
     return Table(cells, colWidths=[38 * mm, WIDTH - 38 * mm], style=grid(size))
 
@@ -164,7 +164,7 @@ def flush() -> TableStyle:
 
 
 def marked(word: str, colour: str, texts: Sequence[str], size: float = 8) -> Table:
-    """Return a word and what is said of it, with a bar of the word's colour on their left."""
+    """Return a verdict with its text, and a bar in the verdict's colour on the left."""
     heading = Paragraph(f'<font color="{colour}">{marked_up(word)}</font>', style(13, BOLD))
     bar = ("LINEBEFORE", (0, 0), (0, -1), 3, colors.HexColor(colour))
     look = TableStyle([EMBEDDED, bar, ("LEFTPADDING", (0, 0), (-1, -1), 8)])

@@ -93,7 +93,7 @@ def certificate_pdf(certificate: Certificate) -> bytes:
 
 
 def _estimates(certificate: Certificate) -> go.Figure:
-    """Draw the estimates of the unit's own recording over time, with U_est around them."""
+    """Plot the estimates of the unit's own recording over time, with U_est."""
     estimated, figure = certificate.estimated, go.Figure()
     rows = np.flatnonzero(np.isfinite(estimated.estimate))
     rows = rows[estimated.t_s[rows] <= estimated.t_s[rows[0]] + SHOWN_S]
@@ -105,7 +105,7 @@ def _estimates(certificate: Certificate) -> go.Figure:
 
 
 def _map(certificate: Certificate) -> go.Figure:
-    """Draw which source output each steady output of the unit stands for."""
+    """Plot the source output γ(x) for each steady output x of the unit."""
     figure, unit = go.Figure(), certificate.lot.output_unit
     figure.add_scatter(x=certificate.output, y=certificate.mapped, line={"color": CURVE, "width": 2.2})
     return _titled(figure, f"output of unit {certificate.serial}, {unit}", f"source output, {unit}")
@@ -212,7 +212,7 @@ def _trace_rows(certificate: Certificate) -> list[tuple[str, str]]:
 
 
 def _budget(certificate: Certificate) -> list[Flowable]:
-    """The uncertainty budget as a table; nothing for calibrations that kept none."""
+    """Return the uncertainty budget as a table; empty for calibrations without one."""
     budget, unit = certificate.budget, certificate.lot.reference_unit
     if budget is None:
         return []

@@ -1,4 +1,4 @@
-"""The sentences of a certificate that hold for every unit: method, decision rule, basis, what is withheld."""
+"""Sentences of a certificate that apply to every unit: method, decision rule, basis, reasons for no statement."""
 
 from collections.abc import Mapping
 

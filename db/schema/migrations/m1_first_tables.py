@@ -1,4 +1,4 @@
-"""Schema 1: the tables of `tables.py`, frozen here as they are when a second schema comes."""
+"""Schema 1: the tables of `tables.py`, frozen in this module once a second schema exists."""
 
 import sqlalchemy as sa
 from alembic import op

@@ -27,7 +27,7 @@ _TRAVEL = re.compile(r"([+-]?\d+(?:\.\d+)?) ?(mm|in)?")
 
 @dataclass(frozen=True)
 class StandStatus:
-    """What the stand answers to `p`.
+    """Status of the stand, from the answer to `p`.
 
     Args:
         motion: U moving up, D moving down, S stopped.
@@ -61,7 +61,7 @@ def to_gauge(command: str) -> bytes:
 
 
 def parse_status(line: bytes) -> StandStatus:
-    """Return the answer to `p`; `BadReply` where it is none."""
+    """Return the answer to `p`; raise `BadReply` for any other text."""
     match = _STATUS.fullmatch(line.decode("ascii", "replace").strip())
     if not match:
         raise BadReply(reason("esm.status", line=repr(line[:40])))
@@ -69,7 +69,7 @@ def parse_status(line: bytes) -> StandStatus:
 
 
 def parse_travel_mm(line: bytes) -> float:
-    """Return the answer to `x` in mm, upward positive; `BadReply` where it is none."""
+    """Return the answer to `x` in mm, upward positive; raise `BadReply` for any other text."""
     match = _TRAVEL.fullmatch(line.decode("ascii", "replace").strip())
     if not match:
         raise BadReply(reason("esm.travel_line", line=repr(line[:40])))

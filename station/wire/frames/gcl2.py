@@ -17,7 +17,7 @@ _READING = re.compile(r"([+-]?\d+(?:\.\d+)?)(?: ([A-Za-z]+))?")
 
 @dataclass(frozen=True)
 class GaugeSettings:
-    """What `LIST` reports.
+    """Settings of a gauge, as `LIST` reports them.
 
     Args:
         unit: LBF, OZF, KGF, GF, N, MN, KN.
@@ -33,7 +33,7 @@ class GaugeSettings:
 
 
 def parse_reading_N(line: bytes) -> float:
-    """Return a reading in N as the gauge shows it; `BadReply`: an error code, no unit, or noise."""
+    """Return a reading in N; raise `BadReply` for an error code, a missing unit, or noise."""
     text = _text(line)
     if text in ERRORS:
         raise BadReply(reason("gcl2.error", code=text, why=ERRORS[text]))
@@ -46,7 +46,7 @@ def parse_reading_N(line: bytes) -> float:
 
 
 def parse_settings(line: bytes) -> GaugeSettings:
-    """Return the answer to `LIST`; `BadReply` where it is none."""
+    """Return the answer to `LIST`; raise `BadReply` for any other text."""
     fields = _text(line).split(";")
     modes = [field for field in fields if field in ("CUR", "PT", "PC")]
     if len(fields) < 4 or not fields[0].startswith("V") or not modes:
@@ -55,7 +55,7 @@ def parse_settings(line: bytes) -> GaugeSettings:
 
 
 def check_settings(line: bytes) -> None:
-    """Refuse a gauge whose answer to `LIST` says other readings than signed ones in N."""
+    """Refuse a gauge whose settings in `LIST` are not signed readings in N."""
     settings = parse_settings(line)
     if (settings.mode, settings.unit) != ("CUR", "N"):
         raise NoReply(reason("gauge.mode", mode=settings.mode, unit=settings.unit))

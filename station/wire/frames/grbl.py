@@ -72,7 +72,7 @@ class GrblStatus:
 
 @dataclass(frozen=True)
 class Greeting:
-    """What a controller says after a reset; in mid-run it means that all that was queued is gone."""
+    """Greeting of a controller after a reset; in a run it means that the queue is lost."""
 
     text: str
 
@@ -100,7 +100,7 @@ _GREETING = re.compile(r"grbl(hal)? \d", re.IGNORECASE)
 
 
 def parse(line: bytes) -> Reply:
-    """Return what a line means, its end taken off; `BadReply`: noise, or no word of GRBL's."""
+    """Return the meaning of a line without its end; raise `BadReply` for noise, or no line of GRBL."""
     try:
         text = line.decode("ascii")
         if text == "ok":

@@ -18,14 +18,14 @@ _NUMBERS = re.compile(rb"\d+(,-?\d+)+")
 
 @dataclass(frozen=True)
 class StreamLine:
-    """One line: the device's milliseconds (0 ... 2**32 - 1) and a whole number per channel."""
+    """One line: the device's milliseconds (0 ... 2**32 - 1) and an integer per channel."""
 
     device_ms: int
     counts: tuple[int, ...]
 
 
 def parse(line: bytes) -> StreamLine:
-    """Return what a line says; `BadReply`: cut, a banner, noise, or a wrong checksum."""
+    """Return the content of a line; raise `BadReply` for a truncated line, a banner, noise, or a wrong checksum."""
     content, star, checksum = line.partition(b"*")
     if star and checksum.upper() != _checksum(content):
         raise BadReply(reason("stream.checksum", line=repr(line[:40]), checksum=_checksum(content).decode()))
@@ -38,7 +38,7 @@ def parse(line: bytes) -> StreamLine:
 
 
 def format_line(line: StreamLine, has_checksum: bool = True) -> bytes:
-    """Return the line as the device sends it."""
+    """Return the line in the device's format."""
     content = ",".join(map(str, (line.device_ms, *line.counts))).encode()
     return content + (b"*" + _checksum(content) if has_checksum else b"") + b"\r\n"
 

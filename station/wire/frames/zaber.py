@@ -19,7 +19,7 @@ ACCELERATION_UNIT = SPEED_UNIT / 10_000
 
 @dataclass(frozen=True)
 class Command:
-    """One command.
+    """One command of the Zaber protocol.
 
     Args:
         message_id: echoed by the device; None when it was not given.
@@ -34,7 +34,7 @@ class Command:
 
 @dataclass(frozen=True)
 class Reply:
-    """One reply.
+    """One reply of the Zaber protocol.
 
     Args:
         message_id: of the command, where it had one.
@@ -58,7 +58,7 @@ class Reply:
 
 
 def lrc(content: bytes) -> bytes:
-    """Return the checksum of what stands between the first character and the colon."""
+    """Return the checksum of the characters between the first character and the colon."""
     return b"%02X" % (-sum(content) & 0xFF)
 
 
@@ -71,7 +71,7 @@ def format_command(command: Command) -> bytes:
 
 
 def parse_command(line: bytes) -> tuple[Command, bool]:
-    """Return a command and whether it had a checksum; `BadReply`: none, or a wrong checksum."""
+    """Return a command and whether it has a checksum; raise `BadReply` for no command or a wrong checksum."""
     if not line.startswith(b"/"):
         raise BadReply(reason("zaber.no_command", line=repr(line[:40])))
     content, has_checksum = _without_checksum(line)
@@ -84,7 +84,7 @@ def parse_command(line: bytes) -> tuple[Command, bool]:
 
 
 def format_reply(reply: Reply, has_checksum: bool) -> bytes:
-    """Return a reply as the device sends it."""
+    """Return a reply in the device's format."""
     identity = "" if reply.message_id is None else f" {reply.message_id:02d}"
     words = ("OK" if reply.is_ok else "RJ", "BUSY" if reply.is_busy else "IDLE", reply.warning, reply.data)
     content = f"{reply.device:02d} {reply.scope}{identity} {' '.join(words)}".encode()
