@@ -71,8 +71,8 @@ def with_share(case: Case, share: float) -> float:
     added = case.calibration.interval.half_width**2 - case.source_half_width**2
     half_width = np.sqrt(case.source_half_width**2 + added * share / used)
     interval = replace(case.calibration.interval, half_width=half_width)
-    calibration = replace(case.calibration.calibration, interval=interval)
-    return coverage(estimate(case.network, calibration, case.test.unlabelled), case.test)
+    fit = replace(case.calibration.fit, fitted=replace(case.calibration.fitted, interval=interval))
+    return coverage(estimate(case.network, replace(case.calibration, fit=fit), case.test.unlabelled), case.test)
 
 
 if __name__ == "__main__":

@@ -44,9 +44,9 @@ UNITS = 4
 PASSING = {"work_items", "heartbeats", "line_places", "jobs", "registry_info", "run_signals"}
 """Tables of work in progress."""
 
-DRAWN = {"hash", "prev_hash", "seq", "before", "after", "fit_s", "origin", "token_sha256", "pin_hash", "state_sha256",
-         "made_by", "follows_origin", "fit_sha256", "fits.sha256"}  # fmt: skip
-"""Columns that hold a chain, a duration, or what is drawn at random; a fit's hash is of how long it took, too."""
+DRAWN = {"hash", "prev_hash", "seq", "before", "after", "fit_s", "origin", "token_sha256", "pin_hash",
+         "made_by", "follows_origin"}  # fmt: skip
+"""Columns that hold a chain, a duration, or what is drawn at random."""
 
 
 @dataclass(frozen=True)

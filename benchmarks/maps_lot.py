@@ -102,7 +102,7 @@ def by_product(
 
 
 def _scored(network: object, state: UnitState, test: LabelledRecording) -> tuple[float, float, float]:
-    found = estimate(network, state.calibration, test.unlabelled)  # type: ignore[arg-type]
+    found = estimate(network, state, test.unlabelled)  # type: ignore[arg-type]
     is_inside = (found.lower <= test.reference) & (test.reference <= found.upper)
     rows = np.isfinite(found.estimate)
     return rmse(found.estimate, test.reference), state.forecast.rmse, float(np.mean(is_inside[rows]))

@@ -35,7 +35,6 @@ from softcal.app.batch.batch import run_batch
 from softcal.app.batch.lot_work import BatchConfig, Watch
 from softcal.app.batch.train import provide_network
 from softcal.app.calibration.changes import change_limit, compare_verdicts, read_verdicts
-from softcal.app.calibration.unit_result import UnitResult
 from softcal.app.files.lot_folder import LotFolder, open_lot_folder
 from softcal.app.files.lot_toml import write_lot_toml
 from softcal.app.files.recording_file import inspect_recording
@@ -46,6 +45,7 @@ from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import Heartbeat, StationState
 from softcal.core.recording import OutputRecording
 from softcal.db.connection import open_registry
+from softcal.db.entries import UnitResult
 from softcal.db.maintenance.backup import back_up
 from softcal.db.maintenance.sync import synchronise
 from softcal.db.registry import Registry
@@ -390,7 +390,7 @@ def batch(url: str, folder: LotFolder, acknowledge: Acknowledge) -> None:
     """Run a batch and tell every unit that was kept."""
 
     def tell(unit: UnitResult) -> None:
-        acknowledge(f"{unit.serial} {unit.summary.revision}" if unit.summary else f"{unit.serial} refused")
+        acknowledge(f"{unit.serial} {unit.calibration.revision}" if unit.calibration else f"{unit.serial} refused")
 
     with open_registry(url, create=False) as registry:
         run_batch(folder, registry, BatchConfig(network=NETWORK), Watch(on_unit=tell))

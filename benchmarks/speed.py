@@ -22,6 +22,7 @@ import ot
 from common.command import Commands, median_s
 from common.tables import print_table
 
+from softcal.app.registry.unit import source_state
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.interface import FitProblem
@@ -35,11 +36,11 @@ from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import draw_twins
 from softcal.core.twin.simulate import simulate
 from softcal.core.unit.calibrate import calibrate
-from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate as estimated
 from softcal.core.unit.health import OutputLimits, run_lengths
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import make_source_model
+from softcal.core.unit.state import UnitState
 from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.windows import TAPS, windows
 from softcal.station.devices.bench import open_simulated_bench
@@ -67,7 +68,7 @@ def estimate(options: argparse.Namespace) -> None:
     print_streaming(network, calibration, recording.part(0, 3_000))
 
 
-def print_profile(network: Network, calibration: Calibration, recording: OutputRecording, whole_s: float) -> None:
+def print_profile(network: Network, calibration: UnitState, recording: OutputRecording, whole_s: float) -> None:
     mapped = calibration.unit_map.apply_signal(recording.output)
     interval = calibration.interval
     value = network.evaluate(mapped)
@@ -120,7 +121,7 @@ def cpu_of_s(work: Callable[[], None]) -> float:
     return (time.process_time() - begun_s) / 10
 
 
-def print_streaming(network: Network, calibration: Calibration, recording: OutputRecording) -> None:
+def print_streaming(network: Network, calibration: UnitState, recording: OutputRecording) -> None:
     estimator, taken_s = Adapter(network, calibration, recording, AdaptConfig("none")), []
     for t_s, output in zip(recording.t_s, recording.output, strict=True):
         start_s = time.perf_counter()
@@ -141,20 +142,13 @@ def made_up_recording(rng: np.random.Generator, count: int) -> OutputRecording:
     return OutputRecording("U1", t_s, output_V, RATE_HZ)
 
 
-def made_up_calibration(network: Network, recording: OutputRecording) -> Calibration:
+def made_up_calibration(network: Network, recording: OutputRecording) -> UnitState:
     source = LabelledRecording(
         recording, np.concatenate([np.zeros(TAPS - 1), network.evaluate(windows(recording.output))])
     )
-    model = make_source_model(source, network, np.arange(0, len(source.windows), 5), method=Method())
-    return Calibration(
-        serial="U1",
-        network_id=network.id,
-        unit_map=AffineMap(1.02, -0.01),
-        interval=model.interval,
-        output_limits=OutputLimits(-np.inf, np.inf, 200),
-        method=model.method,
-        predicted_rmse=0.1,
-    )
+    state = source_state(source, network)
+    fitted = replace(state.fitted, unit_map=AffineMap(1.02, -0.01), output_limits=OutputLimits(-np.inf, np.inf, 200))
+    return replace(state, fit=replace(state.fit, fitted=fitted))
 
 
 def fit(options: argparse.Namespace) -> None:

@@ -68,30 +68,45 @@ class RunEntry:
 
 
 @dataclass(frozen=True, eq=False)
-class CalibrationSummary:
-    """Summary of a revision for reports, without arrays, so that ten thousand units fit into memory.
+class StoredCalibration:
+    """One revision of a unit's state.
 
     Args:
-        state: without arrays it can be decided on and estimates nothing.
+        state: as a row of many without arrays, so that a lot of ten thousand fits into memory: it can be decided on and
+            estimates nothing.
         map_sha256: content hash of the map in force.
         revision: 1, 2, 3 ... per serial.
         input_sha256: content hash of what asked for it.
         made_at: UTC; never before the revision it follows.
         version, build: of the program that made it.
+        rolled_back_to: the older revision this one repeats, for a rollback.
+        origin: the registry that wrote it.
+        is_current: this is the map in use in its lot. None is while two registries disagree.
+        is_conflict: this map and another one are in use; a person has to decide.
     """
 
     state: "UnitState"
+    lot_id: str
     map_sha256: str
     revision: int
     input_sha256: str
     made_at: datetime
     actor: str
+    reason: str
     version: str
     build: str
+    rolled_back_to: int | None
+    origin: str
+    is_current: bool
+    is_conflict: bool
 
     @property
     def serial(self) -> str:
         return self.state.serial
+
+    @property
+    def key(self) -> UnitKey:
+        return UnitKey(self.lot_id, self.serial)
 
     @property
     def provenance(self) -> Provenance:
@@ -108,29 +123,6 @@ class CalibrationSummary:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class StoredCalibration(CalibrationSummary):
-    """One revision in the history of a serial, with the arrays of its state.
-
-    Args:
-        rolled_back_to: the older revision this one repeats, for a rollback.
-        origin: the registry that wrote it.
-        is_current: this is the map in use in its lot. None is while two registries disagree.
-        is_conflict: this map and another one are in use; a person has to decide.
-    """
-
-    lot_id: str
-    reason: str
-    rolled_back_to: int | None
-    origin: str
-    is_current: bool
-    is_conflict: bool
-
-    @property
-    def key(self) -> UnitKey:
-        return UnitKey(self.lot_id, self.serial)
-
-
 UNIT_ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
 """The errors of a calibration in the lot's reference unit: as forecast, then as an audit showed them."""
 
@@ -138,18 +130,52 @@ UNDECIDED = "retest"
 """Verdict of a unit for which two registries put different maps into use."""
 
 
-@dataclass(frozen=True)
-class UnitStanding:
-    """Status of a unit with its reason and time (UTC); `summary` is of the calibration in use.
+@dataclass(frozen=True, eq=False)
+class UnitResult:
+    """Status of a unit with its reasons and time (UTC), as every report states it.
 
-    It is None after a refusal or in a conflict.
+    Args:
+        verdict: of the newest result; "" while there is none.
+        reasons: why, most important first.
+        made_at: UTC; None while there is no result.
+        calibration: the one in use; None after a refusal or in a conflict.
+        is_new: whether the batch that reports it fitted it.
     """
 
     serial: str
-    verdict: str
-    reasons: tuple[Reason, ...]
-    made_at: datetime
-    summary: CalibrationSummary | None = None
+    verdict: str = ""
+    reasons: tuple[Reason, ...] = ()
+    made_at: datetime | None = None
+    calibration: StoredCalibration | None = None
+    is_new: bool = False
+
+    @property
+    def state(self) -> "UnitState | None":
+        return None if self.calibration is None else self.calibration.state
+
+    @property
+    def is_audited(self) -> bool:
+        return self.state is not None and self.state.decision.is_audited
+
+    @property
+    def errors(self) -> dict[str, float | None]:
+        """Its errors in the lot's reference unit, by `UNIT_ERRORS`; None where there is none."""
+        return dict.fromkeys(UNIT_ERRORS) if self.state is None else self.state.errors
+
+    def to_json(self) -> dict[str, object]:
+        """Return what every machine-readable result says of the unit."""
+        state = self.state
+        return {
+            "serial": self.serial,
+            "verdict": self.verdict,
+            "reasons": [str(why) for why in self.reasons],
+            "reason_codes": [why.code for why in self.reasons],
+            "released": self.verdict == "pass",
+            "audited": self.is_audited,
+            "knowledge": state and str(state.knowledge),
+            "fit_s": state and state.fit.fit_s,
+            **self.errors,
+        }
 
 
 @dataclass(frozen=True)

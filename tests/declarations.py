@@ -37,8 +37,12 @@ def declare_all(factory, labelled) -> None:
     registry.declarations.declare("confirmed_audits", confirmed, action="confirm", reason="pressed again")
     page = {"station": "line-1", "is_passed": True, "due_on": date(2026, 9, 1), "page": {"specimen": "spring"}}
     registry.declarations.declare("station_qualifications", page, action="qualify")
-    statement = {"word": "pass", "failed": [], "nonconforming_upper": 0, "process_upper": 0.1, "error_ratio": 1.0}
-    statement |= {"lot_id": lot_id, "text": "units checked: 2", "measured": {}}
+    statement = {"word": "pass", "nonconforming_upper": 0, "process_upper": 0.1, "error_ratio": 1.0}
+    statement |= {
+        "lot_id": lot_id,
+        "text": "units checked: 2",
+        "listed": [{"serial": "U1", "measured_rmse": 0.1, "is_failed": False}],
+    }
     registry.declarations.declare("lot_statements", statement, action="judge")
     alert = {"kind": "yield", "lot_id": lot_id, "about": "", "is_open": True, "content": {"kind": "yield"}}
     remember_files(

@@ -227,7 +227,9 @@ class UnitHistories(RuleBasedStateMachine):
             units = [unit for unit in registry.lots.units(LOT.id) if unit.role == "target"]
             standings = registry.pages.standings(LOT.id, SERIALS)
             words = {serial: one.verdict for serial, one in standings.items()}
-            core = {s: str(one.summary.state.verdict) for s, one in standings.items() if one.summary is not None}
+            core = {
+                s: str(one.calibration.state.verdict) for s, one in standings.items() if one.calibration is not None
+            }
             assert core == {serial: words[serial] for serial in core}
             listed = {unit.serial: unit_json(unit) for unit in units}
             assert {serial: row["verdict"] for serial, row in listed.items()} == words
@@ -238,7 +240,9 @@ class UnitHistories(RuleBasedStateMachine):
             assert {one.serial for way in (Way.MEASURED, Way.SAMPLED) for one in standing.on(way)} == passing
             if standing.decided is not None:
                 facts = build_lot_statement(registry, standing, standing.decided)
-                by_sample = {serial for serial in passing if not standings[serial].summary.state.decision.is_audited}
+                by_sample = {
+                    serial for serial in passing if not standings[serial].calibration.state.decision.is_audited
+                }
                 assert by_sample <= set(facts.decided.released)
         self.touched = set()
 

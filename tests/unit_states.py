@@ -1,11 +1,14 @@
 """States of units as small as they can be, for tests of whatever stores and shows them."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from softcal.core.identity import content_sha256
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.interface import map_sha256
 from softcal.core.messages.reason import plain
+from softcal.core.unit.adjustments import Correction, SampleRelease, Trim
 from softcal.core.unit.fit import Fit, FittedMap
 from softcal.core.unit.health import OutputLimits
 from softcal.core.unit.knowledge import known_by
@@ -13,7 +16,7 @@ from softcal.core.unit.measured_error import MeasuredError, Scores
 from softcal.core.unit.method import LEVELS, Method
 from softcal.core.unit.output_level import LoadLine
 from softcal.core.unit.state import AuditResult, UnitState
-from softcal.core.unit.uncertainty import ErrorForecast, Interval, Support
+from softcal.core.unit.uncertainty import ErrorForecast, Interval, Support, Widening
 from softcal.core.unit.verdict import Finding, Limit, Verdict
 
 METHOD = Method()
@@ -44,6 +47,36 @@ def fit_of(serial: str, network_id: str, recording_sha256: str, number: int = 1,
         "fitted": FittedMap(unit_map, interval(), OutputLimits(-np.inf, np.inf, 100)),
     }
     return Fit(**{**values, **others})  # type: ignore[arg-type]
+
+
+def with_fitted(state: UnitState, **parts: object) -> UnitState:
+    """Return a state whose fit has another map, interval or limits of the output."""
+    assert state.fit.fitted is not None
+    return replace(state, fit=replace(state.fit, fitted=replace(state.fit.fitted, **parts)))  # type: ignore[arg-type]
+
+
+def sample_release(**others: object) -> SampleRelease:
+    """Return what a statement for the limit of 2 says of a unit that it releases."""
+    values: dict[str, object] = {
+        "number": 1,
+        "limit_rmse": 2.0,
+        "is_released": True,
+        "scale": 1.0,
+        "factor": 2.0,
+        "widening": Widening(),
+        "day_rmse": 0.0,
+        "audits": plain("ten audits"),
+        "risk": 0.05,
+        "confidence": 0.95,
+    }
+    return SampleRelease(**{**values, **others})  # type: ignore[arg-type]
+
+
+def adjusted(state: UnitState) -> UnitState:
+    """Return a state with every kind of adjustment."""
+    trim = Trim(output=(0.5, 1.0), reference=(0.0, 2.0), recording_sha256=state.fit.recording_sha256, gain=1.1)
+    correction = Correction(number=1, line=LoadLine(1.02, 0.0), gain_error=0.01, zero_error=0.0, audits=9)
+    return replace(state, trim=trim, correction=correction, release=sample_release())
 
 
 def audit_of(state: UnitState, before: float, after: float) -> AuditResult:

@@ -132,7 +132,7 @@ class Unit:
         import pandas as pd
 
         typed = self._recording(recording)
-        estimates = estimate(self.network, self.state.calibration, typed.unlabelled).spread(typed.t_s, typed.rows)
+        estimates = estimate(self.network, self.state, typed.unlabelled).spread(typed.t_s, typed.rows)
         columns = {name: getattr(estimates, name) for name in ("t_s", "estimate", "lower", "upper", "flag")}
         return pd.DataFrame(columns, index=recording.index if hasattr(recording, "iloc") else None)
 
@@ -150,7 +150,7 @@ class Unit:
         """
         labelled = labelled_of(self._recording(recording), "recording", "Unit.rmse")
         estimates, rows = (
-            estimate(self.network, self.state.calibration, labelled.unlabelled),
+            estimate(self.network, self.state, labelled.unlabelled),
             labelled.unlabelled.window_rows,
         )
         return rmse(estimates.estimate[rows], labelled.reference[rows])
@@ -192,8 +192,8 @@ class Unit:
 
         typed = None if recording is None else self._recording(recording)
         raw = self.recording if typed is None else typed.unlabelled
-        estimates = estimate(self.network, self.state.calibration, raw)
-        signals = UnitSignals(self.state.calibration, self._lot, self.source, raw, estimates)
+        estimates = estimate(self.network, self.state, raw)
+        signals = UnitSignals(self.state, self._lot, self.source, raw, estimates)
         reference = None if typed is None or typed.reference is None else typed.reference[typed.rows]
         return draw_unit(signals, reference, f"Unit {self.serial}: {self.verdict}{self._error(', predicted RMSE ')}")
 

@@ -8,10 +8,9 @@ calibrations and refusals alone; the queue says who works at what, and nothing e
 import hashlib
 import math
 import time
-import uuid
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
 from itertools import chain
@@ -33,7 +32,6 @@ from softcal.app.batch.unit_work import (
 )
 from softcal.app.calibration.lot_context import StoredInputs, put_back, store_result
 from softcal.app.calibration.unit_calibration import ExistingCalibration, LotContext, Refusal
-from softcal.app.calibration.unit_result import UnitResult
 from softcal.app.files.lot_folder import LotFolder
 from softcal.app.files.regular import read_regular
 from softcal.app.logs import note
@@ -45,6 +43,8 @@ from softcal.core.maps.interface import Anchors
 from softcal.core.messages.reason import Reason, plain
 from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.unit.verdict import Release, Verdict
+from softcal.db.entries import UnitResult
+from softcal.db.provenance import build_id
 from softcal.db.queues.work_queue import WorkItem, WorkSet
 from softcal.db.registry import Registry
 
@@ -68,7 +68,7 @@ class BatchConfig:
     Args:
         chunk: units that go to a worker together; None lets the time they take decide.
         score_own: whether own calibrations are trained on audits, for comparison.
-        refit: whether units are fitted again although the registry has their result.
+        refit: whether units are fitted again, once with each build, although the registry has their result.
         anchors: known loads by serial.
         family: of every unit's map, or `auto`; None takes the one stated with the lot.
         actor: who asks, for the audit trail; None is the user the registry was opened by.
@@ -199,14 +199,11 @@ class LotWork:
         self._ended.add(serial)
 
     def told(self, serials: Sequence[str]) -> dict[str, UnitResult]:
-        standings, results = self._registry.pages.standings(self._lot_id, serials), {}
-        for serial in serials:
-            if standing := standings.get(serial):
-                known = standing.verdict, standing.reasons, standing.summary
-                results[serial] = UnitResult(serial, *known, serial in self._new)
-            else:
-                results[serial] = UnitResult(serial, Verdict.RETEST, (plain(NO_RESULT),), is_new=False)
-        return results
+        results, lost = self._registry.pages.standings(self._lot_id, serials), (plain(NO_RESULT),)
+        return {
+            serial: replace(results.get(serial) or UnitResult(serial, Verdict.RETEST, lost), is_new=serial in self._new)
+            for serial in serials
+        }
 
     def recordings(self, serials: Sequence[str]) -> dict[str, str]:
         """Return the hash of the recording that each calibrated unit was calibrated from."""
@@ -308,7 +305,7 @@ class LotWork:
         # What was kept although the connection broke is not this batch's own any more.
         results = self._registry.database.once_more(kept, is_repeatable=True)
         for result in results.values():
-            revision = result.summary and result.summary.revision
+            revision = result.calibration and result.calibration.revision
             note("unit", lot=self._lot_id, serial=result.serial, verdict=result.verdict, revision=revision)
         return list(results.values())
 
@@ -353,6 +350,7 @@ def _settings_sha256(lot: Lot, facts: LotContext, is_refit: bool) -> str:
         **({"rules": sorted(facts.rules)} if facts.rules else {}),
         # A newer version may read what an older one refused.
         "version": version("softcal"),
-        "refit": uuid.uuid4().hex if is_refit else None,
+        # To fit again is work of its own, once with each build; interrupted, it goes on.
+        "refit": build_id() if is_refit else None,
     }
     return content_sha256({}, settings)

@@ -8,12 +8,12 @@ from softcal.app.batch.train import LotNetwork
 from softcal.app.calibration.audit import LotAudit, audit_json, audit_line
 from softcal.app.calibration.changes import Changes
 from softcal.app.calibration.lot_fit import LotFitPlan
-from softcal.app.calibration.unit_result import UnitResult
 from softcal.app.files.not_used import NotUsed
 from softcal.app.texts.reason_groups import MAX_NAMES, name_serials
 from softcal.core.messages.reason import DOUBT, Reason
 from softcal.core.quality.lot_release import LotRelease
 from softcal.core.unit.verdict import VERDICTS, Release, Verdict, worst_of
+from softcal.db.entries import UnitResult
 
 OWN_RATIO = "after/own, test rows"
 """Heading of the one ratio whose errors are of other rows than `after`: those the own calibration was tested on."""
@@ -56,7 +56,7 @@ class BatchReport:
 
     def releases(self, unit: UnitResult) -> bool:
         """Whether files of this unit are written: by its verdict alone."""
-        return unit.summary is not None and self.release.releases(unit.verdict)
+        return unit.calibration is not None and self.release.releases(unit.verdict)
 
 
 def unused_audits(audit_paths: Mapping[str, Path], units: Sequence[UnitResult]) -> list[NotUsed]:
@@ -75,12 +75,12 @@ def report_json(report: BatchReport) -> dict[str, object]:
     """Return the report as the JSON of `softcal batch --json` (schema `softcal.batch/1`)."""
     units = []
     for unit in report.units:
-        summary, state = unit.summary, unit.state
-        made_by = summary and {
-            "family": summary.state.fit.family,
-            "revision": summary.revision,
-            "sha256": summary.map_sha256,
-            "lot_fit": summary.state.fit.lot_fit and vars(summary.state.fit.lot_fit),
+        stored, state = unit.calibration, unit.state
+        made_by = stored and {
+            "family": stored.state.fit.family,
+            "revision": stored.revision,
+            "sha256": stored.map_sha256,
+            "lot_fit": stored.state.fit.lot_fit and vars(stored.state.fit.lot_fit),
         }
         units.append(
             {
@@ -91,7 +91,7 @@ def report_json(report: BatchReport) -> dict[str, object]:
                 "missing": None if state is None or state.fit.missing is None else state.fit.missing.numbers(),
                 "method": state and state.fit.method.id,
                 "is_new": unit.is_new,
-                "provenance": summary and summary.provenance.to_json(),
+                "provenance": stored and stored.provenance.to_json(),
             }
         )
     passed = [unit.serial for unit in report.units if unit.verdict == Verdict.PASS]

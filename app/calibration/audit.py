@@ -114,7 +114,7 @@ def draw_plan(
     unchecked = {
         serial
         for serial, standing in standings.items()
-        if (one := standing.summary) is not None and one.state.fit.is_open and one.state.decision.measured is None
+        if (one := standing.calibration) is not None and one.state.fit.is_open and one.state.decision.measured is None
     }
     accepted = {
         serial: float(unit.predicted_rmse or 0.0)
@@ -140,17 +140,19 @@ def update_lot(registry: Registry, lot_id: str, actor: str | None = None) -> Lot
     """Judge the lot by its audits as far as they are in, and keep a new statement."""
     audit = lot_audit(registry, lot_id)
     if audit is not None and audit.statement is not None:
-        facts = {"lot_id": lot_id, **_statement_json(audit.statement), "measured": dict(audit.measured)}
+        failed = set(audit.statement.failed)
+        facts = {name: value for name, value in vars(audit.statement).items() if name != "failed"} | {"lot_id": lot_id}
+        facts["listed"] = [
+            {"serial": serial, "measured_rmse": error, "is_failed": serial in failed}
+            for serial, error in sorted(audit.measured.items())
+        ]
         registry.declarations.declare("lot_statements", facts, action="judge", actor=actor)
     return audit
 
 
-def _statement_json(statement: LotStatement) -> dict[str, object]:
-    return {**vars(statement), "failed": list(statement.failed)}
-
-
 def audit_json(audit: LotAudit) -> dict[str, object]:
     """Return where an audit stands as JSON values: schema `softcal.lot.audit/1`."""
+    statement = audit.statement and vars(audit.statement) | {"failed": list(audit.statement.failed)}
     return {
         "schema": "softcal.lot.audit/1",
         "plan": audit.plan.settings(),
@@ -159,7 +161,7 @@ def audit_json(audit: LotAudit) -> dict[str, object]:
         "measured_rmse": dict(audit.measured),
         "missing": list(audit.missing),
         "verdict": None if audit.statement is None else audit.statement.word,
-        "statement": None if audit.statement is None else _statement_json(audit.statement),
+        "statement": statement,
     }
 
 

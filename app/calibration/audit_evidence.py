@@ -1,8 +1,9 @@
 """What audits of a lot and of earlier lots say about its other units: each audit read once."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import date, datetime, timedelta
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from softcal.core.quality.qualification import PastAudit, Qualification, qualify
 from softcal.core.quality.release import AuditedUnit
 from softcal.core.quality.widening import AuditedSamples, fit_widening
 from softcal.core.recording import LabelledRecording
-from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.line_spread import SeenGains, seen_gains
 from softcal.core.unit.lot_correction import AuditedLine
@@ -36,6 +36,7 @@ class AuditEvidence:
     Args:
         config: numbers of a release, of the method of the lot's calibrations.
         qualification: whether units may be released, and on which audits.
+        samples: reads the residuals of these audits.
         seen: gains that the lot's audited units read their loads with; None where too few.
         days: gains of the model's golden units on different days; None where too few.
         suspects: audits of the lot that are set aside, by serial, and why.
@@ -45,11 +46,16 @@ class AuditEvidence:
     config: ReleaseConfig
     qualification: Qualification
     limit: Limit
-    widening: Widening
+    samples: Callable[[], Iterable[AuditedSamples]] = tuple
     seen: SeenGains | None = None
     days: SeenGains | None = None
     suspects: Mapping[str, Reason] = field(default_factory=dict)
     lines: Mapping[str, AuditedLine] = field(default_factory=dict)
+
+    @cached_property
+    def widening(self) -> Widening:
+        """What becomes of the intervals of unmeasured units."""
+        return fit_widening(self.samples(), CONFIDENCE, self.config) if self.qualification.audits else Widening()
 
     def day_rmse(self, load_rms: float | None) -> float:
         """Return the error that another day adds to a unit with this RMS load, in the same unit.
@@ -80,15 +86,7 @@ class AuditReader:
         audited = self._audited(lot)
         # A random draw speaks for the other units; the rest speak of their own, and of what all misread alike.
         drawn = drawn_first(registry, lot_id)
-        confirmed = confirmed_audits(registry, lot_id)
-        suspects = doubtful_audits(
-            {
-                serial: state.audit
-                for serial, (_, _, state) in audited.items()
-                if state.audit is not None and confirmed.get(serial) != state.audit.output_sha256
-            },
-            self._method,
-        )
+        suspects = self._suspects(lot_id, audited)
         audited = {serial: known for serial, known in audited.items() if serial not in suspects}
         own = {serial: known for serial, known in audited.items() if known[2].fit.method.id == self._method.id}
         # The error of another map than the one in force is nobody's: it counts where it is a fail that stays. Nor does
@@ -133,10 +131,22 @@ class AuditReader:
             for serial, (_, _, state) in own.items()
             if state.audit is not None and not state.fit.knowledge.is_anchored
         }
-        samples = self._samples(qualification, lot_id)
-        widening = fit_widening(samples, CONFIDENCE, self._config) if qualification.audits else Widening()
+        samples = partial(self._samples, qualification, lot_id)
         seen, days = seen_gains(gains, self._config.min_others), self._days(lot, now)
-        return AuditEvidence(self._config, qualification, limit, widening, seen, days, suspects, lines)
+        return AuditEvidence(self._config, qualification, limit, samples, seen, days, suspects, lines)
+
+    def suspects(self, lot_id: str) -> Mapping[str, Reason]:
+        """Return the audits of a lot that are set aside, by serial, and why."""
+        return self._suspects(lot_id, self._audited(self._registry.lots.get(lot_id)))
+
+    def _suspects(self, lot_id: str, audited: Audited) -> Mapping[str, Reason]:
+        confirmed = confirmed_audits(self._registry, lot_id)
+        unconfirmed = {
+            serial: state.audit
+            for serial, (_, _, state) in audited.items()
+            if state.audit is not None and confirmed.get(serial) != state.audit.output_sha256
+        }
+        return doubtful_audits(unconfirmed, self._method)
 
     def _days(self, lot: Lot, now: datetime) -> SeenGains | None:
         """Return gains of golden units of this sensor model, one a day, each about its mean."""
@@ -153,7 +163,7 @@ class AuditReader:
 
     def _gains_by_day(self, lot_id: str, serial: str, now: datetime) -> list[float]:
         registry, days = self._registry, dict[date, list[float]]()
-        calibration: Calibration | None
+        calibration: UnitState | None
         if serial == registry.lots.get(lot_id).source:
             released = registry.networks.released(lot_id)
             if released is None:
@@ -162,7 +172,7 @@ class AuditReader:
             network = registry.networks.get(reads_with)
         else:
             state = registry.calibrations.get(serial, lot_id=lot_id).state
-            reads_with, calibration = state.map_id, state.calibration
+            reads_with, calibration = state.map_id, state
             network = registry.networks.get(state.fit.network_id)
         for entry in registry.recordings.of_lot(lot_id, serial, "audit"):
             if now - entry.added_at > timedelta(days=self._config.lasts_days):
@@ -195,7 +205,7 @@ class AuditReader:
         at = {serial: entry.observed_at for serial, entry in newest_audits(self._registry, lot.id).items()}
         audited = {}
         for serial, standing in self._registry.pages.standings(lot.id, sorted(at), has_stale=True).items():
-            state = None if standing.summary is None else standing.summary.state
+            state = standing.state
             if state is None or state.audit is None or not state.fit.is_open:
                 continue
             if state.trim_in_force is not None and state.audit.map_id == state.map_id:
@@ -214,6 +224,6 @@ class AuditReader:
         for lot, audited in serials.items():
             standings = self._registry.pages.standings(lot, audited[: self._config.max_audits], has_stale=True)
             for serial in audited:
-                summary = standings[serial].summary if serial in standings else None
-                if summary is not None and (result := summary.state.audit) is not None:
+                state = standings[serial].state if serial in standings else None
+                if state is not None and (result := state.audit) is not None:
                     yield AuditedSamples(np.array(result.residual), np.array(result.half))

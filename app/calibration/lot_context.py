@@ -4,7 +4,14 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
 from typing import Any
 
-from softcal.app.calibration.unit_calibration import ExistingCalibration, LotContext, Refusal, Result, UnitInputs
+from softcal.app.calibration.unit_calibration import (
+    Calibrated,
+    ExistingCalibration,
+    LotContext,
+    Refusal,
+    Result,
+    UnitInputs,
+)
 from softcal.app.registry.golden import bridge_over, golden_of
 from softcal.app.registry.known_loads import known_loads
 from softcal.app.registry.lot_recordings import audit_of, newest_audits
@@ -41,13 +48,14 @@ def declared_line_spread(registry: Registry, lot_id: str) -> LineSpread | None:
 def declare_sources(registry: Registry, lot_id: str, networks: Sequence[str], actor: str | None = None) -> None:
     """Keep the networks of the further sources that a lot folder names."""
     if list(networks) != declared_sources(registry, lot_id):
-        registry.declarations.declare("lot_sources", {"lot_id": lot_id, "networks": list(networks)}, actor=actor)
+        listed = [{"position": k, "network_id": network} for k, network in enumerate(networks)]
+        registry.declarations.declare("lot_sources", {"lot_id": lot_id, "listed": listed}, actor=actor)
 
 
 def declared_sources(registry: Registry, lot_id: str) -> list[str]:
     """Return the networks of a lot's further sources, in its order."""
     facts = registry.declarations.newest("lot_sources", lot_id)
-    return [] if facts is None else list(facts["networks"])
+    return [] if facts is None else [one["network_id"] for one in facts["listed"]]
 
 
 def declare_family(registry: Registry, lot_id: str, family: str | None, actor: str | None = None) -> None:
@@ -149,6 +157,10 @@ def store_result(
     Raises:
         InputError: a calibration that was known is there no more, or a value cannot be stored.
     """
+    if isinstance(result, Calibrated) and registry.calibrations.is_stored(
+        lot_id, result.state.fit, result.input_sha256
+    ):
+        result = ExistingCalibration(result.input_sha256)
     if isinstance(result, Refusal):
         why = (result.reason,)
         registry.calibrations.refuse(lot_id, serial, str(result.verdict), why, actor=actor, work_sha256=work_sha256)

@@ -143,7 +143,7 @@ def store_lot_fit(registry: Registry, plan: LotFitPlan, actor: str | None = None
         before = decision_in_force(registry, plan.lot_id)
         what = None if before.fit.number + 1 == plan.number else f"lot {plan.lot_id}: somebody else fitted it"
         for serial, one in registry.pages.standings(plan.lot_id, list(plan.states), has_stale=True).items():
-            if one.summary is None or one.summary.revision != plan.before[serial]:
+            if one.calibration is None or one.calibration.revision != plan.before[serial]:
                 what = what or f"unit {serial} of lot {plan.lot_id}: somebody else changed it"
         if what:
             raise ChangedMeanwhile(f"{what} meanwhile; nothing was changed; fit the lot again")
@@ -185,9 +185,9 @@ def open_lot_fit(registry: Registry, lot_id: str, recording: OutputRecording) ->
     for sitting in in_force.sittings:
         others = [serial for serial in sitting if serial != recording.serial]
         standing = registry.pages.standings(lot_id, others[:1]).get(others[0])
-        if standing is None or standing.summary is None:
+        if standing is None or standing.calibration is None:
             continue
-        first = unlabelled(registry.recordings.get(standing.summary.state.fit.recording_sha256))
+        first = unlabelled(registry.recordings.get(standing.calibration.state.fit.recording_sha256))
         joins = find_synchrony(first, recording, config).is_synchronous
         count += len(others) * (joins or recording.serial in sitting) + joins
     return reason("lot_fit.open", number=in_force.number + 1, count=count) if count else None
@@ -197,7 +197,7 @@ def _sittings(registry: Registry, lot_id: str) -> tuple[tuple[str, ...], ...]:
     found: dict[str, list[str]] = {}
     standings = registry.pages.standings(lot_id, target_serials(registry, lot_id), has_stale=True)
     for serial, standing in standings.items():
-        part = None if standing.summary is None else standing.summary.state.fit.lot_fit
+        part = None if standing.calibration is None else standing.calibration.state.fit.lot_fit
         if part is not None:
             found.setdefault(part.sitting, []).append(serial)
     return tuple(map(tuple, found.values()))
@@ -212,7 +212,7 @@ class _Lot:
         self.config = self._method.map.shared_load
         serials = target_serials(registry, lot_id)
         standings = registry.pages.standings(lot_id, serials, has_stale=True)
-        found = {serial: one.summary for serial, one in standings.items() if one.summary is not None}
+        found = {serial: one.calibration for serial, one in standings.items() if one.calibration is not None}
         self.states = {serial: one.state for serial, one in found.items() if self._may_share(one.state)}
         self.revisions = {serial: found[serial].revision for serial in self.states}
         self._kept = StoredInputs(registry, lot_id, serials)

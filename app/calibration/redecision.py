@@ -21,7 +21,7 @@ def confirm(registry: Registry, lot_id: str, serial: str, *, reason: str, actor:
         InputError: nobody suspects it, or no reason was given.
     """
     standing = registry.pages.standings(lot_id, [serial]).get(serial)
-    state = None if standing is None or standing.summary is None else standing.summary.state
+    state = None if standing is None else standing.state
     if state is None or state.audit is None or state.suspect_audit is None:
         raise InputError(f"the audit of {serial} in lot {lot_id!r} is not in doubt; there is nothing to confirm")
     if not reason.strip():

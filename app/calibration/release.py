@@ -24,7 +24,7 @@ from softcal.core.quality.release import min_passing
 from softcal.core.unit.adjustments import SampleRelease
 from softcal.core.unit.lot_correction import LotCorrection
 from softcal.core.unit.state import UnitState
-from softcal.db.entries import CalibrationSummary, UnitStanding
+from softcal.db.entries import UnitResult
 from softcal.db.provenance import Provenance, record_provenance
 from softcal.db.registry import Registry
 
@@ -159,7 +159,7 @@ def outline_lot(registry: Registry, lot_id: str) -> LotStanding:
     if some and lot.evidence().qualification.is_given:
         return lot_standing(registry, lot_id)
     units = {
-        unit.serial: UnitStanding(unit.serial, unit.verdict, unit.reasons, unit.made_at, None)
+        unit.serial: UnitResult(unit.serial, unit.verdict, unit.reasons, unit.made_at)
         for unit in targets
         if unit.verdict is not None and unit.made_at is not None
     }
@@ -167,9 +167,7 @@ def outline_lot(registry: Registry, lot_id: str) -> LotStanding:
     return LotStanding(lot_id, _rows(registry, lot_id, serials, units), limit_or_none(registry, lot_id), None)
 
 
-def _rows(
-    registry: Registry, lot_id: str, serials: Sequence[str], units: Mapping[str, UnitStanding]
-) -> list[UnitInLot]:
+def _rows(registry: Registry, lot_id: str, serials: Sequence[str], units: Mapping[str, UnitResult]) -> list[UnitInLot]:
     audits, passed = newest_audits(registry, lot_id), registry.calibrations.passed_once(lot_id)
     rows = []
     for serial in serials:
@@ -178,7 +176,7 @@ def _rows(
         if unit is None:
             rows.append(UnitInLot(serial, had_passed=had_passed, audited_at=at))
             continue
-        state = None if unit.summary is None else unit.summary.state
+        state = unit.state
         measured = None if state is None or state.scores is None else state.scores.after.rmse
         forecast = None if state is None else state.fit.forecast.rmse
         is_measured = state is not None and state.decision.is_audited
@@ -226,9 +224,11 @@ class _Lot:
             lot._update(only)
         return lot
 
+    def audits(self) -> AuditReader:
+        return AuditReader(self.registry, next(iter(self.states.values())).fit.method)
+
     def evidence(self) -> AuditEvidence:
-        method = next(iter(self.states.values())).fit.method
-        return AuditReader(self.registry, method).evidence(self.lot_id, self.now)
+        return self.audits().evidence(self.lot_id, self.now)
 
     def following(
         self, before: LotDecision, decided: LotRelease, *, next_unit: SampleRelease | None, released: tuple[str, ...]
@@ -336,7 +336,7 @@ class _Lot:
             if audit is not None:
                 whole = replace(self._with_arrays(serial), unreadable_audit=None)
                 self.put(serial, measure_unit(registry, whole, audit), "scored on a newer audit")
-        suspects = self.evidence().suspects
+        suspects = self.audits().suspects(self.lot_id)
         for serial, state in list(self.states.items()):
             if state.suspect_audit != suspects.get(serial):
                 why = "its audit is set aside" if serial in suspects else "its audit counts again"
@@ -359,6 +359,6 @@ def _says(decided: LotRelease, state: UnitState, number: int) -> SampleRelease |
     return replace(before, is_released=False, limit_rmse=decided.limit.maximum_rmse, withdrawn=why)
 
 
-def _states(standings: Mapping[str, UnitStanding]) -> dict[str, UnitState]:
-    found: dict[str, CalibrationSummary | None] = {serial: one.summary for serial, one in standings.items()}
-    return {serial: summary.state for serial, summary in found.items() if summary is not None}
+def _states(standings: Mapping[str, UnitResult]) -> dict[str, UnitState]:
+    states = {serial: one.state for serial, one in standings.items()}
+    return {serial: state for serial, state in states.items() if state is not None}

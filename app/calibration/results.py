@@ -7,8 +7,8 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from softcal.app.calibration.unit_result import UnitResult
 from softcal.app.registry.lot_recordings import target_serials
+from softcal.db.entries import UnitResult
 from softcal.db.registry import Registry
 
 SCHEMA_NAME = "softcal.results/1"
@@ -45,23 +45,20 @@ def lot_results(registry: Registry, lot_id: str) -> pa.Table:
     """
     lot = registry.lots.get(lot_id)
     serials = sorted(target_serials(registry, lot_id))
-    standings = registry.pages.standings(lot_id, serials)
+    results = registry.pages.standings(lot_id, serials)
     rows: list[dict[str, Any]] = []
     for serial in serials:
-        standing = standings.get(serial)
-        unit = UnitResult(serial, "", ())
-        if standing is not None:
-            unit = UnitResult(serial, standing.verdict, standing.reasons, standing.summary)
-        summary, state = unit.summary, unit.state
+        unit = results.get(serial, UnitResult(serial))
+        stored, state = unit.calibration, unit.state
         rows.append(
             {
                 **unit.to_json(),
                 "lot": lot_id,
                 "verdict": unit.verdict or None,
                 "map_family": state and state.fit.family,
-                "made_at": standing and standing.made_at,
-                "revision": summary and summary.revision,
-                "map_sha256": summary and summary.map_sha256,
+                "made_at": unit.made_at,
+                "revision": stored and stored.revision,
+                "map_sha256": stored and stored.map_sha256,
                 "method_id": state and state.fit.method.id,
             }
         )

@@ -67,7 +67,7 @@ def why_figure(view: UnitView, colours: Palette, words: Words) -> go.Figure:
         figure.update_layout({_numbered("legend", k): {**place, **look}})
     decision = view.stored.state.decision
     badge = f"<b>{VERDICT_MARK[decision.verdict]} {words(f'verdict.{decision.verdict}')}</b>"
-    head = [f"<b>{view.calibration.serial}</b>  {badge}  {view.calibration.unit_map.family}"]
+    head = [f"<b>{view.state.serial}</b>  {badge}  {view.state.unit_map.family}"]
     for reason in decision.reasons[:MOST_REASONS]:
         head += textwrap.wrap(f"• {said(reason, words)}", WIDTH)
     return figure.update_annotations(font_size=14).update_layout(
@@ -181,7 +181,7 @@ def why_json(view: UnitView) -> dict[str, object]:
     decision, fit, forecast = state.decision, state.fit, state.forecast
     return {
         "schema": "softcal.explain/1",
-        "serial": view.calibration.serial,
+        "serial": view.state.serial,
         "revision": view.stored.revision,
         "verdict": str(decision.verdict),
         "predicted": _judgement_json(decision.predicted),

@@ -61,7 +61,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "two_point (rest and peak), averaged (of monotone and two_point), affine (two quantiles), identity; or one of "
         "a plug-in. Kept with the lot until another is given; lot.toml states it as [map] family",
     )
-    add("--refit", action="store_true", help="fit again what the registry already has")
+    add("--refit", action="store_true", help="fit again what the registry already has, once with each build of softcal")
     add(
         "--parquet",
         type=_parquet,
@@ -120,9 +120,11 @@ def run(options: argparse.Namespace) -> int:
         if options.plots is not None:
             from softcal.app.charts.why import explain_units
 
-            mapped = [u.serial for u in report.units if u.summary is not None]
+            mapped = [u.serial for u in report.units if u.calibration is not None]
             explain_units(registry, report.lot_id, mapped, options.plots)
             say(f"{options.plots}: figures of units: {len(mapped)}")
+    if options.refit and report.units and not any(unit.is_new for unit in report.units):
+        say("note: this build fitted every unit again already; nothing was fitted")
     say_layouts(report.layouts)
     print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
     for subject, reasons in reasons_by_verdict(report.units, reversed(VERDICTS[1:])):

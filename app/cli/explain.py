@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> None:
             say(f"{options.out}: the figure of {options.serial}")
         standing = standing_of(registry, view.stored)
     facts = why_json(view)
-    if standing.summary is None:
+    if standing.calibration is None:
         since = joined(standing.reasons)
         say(f"note: {options.serial} is {standing.verdict} since: {since}; explained is the map it had before")
     write_json(options.json, facts)

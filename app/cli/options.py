@@ -10,12 +10,12 @@ from softcal.app.output import ProgressLine, say, write_json
 
 if TYPE_CHECKING:
     from softcal.app.batch.lot_work import Watch
-    from softcal.app.calibration.unit_result import UnitResult
     from softcal.app.files.not_used import NotUsed
     from softcal.app.files.recording_file import ColumnNames
     from softcal.app.tables.options import TableOptions
     from softcal.core.messages.reason import Reason
     from softcal.core.network.config import EpochReport, NetworkConfig
+    from softcal.db.entries import UnitResult
     from softcal.db.registry import Registry
 
 T = TypeVar("T")

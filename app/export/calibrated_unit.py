@@ -18,12 +18,11 @@ from softcal.core.maps.config import AnchorConfig
 from softcal.core.messages.reason import Reason, joined
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.state import UnitState
 from softcal.core.unit.trim import as_given_now
 from softcal.core.unit.verdict import Release, Verdict
-from softcal.db.entries import RecordingEntry, StoredCalibration, UnitStanding
+from softcal.db.entries import RecordingEntry, StoredCalibration, UnitResult
 from softcal.db.provenance import Provenance
 from softcal.db.registry import Registry
 
@@ -112,7 +111,7 @@ class CalibratedUnit:
     in_registry_since: date
     proof_method: str | None
     options: ExportOptions
-    status: UnitStanding
+    status: UnitResult
     laboratory: Laboratory
 
     @property
@@ -142,20 +141,16 @@ class CalibratedUnit:
         return replace(made, inputs=inputs)
 
     @cached_property
-    def calibration(self) -> Calibration:
-        return self.state.calibration
-
-    @cached_property
     def record(self) -> DeviceRecord:
         """Input of the device form."""
-        estimates = estimate(self.network, self.calibration, self.recording)
+        estimates = estimate(self.network, self.state, self.recording)
         rows = self.recording.window_rows
         return DeviceRecord(
             serial=self.serial,
             revision=self.stored.revision,
             verdict=str(self.state.verdict),
             time_s=int(self.stored.made_at.timestamp()),
-            unit_map=self.calibration.unit_map,
+            unit_map=self.state.unit_map,
             recording=self.recording,
             lower=estimates.lower[rows],
             upper=estimates.upper[rows],
@@ -178,7 +173,7 @@ class CalibratedUnit:
         Who names a revision asks for that one, whatever came after it.
         """
         now = self.status
-        if now.summary is None and self.options.revision is None:
+        if now.calibration is None and self.options.revision is None:
             raise NotReleased(
                 f"unit {self.serial} of lot {self.lot.id} is {now.verdict}: {joined(now.reasons)}; no file of the map "
                 "it had before is given out"
@@ -186,7 +181,7 @@ class CalibratedUnit:
 
     def check_usable(self) -> None:
         """Raise `NotReleased` where this unit's verdict forbids files that give numbers."""
-        decision, now = self.state.decision, self.status.summary
+        decision, now = self.state.decision, self.status.calibration
         measured = None if now is None else now.state.decision.measured
         if now is not None and measured is not None and measured.verdict is Verdict.FAIL:
             # What was measured since stands, whichever revision is named.

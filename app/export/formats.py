@@ -60,7 +60,7 @@ def calibration_values(unit: CalibratedUnit) -> dict[str, object]:
     """Return the calibration without loss: map and interval, hashes, verdict and scores."""
     state = unit.state
     # The map and the interval in force, with all that they rest on.
-    in_force = FittedMap(state.unit_map, state.interval, unit.calibration.output_limits)
+    in_force = FittedMap(state.unit_map, state.interval, unit.state.output_limits)
     stored = fit_to_json(replace(state.fit, fitted=in_force))
     return {
         "serial": unit.serial,
@@ -118,7 +118,7 @@ def _onnx_files(unit: CalibratedUnit) -> dict[str, bytes]:
     unit.check_usable()
     limit = device_limit(unit.record, unit.network, unit.options.device)
     period_us = sample_period_us(unit.shared.source)
-    compiled = compile_map(unit.calibration.unit_map, unit.network, unit.recording, limit, fine_forms)
+    compiled = compile_map(unit.state.unit_map, unit.network, unit.recording, limit, fine_forms)
     metadata = {
         "serial": unit.serial,
         "revision": str(unit.stored.revision),

@@ -12,7 +12,6 @@ import numpy as np
 
 from softcal.app.batch.engine import EngineChoice, WorkerLost, run_all
 from softcal.app.batch.lot_work import BatchConfig
-from softcal.app.calibration.unit_result import UnitResult
 from softcal.app.files.atomic import whole_folder
 from softcal.app.files.lot_folder import LotFolder, open_lot_folder
 from softcal.app.files.lot_toml import write_lot_toml
@@ -25,6 +24,7 @@ from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import draw_twins
 from softcal.core.twin.simulate import Twin
 from softcal.core.unit.budget import SIMULATED
+from softcal.db.entries import UnitResult
 from softcal.station.devices.bench import Bench, open_simulated_bench
 from softcal.station.record.recording import StationRecording
 from softcal.station.tasks.acquisition import RunProgress, record

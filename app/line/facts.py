@@ -14,7 +14,7 @@ from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState,
 from softcal.core.quality.known_loads import KnownLoad, asked_loads, next_step
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.unit.verdict import Verdict
-from softcal.db.entries import RunEntry, UnitStanding
+from softcal.db.entries import RunEntry, UnitResult
 from softcal.db.queues.order_queue import STATION_SILENT_AFTER, LinePlaces
 from softcal.db.registry import Registry
 from softcal.db.repositories.networks import NetworkState
@@ -171,7 +171,7 @@ class LineFacts:
     runs: tuple[LineRun, ...] = ()
     place: Place = Place()
     results: tuple[RunEntry, ...] = ()
-    standings: Mapping[str, UnitStanding] = field(default_factory=dict)
+    standings: Mapping[str, UnitResult] = field(default_factory=dict)
 
     @property
     def station(self) -> str:
@@ -323,7 +323,7 @@ def read_line(
     return replace(facts, results=results, standings=standings)
 
 
-def standing_of(facts: LineFacts, run: LineRun) -> tuple[UnitStanding, ...]:
+def standing_of(facts: LineFacts, run: LineRun) -> tuple[UnitResult, ...]:
     """Return the status of the units of a run, the worst first; none if the run decided none."""
     order, progress = run
     if not order.kind.is_about_unit or facts.lot is None or order.lot_id != facts.lot.id:
@@ -331,7 +331,7 @@ def standing_of(facts: LineFacts, run: LineRun) -> tuple[UnitStanding, ...]:
     serials = (order.serial, *(numbered(order.serial, k) for k in range(MOST_AT_ONCE)))
     known = (facts.standings[serial] for serial in serials if serial in facts.standings)
     # A run without a verdict leaves the unit as it was judged before.
-    decided = [s for s in known if progress.verdict or (order.created is not None and s.made_at >= order.created)]
+    decided = [s for s in known if progress.verdict or (order.created and s.made_at and s.made_at >= order.created)]
     return tuple(sorted(decided, key=lambda standing: -Verdict(standing.verdict).severity))
 
 

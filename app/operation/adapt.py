@@ -109,10 +109,10 @@ class Follower:
         is_repeatable: bool = False,
     ) -> None:
         registry.database.check_writable()
-        key = UnitKey(unit.lot.id, unit.calibration.serial)
+        key = UnitKey(unit.lot.id, unit.state.serial)
         self._registry, self._writer = registry, writer
         self._writing: Future[int] | None = None
-        stored = (unit.network, unit.calibration, unit.recording)
+        stored = (unit.network, unit.state, unit.recording)
         self._adapter: StreamEstimator = (
             QueuedTransport(*stored, source_recording(registry, unit.network.id), options.config, writer)
             if options.config.mode in QUEUES

@@ -130,13 +130,13 @@ def _view(unit: UnitInUse, has_view: bool) -> Iterator[Show]:
     if not has_view:
         yield lambda rows, report: None
         return
-    interval, load = unit.calibration.interval, unit.lot.reference_unit
+    interval, load = unit.state.interval, unit.lot.reference_unit
     span = (interval.low, interval.high)
 
     def draw(rows: Estimate, report: AdaptReport) -> None:
         value, lower, upper = (float(rows_read[-1]) for rows_read in (rows.estimate, rows.lower, rows.upper))
         now = report.current
-        table = Table(title=f"unit {unit.calibration.serial}", show_header=False)
+        table = Table(title=f"unit {unit.state.serial}", show_header=False)
         shown = f"{value:8.3f} {load}   [{lower:.3f}, {upper:.3f}]" if value == value else "no estimate"
         table.add_row("estimate", shown)
         table.add_row(f"{span[0]:.3g} .. {span[1]:.3g} {load}", bar(value, lower, upper, span))

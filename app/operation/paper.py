@@ -164,7 +164,7 @@ def _share_by_default(
 def _courses(stream: LabelledRecording, config: NetworkConfig) -> dict[str, list[float]]:
     source, use = _cut(stream, CALIBRATED_SHARE, "stream")
     network = fit_network(source, config).network
-    calibration = source_state(source, network).calibration
+    calibration = source_state(source, network)
     courses, edges = {}, np.linspace(0, len(use), PARTS + 1).astype(int)
     for mode in COURSES:
         follower: StreamEstimator

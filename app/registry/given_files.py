@@ -8,7 +8,7 @@ from softcal.core.errors import RegistryReadOnly
 from softcal.core.lot import UnitKey
 from softcal.core.messages.reason import Reason, plain
 from softcal.core.unit.verdict import VERDICTS
-from softcal.db.entries import UNDECIDED, UnitStanding
+from softcal.db.entries import UNDECIDED, UnitResult
 from softcal.db.registry import Registry
 
 
@@ -63,12 +63,14 @@ def list_recalls(registry: Registry, lot_ids: Sequence[str]) -> list[Recall]:
     return found
 
 
-def _why_not(row: Mapping[str, object], now: UnitStanding | None) -> Reason | None:
+def _why_not(row: Mapping[str, object], now: UnitResult | None) -> Reason | None:
     """Return why files no longer hold; None where they do."""
     if now is None:
         return plain("none of its calibrations is in use")
     if VERDICTS.index(now.verdict) > VERDICTS.index(str(row["verdict"])):
         return now.reasons[0]
-    if now.summary is not None and now.summary.map_sha256 == row["map_sha256"]:
+    if now.calibration is not None and now.calibration.map_sha256 == row["map_sha256"]:
         return None
-    return plain("another map is in use" + ("" if now.summary is None else f", of revision {now.summary.revision}"))
+    return plain(
+        "another map is in use" + ("" if now.calibration is None else f", of revision {now.calibration.revision}")
+    )

@@ -40,7 +40,8 @@ def known_loads(registry: Registry, lot_id: str, serials: Collection[str] | None
         serials = {entry.serial for entry in registry.recordings.of_lot(lot_id, kind="unit")}
     found: dict[str, UnitLoads] = {}
     for row in registry.declarations.in_force("known_loads", lot_id, serials):
-        loads = Anchors(*(np.array(row[name], np.float64) for name in ("output", "reference")))
+        readings = [(one["output"], one["reference"]) for one in row["listed"]]
+        loads = Anchors(*np.array(readings, np.float64).reshape(-1, 2).T)
         made = (row["made_at"], row["actor"], row["brought_by"])
         found[row["recording_sha256"]] = UnitLoads(row["serial"], row["recording_sha256"], loads, *made)
     return found
@@ -56,11 +57,16 @@ def store_loads(
     """
     before = known_loads(registry, lot_id, {serial for serial, _ in loads.values()})
     rows = [
-        {"lot_id": lot_id, "serial": serial, "recording_sha256": sha256, **values(anchors), "brought_by": where}
+        {"lot_id": lot_id, "serial": serial, "recording_sha256": sha256, "brought_by": where} | _listed(anchors)
         for sha256, (serial, anchors) in loads.items()
         if sha256 not in before or values(before[sha256].loads) != values(anchors)
     ]
     return registry.declarations.declare("known_loads", *rows, actor=actor)
+
+
+def _listed(loads: Anchors) -> dict[str, object]:
+    readings = zip(loads.output.tolist(), loads.reference.tolist(), strict=True)
+    return {"listed": [{"position": k, "output": V, "reference": load} for k, (V, load) in enumerate(readings)]}
 
 
 def values(loads: Anchors) -> dict[str, list[float]]:

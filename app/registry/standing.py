@@ -6,14 +6,14 @@ Whoever gives out files, warns at use or shows a verdict asks here: all say the 
 from softcal.core.errors import RegistryError
 from softcal.core.messages.reason import plain
 from softcal.core.unit.verdict import Verdict
-from softcal.db.entries import UNDECIDED, StoredCalibration, UnitStanding
+from softcal.db.entries import UNDECIDED, StoredCalibration, UnitResult
 from softcal.db.registry import Registry
 
 
-def standing_of(registry: Registry, stored: StoredCalibration) -> UnitStanding:
-    """Return the present status of the unit of a calibration; `summary` is None after a refusal."""
+def standing_of(registry: Registry, stored: StoredCalibration) -> UnitResult:
+    """Return the present status of the unit of a calibration; `calibration` is None after a refusal."""
     standing_now = registry.pages.standings(stored.lot_id, [stored.serial]).get(stored.serial)
-    nothing = UnitStanding(stored.serial, UNDECIDED, (plain("none of its calibrations is in use"),), stored.made_at)
+    nothing = UnitResult(stored.serial, UNDECIDED, (plain("none of its calibrations is in use"),), stored.made_at)
     return nothing if standing_now is None else standing_now
 
 
@@ -22,7 +22,7 @@ def caution(registry: Registry, stored: StoredCalibration, action: str) -> str:
     standing = standing_of(registry, stored)
     # An older calibration that passed is cautioned against where the unit does not pass any more.
     verdict, reasons = standing.verdict, standing.reasons
-    if standing.summary is not None and not stored.state.is_released:
+    if standing.calibration is not None and not stored.state.is_released:
         verdict, reasons = str(stored.state.verdict), stored.state.decision.reasons
     if verdict == Verdict.PASS:
         return ""

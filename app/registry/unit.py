@@ -10,7 +10,6 @@ from softcal.core.maps.interface import map_sha256
 from softcal.core.messages.reason import plain
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.fit import Fit, FittedMap
 from softcal.core.unit.health import output_limits
 from softcal.core.unit.knowledge import known_by
@@ -24,15 +23,15 @@ from softcal.db.registry import Registry
 
 def calibrated_unit(
     registry: Registry, serial: str, revision: int | None = None, lot_id: str | None = None
-) -> tuple[Lot, Network, Calibration]:
-    """Return the lot, the shared network and the calibration of a unit.
+) -> tuple[Lot, Network, UnitState]:
+    """Return the lot, the shared network and the state of a unit.
 
     Raises:
         InputError: the registry has no calibration of the serial, or several lots have it and no lot is given.
     """
     stored = registry.calibrations.get(serial, revision, lot_id=lot_id)
     network = registry.networks.get(stored.state.fit.network_id)
-    return registry.lots.get(stored.lot_id), network, stored.state.calibration
+    return registry.lots.get(stored.lot_id), network, stored.state
 
 
 REASON = "the source unit itself: the shared network needs no map"
@@ -50,7 +49,7 @@ class UnitInUse:
     lot: Lot
     revision: int
     network: Network
-    calibration: Calibration
+    state: UnitState
     recording: OutputRecording
 
 
@@ -65,7 +64,7 @@ def unit_in_use(registry: Registry, serial: str, revision: int | None = None, lo
     stored = registry.calibrations.get(serial, revision, lot_id=lot_id)
     output = unlabelled(registry.recordings.get(stored.state.fit.recording_sha256))
     network = registry.networks.get(stored.state.fit.network_id)
-    return UnitInUse(registry.lots.get(stored.lot_id), stored.revision, network, stored.state.calibration, output)
+    return UnitInUse(registry.lots.get(stored.lot_id), stored.revision, network, stored.state, output)
 
 
 def _register_source(registry: Registry, serial: str, lot_id: str | None) -> None:

@@ -13,13 +13,14 @@ from softcal.db.repositories.lots import parse_rules
 
 _ENTITIES = {
     "results": "calibrations refusals in_use adaptations unit fits lot_decisions draws drawn_units "
-    "lot_statements confirmed_audits",
+    "lot_statements checked_units confirmed_audits trims corrections sample_releases audits",
     "rules": "limits line_rules",
     "networks": "networks network_releases",
     "people": "users tokens",
     "station": "certificates golden_runs station station_gate station_qualifications alerts",
     "papers": "laboratories exports",
-    "lots": "lots units recordings known_loads unit_golden_runs map_families lot_references line_spreads lot_sources",
+    "lots": "lots units recordings known_loads load_readings unit_golden_runs map_families lot_references line_spreads "
+    "lot_sources source_networks",
     "registry": "",
 }
 SECTIONS = {entity: heading for heading, entities in _ENTITIES.items() for entity in entities.split()}
@@ -104,9 +105,6 @@ def entry_of(row: AuditRow, words: Words) -> Entry:
 def _values(kept: str | None) -> Mapping[str, Any]:
     values = json.loads(kept) if kept else {}
     flat: dict[str, Any] = dict(values) if isinstance(values, dict) else {}
-    # What was done to a unit is said by its numbers and its verdict.
-    if isinstance(flat.get("state"), dict):
-        del flat["state"]
     if "serial_pattern" not in flat:
         return flat
     # Re-tests and known loads of a line's rules are several columns, and one value for people each.

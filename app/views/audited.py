@@ -73,7 +73,7 @@ def audit_trace(registry: Registry, lot_id: str, state: UnitState) -> AuditTrace
     if audit is None:
         return None
     recording, rows = audit.unlabelled, audit.unlabelled.window_rows
-    estimates = estimate(registry.networks.get(state.fit.network_id), state.calibration, recording)
+    estimates = estimate(registry.networks.get(state.fit.network_id), state, recording)
     return AuditTrace(
         serial, recording.t_s[rows], recording.output[rows], audit.window_reference, estimates.estimate[rows]
     )

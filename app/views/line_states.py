@@ -12,7 +12,7 @@ from softcal.app.views.common import number
 from softcal.core.messages.reason import Reason, root_of
 from softcal.core.orders import OrderKind, RunState
 from softcal.core.quality.known_loads import KnownLoad, asked_loads
-from softcal.db.entries import RunEntry, UnitStanding
+from softcal.db.entries import RunEntry, UnitResult
 
 MOST_SENTENCES = 3
 CAUSES = ("no_contact", "host_paused")
@@ -60,12 +60,12 @@ class Card:
         return self.facts.serial if self.state.is_before_run else self.run[0].serial if self.run else ""
 
     @property
-    def now(self) -> UnitStanding | None:
+    def now(self) -> UnitResult | None:
         """Where the unit of the run stands now; of several the worst."""
         return next(iter(standing_of(self.facts, self.run)), None) if self.run else None
 
     @property
-    def earlier(self) -> UnitStanding | RunEntry:
+    def earlier(self) -> UnitResult | RunEntry:
         return self.facts.standings.get(self.facts.serial) or self.facts.results[-1]
 
     @property
@@ -171,11 +171,11 @@ def _say_what_will_lack(card: Card) -> tuple[str, ...]:
 
 def _say_error(card: Card) -> tuple[str, ...]:
     """Say what a good unit got: its error beside the lot's limit."""
-    facts, summary = card.facts, card.now.summary if card.now else None
+    facts, state = card.facts, card.now.state if card.now else None
     kind, rmse = "", facts.results[-1].predicted_rmse if facts.results else None
-    if summary is not None:
-        measured = summary.state.scores if summary.state.decision.is_audited else None
-        kind, rmse = (".measured", measured.after.rmse) if measured else ("", summary.state.predicted_rmse)
+    if state is not None:
+        measured = state.scores if state.decision.is_audited else None
+        kind, rmse = (".measured", measured.after.rmse) if measured else ("", state.predicted_rmse)
     if facts.lot is None or rmse is None:
         return card.changed
     unit, limit = facts.lot.lot.reference_unit, facts.lot.lot.limit_rmse

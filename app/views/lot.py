@@ -205,7 +205,7 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
 
 
 def _after_to_own(registry: Registry, lot_id: str, serials: Sequence[str]) -> float | None:
-    found = [one.summary for one in registry.pages.standings(lot_id, serials).values()] if serials else []
+    found = [one.calibration for one in registry.pages.standings(lot_id, serials).values()] if serials else []
     scores = [one.state.scores for one in found if one is not None]
     ratios = [one.own.after_ratio for one in scores if one is not None and one.own is not None]
     return median(ratios) if ratios else None

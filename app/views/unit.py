@@ -12,8 +12,8 @@ from softcal.app.views.audited import AuditTrace, audit_trace
 from softcal.core.lot import Lot, UnitKey
 from softcal.core.messages.reason import Reason
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import Estimate, estimate
+from softcal.core.unit.state import UnitState
 from softcal.core.unit.verdict import Limit, Verdict
 from softcal.core.windows import resting
 from softcal.db.entries import StoredCalibration
@@ -26,7 +26,7 @@ CURVE_POINTS = 200
 class UnitSignals:
     """A recording of a calibrated unit, with the source and f∘γ over it."""
 
-    calibration: Calibration
+    state: UnitState
     lot: Lot
     source: LabelledRecording
     recording: OutputRecording
@@ -35,13 +35,13 @@ class UnitSignals:
     @property
     def mapped(self) -> Array:
         """(m,) newest sample of every mapped window, in the source's output."""
-        return self.calibration.unit_map.apply(self.recording.windows)[:, -1]
+        return self.state.unit_map.apply(self.recording.windows)[:, -1]
 
     def map_curve(self) -> tuple[Array, Array]:
         """Return levels of a unit at rest, and as the source would show them."""
         low, high = float(self.recording.output.min()), float(self.recording.output.max())
         level = np.linspace(low, high, CURVE_POINTS)
-        return level, self.calibration.unit_map.apply(resting(level))[:, -1]
+        return level, self.state.unit_map.apply(resting(level))[:, -1]
 
     @property
     def flagged(self) -> int:
@@ -95,15 +95,15 @@ def unit_head(registry: Registry, key: UnitKey, history: Sequence[StoredCalibrat
 def unit_view(registry: Registry, unit: UnitKey, revision: int | None = None) -> UnitView:
     """Read one revision of a unit in full, the one in use without a number."""
     stored = registry.calibrations.get(unit.serial, revision, lot_id=unit.lot_id)
-    state, calibration = stored.state, stored.state.calibration
+    state = stored.state
     network = registry.networks.get(state.fit.network_id)
     recording = unlabelled(registry.recordings.get(state.fit.recording_sha256))
     return UnitView(
-        calibration,
+        state,
         registry.lots.get(stored.lot_id),
         source_recording(registry, network.id),
         recording,
-        estimate(network, calibration, recording),
+        estimate(network, state, recording),
         stored,
         audit_trace(registry, stored.lot_id, state) if state.decision.is_audited else None,
     )

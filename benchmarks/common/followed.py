@@ -14,7 +14,7 @@ from softcal.core.operation.method import DriftTracking, OnlineConfig
 from softcal.core.operation.queued_transport import QueuedTransport
 from softcal.core.operation.stream_estimator import MapUpdate, StreamEstimator
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.state import UnitState
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +23,7 @@ class Unit:
 
     source: LabelledRecording
     network: Network
-    calibration: Calibration
+    calibration: UnitState
 
     def adapter(self, mode: str, calibrated: OutputRecording | None = None) -> StreamEstimator:
         """Return what follows the unit in a mode, from its beginning; `ot 1500` has a queue of 1500 windows.
@@ -43,7 +43,7 @@ def calibrate(t_s: Array, output: Array, reference: Array, rate_Hz: float, confi
     """Train f on a labelled stretch and give the unit the identity as its map."""
     source = LabelledRecording(OutputRecording("unit", t_s, output, rate_Hz), reference)
     network = fit_network(source, config).network
-    return Unit(source, network, source_state(source, network).calibration)
+    return Unit(source, network, source_state(source, network))
 
 
 def follow(

@@ -110,7 +110,7 @@ def judged(seed: int, design: LotDesign, unit: SimulatedUnit, own: float, networ
     test = unit.audit.part(int(TRAIN_SHARE * len(unit.audit)), len(unit.audit))
     problem = UnitProblem(model, unit.recording)
     calibration = _calibrate(problem)
-    result = None if calibration is None else estimate(network, calibration.calibration, test.unlabelled)
+    result = None if calibration is None else estimate(network, calibration, test.unlabelled)
     return Case(
         seed,
         design.shift,

@@ -15,7 +15,7 @@ from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.state import UnitState
 
 SAMPLES = 12_000
 CALIBRATION = 5_000
@@ -330,7 +330,7 @@ class Bench:
     """A kind of sensor whose f knows the whole range of loads."""
 
     network: Network
-    calibration: Calibration
+    calibration: UnitState
     source: LabelledRecording
 
 
@@ -344,7 +344,7 @@ def bench(curve: str, rate_Hz: float) -> Bench:
     load = np.concatenate([station(4000, rate_Hz, rng), *uses])
     source = LabelledRecording(_recording("source", read(curve, load, rate_Hz, rng), rate_Hz), load)
     network = fit_network(source, NetworkConfig(hidden=(32, 16), max_epochs=40)).network
-    return Bench(network, source_state(source, network).calibration, source)
+    return Bench(network, source_state(source, network), source)
 
 
 def _recording(serial: str, output: Array, rate_Hz: float) -> OutputRecording:

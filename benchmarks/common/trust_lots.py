@@ -339,7 +339,7 @@ def _fit_unit(lot: RawLot, problem: UnitProblem, audit: LabelledRecording) -> Fi
     serial = recording.serial
     try:
         calibration = calibrate(problem)
-        result = estimate(model.network, calibration.calibration, audit.unlabelled)
+        result = estimate(model.network, calibration, audit.unlabelled)
     except (UnitRefused, InputError):
         return FittedUnit(lot.kind, lot.name, serial, float("inf"), float("inf"), float("inf"), limit, "fail", True)
     forecast, predicted = calibration.forecast, calibration.decision.predicted

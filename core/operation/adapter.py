@@ -20,7 +20,7 @@ from softcal.core.operation.stream_windows import BatchWindows
 from softcal.core.operation.tracker import DriftTracker
 from softcal.core.operation.uncertainty import DriftUncertainty, with_remedy
 from softcal.core.recording import Array, Mask, OutputRecording
-from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.state import UnitState
 from softcal.core.windows import resting
 
 FILTERS = ("none", "improved")
@@ -77,7 +77,7 @@ class Adapter(StreamEstimator):
     def __init__(
         self,
         network: Network,
-        calibration: Calibration,
+        calibration: UnitState,
         recording: OutputRecording,
         config: AdaptConfig = AdaptConfig(),  # noqa: B008 - frozen
     ) -> None:
@@ -204,7 +204,7 @@ def _drift(observation: Observation) -> tuple[float, float, float, float]:
 
 
 def learn_sensitivity(
-    network: Network, calibration: Calibration, recording: OutputRecording, method: DriftTracking
+    network: Network, calibration: UnitState, recording: OutputRecording, method: DriftTracking
 ) -> tuple[CalibratedOperation, float]:
     """Return the calibrated use, and by how much an estimate moves (RMS) when the output moves by one scale of it."""
     windows = recording.windows

@@ -28,8 +28,8 @@ from softcal.core.operation.stream_estimator import START, MapUpdate, StreamEsti
 from softcal.core.operation.stream_windows import BatchWindows
 from softcal.core.operation.uncertainty import QUEUE, with_remedy
 from softcal.core.recording import Array, LabelledRecording, Mask, OutputRecording
-from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import check_fits
+from softcal.core.unit.state import UnitState
 from softcal.core.windows import TAPS
 
 FORMAT = "queues 3"
@@ -78,7 +78,7 @@ class QueuedTransport(StreamEstimator):
     def __init__(
         self,
         network: Network,
-        calibration: Calibration,
+        calibration: UnitState,
         recording: OutputRecording,
         source: LabelledRecording,
         config: AdaptConfig,

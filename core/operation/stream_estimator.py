@@ -20,8 +20,8 @@ from softcal.core.operation.observation import FOLLOWED, HELD, UNWATCHED
 from softcal.core.operation.stored_state import from_state
 from softcal.core.operation.stream_windows import WRONG_RATE, BatchWindows, WindowBuffer
 from softcal.core.recording import Array, Mask, OutputRecording
-from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import SATURATED, STUCK, Estimate, EstimateRow, check_fits, judge
+from softcal.core.unit.state import UnitState
 from softcal.core.unit.uncertainty import NORMAL_90
 
 START = "start"
@@ -92,7 +92,7 @@ class StreamEstimator(ABC):
     def __init__(
         self,
         network: Network,
-        calibration: Calibration,
+        calibration: UnitState,
         recording: OutputRecording,
         method: DriftTracking,
         state_format: int | str,

@@ -61,7 +61,7 @@ def measure(
 
 
 def _estimates(network: Network, state: UnitState, audit: LabelledRecording) -> tuple[Array, Array]:
-    estimates = estimate(network, state.calibration, audit.unlabelled)
+    estimates = estimate(network, state, audit.unlabelled)
     return estimates.estimate, estimates.upper - estimates.estimate
 
 

@@ -9,8 +9,8 @@ from softcal.core.errors import InputError
 from softcal.core.maps.interface import mapped_segments
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, Indices, OutputRecording
-from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.health import run_lengths
+from softcal.core.unit.state import UnitState
 from softcal.core.windows import TAPS
 
 Flags = NDArray[np.str_]
@@ -66,7 +66,7 @@ class EstimateRow:
     flag: str
 
 
-def estimate(network: Network, calibration: Calibration, recording: OutputRecording) -> Estimate:
+def estimate(network: Network, calibration: UnitState, recording: OutputRecording) -> Estimate:
     """Estimate the reference over a whole recording.
 
     Raises:
@@ -86,7 +86,7 @@ def estimate(network: Network, calibration: Calibration, recording: OutputRecord
     return Estimate(recording.t_s, value, lower, upper, flag, network.reference_unit)
 
 
-def check_fits(network: Network, calibration: Calibration, output_unit: str) -> None:
+def check_fits(network: Network, calibration: UnitState, output_unit: str) -> None:
     """Refuse a calibration of another network, or an output in another physical unit, with `InputError`."""
     if calibration.network_id != network.id:
         raise InputError(
@@ -98,7 +98,7 @@ def check_fits(network: Network, calibration: Calibration, output_unit: str) -> 
 
 
 def judge(
-    network: Network, calibration: Calibration, mapped: Array, newest: Array, run: Indices
+    network: Network, calibration: UnitState, mapped: Array, newest: Array, run: Indices
 ) -> tuple[Array, Array, Array, Flags]:
     """Return estimate, lower, upper and flag of (n, TAPS) mapped windows.
 

@@ -13,10 +13,11 @@ from softcal.core.maps.anchors import AnchoredMap
 from softcal.core.maps.interface import UnitMap, map_sha256
 from softcal.core.messages.reason import Reason, reason
 from softcal.core.unit.adjustments import Correction, SampleRelease, Trim
-from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.fit import Fit, FittedMap
+from softcal.core.unit.health import OutputLimits
 from softcal.core.unit.knowledge import LoadKnowledge
 from softcal.core.unit.measured_error import Scores
+from softcal.core.unit.method import Method
 from softcal.core.unit.output_level import LoadLine
 from softcal.core.unit.uncertainty import ErrorForecast, Interval
 from softcal.core.unit.verdict import (
@@ -117,7 +118,7 @@ class UnitState:
         interval, line = self.fitted.interval, self.line_behind
         return interval if line is None else interval.widened(line.variance(interval))
 
-    @property
+    @cached_property
     def interval(self) -> Interval:
         """The 90 % interval in force."""
         interval = self.measured_interval
@@ -148,17 +149,16 @@ class UnitState:
         return self.forecast.rmse
 
     @property
-    def calibration(self) -> Calibration:
-        """All that an estimate f∘γ needs."""
-        return Calibration(
-            serial=self.serial,
-            network_id=self.fit.network_id,
-            unit_map=self.unit_map,
-            interval=self.interval,
-            output_limits=self.fitted.output_limits,
-            method=self.fit.method,
-            predicted_rmse=self.predicted_rmse,
-        )
+    def network_id(self) -> str:
+        return self.fit.network_id
+
+    @property
+    def method(self) -> Method:
+        return self.fit.method
+
+    @property
+    def output_limits(self) -> OutputLimits:
+        return self.fitted.output_limits
 
     @property
     def scores(self) -> Scores | None:

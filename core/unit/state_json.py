@@ -1,9 +1,9 @@
 """A unit's state as named arrays and JSON values, and back: what the registry stores of it."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
-from typing import Any, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 import msgspec
 import numpy as np
@@ -19,8 +19,8 @@ from softcal.core.unit.uncertainty import Interval
 
 Json = dict[str, Any]
 
-_BESIDE = ("method", "knowledge", "fitted")
-"""Fields of a fit that are not written as they are."""
+_BESIDE = ("method", "knowledge", "fitted", "fit_s")
+"""Fields of a fit that are not written as they are; how long it took is no part of what it is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +62,55 @@ def fit_from_json(content: Mapping[str, Any], method: Method, arrays: Arrays | N
 
 
 def adjustments_to_json(state: UnitState) -> Json:
-    """Return all of a state but its fit as JSON values."""
-    return {one.name: _plain(getattr(state, one.name)) for one in fields(UnitState) if one.name != "fit"}
+    """Return all of a state but its fit as JSON values: equal ones for equal states."""
+    kinds = _types(UnitState)
+    names = [one.name for one in fields(UnitState) if one.name != "fit"]
+    # A whole number is a float where one belongs, and a zero has no sign: so databases give them back.
+    typed = {name: msgspec.convert(_plain(getattr(state, name)), kinds[name]) for name in names}
+    return {name: _unsigned(_plain(value)) for name, value in typed.items()}
+
+
+def part_to_columns(part: Mapping[str, Any], names: Collection[str], prefix: str = "") -> Json:
+    """Return a part of a state as values of columns; a nested value has the name of its field before its own."""
+    columns = Json()
+    for name, value in part.items():
+        if (whole := f"{prefix}{name}") in names:
+            columns[whole] = value
+        elif value is not None:
+            columns |= part_to_columns(value, names, f"{whole}_")
+    return columns
+
+
+def part_from_columns(field: str, columns: Mapping[str, Any]) -> Json:
+    """Return a part of a state as JSON values: what `part_to_columns` made columns of."""
+    return _nested(_dataclass_in(_types(UnitState)[field]), columns, "")
+
+
+def _nested(kind: type, columns: Mapping[str, Any], prefix: str) -> Json:
+    values = Json()
+    for name, hint in _types(kind).items():
+        if (whole := f"{prefix}{name}") in columns:
+            values[name] = columns[whole]
+        else:
+            inner = _nested(_dataclass_in(hint), columns, f"{whole}_")
+            values[name] = None if _is_empty(inner) else inner
+    return values
+
+
+def _is_empty(values: object) -> bool:
+    return all(map(_is_empty, values.values())) if isinstance(values, dict) else values is None
+
+
+def _dataclass_in(hint: Any) -> type:
+    return next(one for one in (hint, *get_args(hint)) if is_dataclass(one))  # type: ignore[return-value]
+
+
+def _unsigned(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _unsigned(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_unsigned(one) for one in value]
+    return value + 0.0 if isinstance(value, float) else value
 
 
 def state_from_json(fit: Fit, content: Mapping[str, Any]) -> UnitState:

@@ -160,6 +160,8 @@ def form_faults(database: Database) -> Iterator[str]:
     with database.reading() as connection:
         for table in (*(metadata.tables[name] for name in AUDITED), audit, users):
             read = [column for column in table.columns if isinstance(column.type, IN_WORDS)]
+            if not read:
+                continue
             key = list(table.primary_key.columns)
             writers = [column.type.dialect_impl(dialect).bind_processor(dialect) for column in read]
             in_order = {"yield_per": 1000}

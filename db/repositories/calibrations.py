@@ -17,11 +17,11 @@ from softcal.db.repositories import history
 from softcal.db.repositories.in_use import NEWEST_FIRST, InUseTable, heads_of, names_several, newest_of_unit, rows_of
 from softcal.db.repositories.lot_pages import standing_units
 from softcal.db.repositories.registry_base import damaged, of_row
-from softcal.db.repositories.unit_states import FIT_SHA256, fits_of, state_of
+from softcal.db.repositories.unit_states import FIT_SHA256, read_parts, state_of
 from softcal.db.schema.arrays import put_arrays
 from softcal.db.schema.column_types import canonical_json
 from softcal.db.schema.database import given
-from softcal.db.schema.tables import calibrations, fits, methods, networks, refusals
+from softcal.db.schema.tables import STATE_PARTS, calibrations, fits, methods, networks, refusals
 
 if TYPE_CHECKING:
     from softcal.core.unit.fit import Fit
@@ -30,6 +30,11 @@ if TYPE_CHECKING:
 KNOWN_NETWORK = select(networks.c.id).where(networks.c.id == bindparam("network"))
 KNOWN_METHOD = select(methods.c.id).where(methods.c.id == bindparam("method"))
 KNOWN_FIT = select(fits.c.sha256).where(fits.c.lot_id == bindparam("lot"), fits.c.sha256 == bindparam("fit"))
+
+KNOWN_PARTS = {
+    field: select(table.c.sha256).where(table.c.lot_id == bindparam("lot"), table.c.sha256 == bindparam("part"))
+    for field, table in STATE_PARTS.items()
+}
 
 ASKING = ("batch", "line")
 """Who asks for what an input gives; all others decide about what there is."""
@@ -91,11 +96,10 @@ class CalibrationTables(InUseTable):
                 "family": fit.family,
                 "map_sha256": state.map_sha256,
                 "state_sha256": state_sha256(fit_sha256, content),
-                "state": content,
+                **self._store_parts(lot_id, content, actor),
                 **state.errors,
-                "limit_rmse": state.limit.maximum_rmse,
+                "fit_s": fit.fit_s,
                 "is_limit_stated": state.limit.is_stated,
-                "is_suspect": state.suspect_audit is not None,
                 "verdict": str(state.verdict),
                 "reasons": [to_kept(why) for why in state.decision.reasons],
                 "input_sha256": asked,
@@ -126,6 +130,30 @@ class CalibrationTables(InUseTable):
             self._state(lot_id, serial, named, {"decided_by": decided_by}, actor, reason)
             return True
 
+    def _store_parts(self, lot_id: str, adjustments: Mapping[str, Any], actor: str | None) -> dict[str, Any]:
+        """Store each part of a state once, and return the columns of the revision that name them."""
+        from softcal.core.unit.state_json import part_to_columns
+
+        columns = {name: adjustments[name] for name in ("unreadable_audit", "suspect_audit")}
+        columns |= {f"limit_{name}": value for name, value in adjustments["limit"].items()}
+        columns["limit_rmse"] = columns.pop("limit_maximum_rmse")
+        for field, table in STATE_PARTS.items():
+            part = adjustments[field]
+            sha256 = columns[f"{field}_sha256"] = None if part is None else content_sha256({}, part)
+            if sha256 is None or (table.name, lot_id, sha256) in self.database.found.parts:
+                continue
+            if self.database.row(KNOWN_PARTS[field], {"lot": lot_id, "part": sha256}) is None:
+                values = {column.name: None for column in table.columns} | part_to_columns(part, table.c.keys())
+                self._store(table, values | {"lot_id": lot_id, "sha256": sha256}, "add", actor)
+            self.database.found.parts.add((table.name, lot_id, sha256))
+        return columns
+
+    def is_stored(self, lot_id: str, fit: Fit, input_sha256: str) -> bool:
+        """Whether a revision from this input rests on an equal fit: then a fit made again says nothing new."""
+        with self.database.writing():
+            revisions = self._revisions(lot_id, fit.serial, input_sha256=input_sha256)
+            return bool(revisions) and self._store_fit(lot_id, fit, None) in {row["fit_sha256"] for row in revisions}
+
     def _store_fit(self, lot_id: str, fit: Fit, actor: str | None) -> str:
         """Store a fit once, with its method, and return its hash."""
         if (known := FIT_SHA256.get(fit)) is not None and self._has_fit(lot_id, fit.serial, known):
@@ -145,9 +173,12 @@ class CalibrationTables(InUseTable):
         values = {name: getattr(fit, name) for name in ("serial", "network_id", "recording_sha256")}
         values |= {"lot_id": lot_id, "sha256": sha256, "method_id": fit.method.id}
         self._store(fits, values | {"content": stored.content, "blob_sha256": blob}, "fit", actor)
+        self.database.found.without_fit.discard((lot_id, fit.serial))
         return sha256
 
     def _has_fit(self, lot_id: str, serial: str, sha256: str) -> bool:
+        if (lot_id, serial) in self.database.found.without_fit:
+            return False
         if self._revisions(lot_id, serial, fit_sha256=sha256):
             return True
         return self.database.row(KNOWN_FIT, {"lot": lot_id, "fit": sha256}) is not None
@@ -339,5 +370,5 @@ class CalibrationTables(InUseTable):
         is_named = (row["revision"], row["origin"]) in named
         stands = {"is_current": is_named and not is_conflict, "is_conflict": is_named and is_conflict}
         return of_row(
-            StoredCalibration, row, state=state_of(self.database, row, fits_of(self.database, [row])), **stands
+            StoredCalibration, row, state=state_of(self.database, row, read_parts(self.database, [row])), **stands
         )

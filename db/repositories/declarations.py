@@ -11,7 +11,7 @@ from softcal.db.repositories.history import plain
 from softcal.db.repositories.registry_base import RegistryBase
 from softcal.db.schema.column_types import canonical_json
 from softcal.db.schema.database import given, parts
-from softcal.db.schema.tables import drawn_units, draws, metadata
+from softcal.db.schema.tables import LISTS, drawn_units, draws, metadata
 
 MADE = {"made_at", "origin", "actor", "reason"}
 
@@ -27,7 +27,10 @@ class DeclarationTables(RegistryBase):
         actor: str | None = None,
         reason: str = "",
     ) -> int:
-        """Store the rows of one owner that change a declaration, all or none; return how many."""
+        """Store the rows of one owner that change a declaration, all or none; return how many.
+
+        The list of a declaration stands under `listed`, one row per entry.
+        """
         if not rows:
             return 0
         table = metadata.tables[name]
@@ -40,7 +43,12 @@ class DeclarationTables(RegistryBase):
                 newest = before.get(_key(table, row), {})
                 made = {"made_at": self._after(newest.get("made_at")), "origin": self.origin}
                 made |= {"actor": self._actor(actor), "reason": reason}
-                self._store(table, {**row, **made}, action, actor, reason)
+                values = {**row, **made}
+                listed = values.pop("listed", [])
+                self._store(table, values, action, actor, reason)
+                key = {column.name: values[column.name] for column in table.primary_key}
+                for one in listed:
+                    self._store(LISTS[name], {**key, **one}, action, actor, reason)
             return len(new)
 
     def in_force(
@@ -55,7 +63,25 @@ class DeclarationTables(RegistryBase):
                 rows += map(dict, self.database.rows(query))
         rows.sort(key=lambda row: (row["made_at"], row["origin"]))
         newest = {_key(table, row): row for row in rows}
-        return [row for row in rows if newest[_key(table, row)] is row]
+        rows = [row for row in rows if newest[_key(table, row)] is row]
+        if name not in LISTS:
+            return rows
+        listed = self._listed(name, owner, serials)
+        return [row | {"listed": listed.get(tuple(row[one.name] for one in table.primary_key), [])} for row in rows]
+
+    def _listed(
+        self, name: str, owner: str | None, serials: Collection[str] | None
+    ) -> Mapping[tuple[Any, ...], list[dict[str, Any]]]:
+        """Return what declarations of a kind list, by the key of each."""
+        table, above = LISTS[name], [column.name for column in metadata.tables[name].primary_key]
+        of_owner = select(table).where(*given((next(iter(table.c)), owner))).order_by(*table.primary_key)
+        listed: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+        for part in [None] if serials is None or "serial" not in above else parts(sorted(serials)):
+            query = of_owner if part is None else of_owner.where(table.c.serial.in_(part))
+            for row in self.database.rows(query):
+                values = {column: value for column, value in row.items() if column not in above}
+                listed.setdefault(tuple(row[column] for column in above), []).append(values)
+        return listed
 
     def newest(self, name: str, owner: str) -> dict[str, Any] | None:
         """Return the declaration in force of one lot or station, or None."""

@@ -246,13 +246,6 @@ class LimitInForce:
     rmse: float | None
     unit: str
 
-    def is_other_in_sql(self) -> sa.ColumnElement[bool]:
-        """Return whether a calibration was decided on against another limit."""
-        c = calibrations.c
-        if self.rmse is None:
-            return c.is_limit_stated
-        return sa.or_(~c.is_limit_stated, c.limit_rmse != self.rmse)
-
     def why(self, judged: float) -> Reason:
         """Return the reason why a verdict against another limit is no longer valid."""
         if self.rmse is None:
@@ -293,14 +286,23 @@ def newest_of_unit(database: Database, lot_id: str, serial: str) -> datetime | N
     return max((row["made_at"] for rows in newest for row in rows), default=None)
 
 
-def of_this_method(database: Database) -> sa.ColumnElement[bool]:
-    """Return the SQL condition for calibrations by the method of this version, with any map family."""
+def ids_of_this_method(database: Database) -> list[str]:
+    """Return the ids of the stored methods equal to that of this version, with any map family."""
+    ids = database.values(select(methods.c.id))
+    for id_ in (one for one in ids if one not in _IS_OF_THIS_VERSION):
+        numbers = database.value(select(methods.c.numbers).where(methods.c.id == id_))
+        _IS_OF_THIS_VERSION[id_] = _is_of_this_version(numbers)
+    return [one for one in ids if _IS_OF_THIS_VERSION[one]]
+
+
+_IS_OF_THIS_VERSION: dict[str, bool] = {}
+"""Whether a stored method is that of this version, by its id, which is a hash of its numbers."""
+
+
+def _is_of_this_version(numbers: Any) -> bool:
     # Whoever lists units needs none of the numerics behind the families.
     from softcal.core.unit.method import Method
 
-    ours, current = Method().to_json(), []
-    for one, numbers in database.tuples(select(methods.c.id, methods.c.numbers)):
-        family = {**ours["map"], "family": numbers["map"]["family"]}  # type: ignore[dict-item]
-        if canonical_json({**ours, "map": family}) == canonical_json(numbers):
-            current.append(one)
-    return calibrations.c.method_id.in_(current)
+    ours = Method().to_json()
+    family = {**ours["map"], "family": numbers["map"]["family"]}  # type: ignore[dict-item]
+    return canonical_json({**ours, "map": family}) == canonical_json(numbers)

@@ -11,23 +11,23 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import sqlalchemy as sa
-from sqlalchemy import ColumnElement, and_, case, func, select
+from sqlalchemy import ColumnElement, and_, bindparam, case, func, select
 
 from softcal.core.errors import InputError
 from softcal.core.lot import UnitKey
 from softcal.core.messages.reason import Reason, plain
-from softcal.db.entries import UNDECIDED, UNIT_ERRORS, CalibrationSummary, UnitEntry, UnitStanding
+from softcal.db.entries import UNDECIDED, UNIT_ERRORS, StoredCalibration, UnitEntry, UnitResult
 from softcal.db.repositories import history
 from softcal.db.repositories.in_use import (
     OF_STATEMENT,
     STALE,
     conflict_line,
     conflicts_of,
+    ids_of_this_method,
     limit_in_force,
-    of_this_method,
 )
 from softcal.db.repositories.registry_base import RegistryBase, damaged, of_row
-from softcal.db.repositories.unit_states import fits_of, state_of
+from softcal.db.repositories.unit_states import read_parts, state_of
 from softcal.db.schema.database import Database, given, parts
 from softcal.db.schema.tables import calibrations, in_use, refusals, units
 
@@ -122,25 +122,25 @@ class LotPages(RegistryBase):
         """
         with self.database.reading():
             self._lot_row(lot_id)
-            standing = StandingQuery(self.database, lot_id)
-            table = standing.table(role="target")
+            standing = StandingQuery(self.database, lot_id, role="target")
+            table = standing.table
             condition: ColumnElement[bool] = and_(True, *wanted.conditions(table))
             order = wanted.order(table)
             query = select(table).where(condition).order_by(*order).limit(size).offset(before)
-            total = self.database.value(select(func.count()).select_from(table).where(condition))
-            entries = [standing.entry(row) for row in self.database.rows(query)]
+            total = self.database.value(select(func.count()).select_from(table).where(condition), standing.values)
+            entries = [standing.entry(row) for row in self.database.rows(query, standing.values)]
         return UnitPage(tuple(entries), int(total))
 
-    def standings(self, lot_id: str, serials: Sequence[str], *, has_stale: bool = False) -> dict[str, UnitStanding]:
+    def standings(self, lot_id: str, serials: Sequence[str], *, has_stale: bool = False) -> dict[str, UnitResult]:
         """Return the status of units of a lot for a report.
 
         A unit with a conflict is to be decided by a person: its verdict is retest. So is that of
         decided against another limit than the one in force.
 
         Args:
-            has_stale: whether a unit decided against another limit still has its summary.
+            has_stale: whether a unit decided against another limit still has its calibration.
         """
-        standings: dict[str, UnitStanding] = {}
+        standings: dict[str, UnitResult] = {}
         c = calibrations.c
         for part in parts(serials):
             with self.database.reading():
@@ -150,15 +150,15 @@ class LotPages(RegistryBase):
                 query = select(calibrations).where(c.lot_id == lot_id, sa.tuple_(c.serial, c.revision).in_(named))
                 # Two registries may have made a revision of this number: the state tells which.
                 rows = {(row["serial"], row["state_sha256"]): row for row in self.database.rows(query)}
-                found = fits_of(self.database, list(rows.values()))
+                found = read_parts(self.database, list(rows.values()))
             for unit, is_made in stands:
                 if unit.verdict is not None and unit.made_at is not None:
-                    summary, row = None, rows.get((unit.serial, unit.state_sha256))
+                    stored, row = None, rows.get((unit.serial, unit.state_sha256))
                     if is_made and row is not None:
                         state = state_of(self.database, row, found, has_arrays=False)
-                        summary = of_row(CalibrationSummary, row, state=state)
+                        stored = of_row(StoredCalibration, row, state=state, is_current=True, is_conflict=False)
                     stated = (unit.verdict, unit.reasons, unit.made_at)
-                    standings[unit.serial] = UnitStanding(unit.serial, *stated, summary)
+                    standings[unit.serial] = UnitResult(unit.serial, *stated, stored)
         return standings
 
     def find_units(self, text: str) -> list[UnitKey]:
@@ -178,29 +178,30 @@ class LotPages(RegistryBase):
         """Return the count of a lot's target units by verdict; `none` counts those without."""
         with self.database.reading():
             self._lot_row(lot_id)
-            table = StandingQuery(self.database, lot_id).table(role="target")
-            verdict = func.coalesce(table.c.verdict, "none")
-            counts = {str(v): int(n) for v, n in self.database.tuples(select(verdict, func.count()).group_by(verdict))}
+            standing = StandingQuery(self.database, lot_id, role="target")
+            query = select(standing.table.c.verdict, func.count()).group_by(standing.table.c.verdict)
+            counts = {str(v or "none"): int(n) for v, n in self.database.tuples(query, standing.values)}
         return {name: counts.get(name, 0) for name in (*_severities(), "none")}
 
     def audited_count(self, lot_id: str) -> int:
         """Return how many target units of a lot have an error that was measured, and an audit that is not set aside."""
         with self.database.reading():
-            table = StandingQuery(self.database, lot_id).table(role="target")
+            standing = StandingQuery(self.database, lot_id, role="target")
+            table = standing.table
             measured = and_(table.c.after_rmse.is_not(None), ~table.c.is_suspect)
-            ((count,),) = self.database.tuples(select(func.count()).select_from(table).where(measured))
-            return int(count)
+            return int(self.database.value(select(func.count()).select_from(table).where(measured), standing.values))
 
     def lot_errors(self, lot_id: str) -> list[UnitErrors]:
         """Return the errors of every target unit with a map, by serial."""
         with self.database.reading():
             self._lot_row(lot_id)
-            table = StandingQuery(self.database, lot_id).table(role="target")
+            standing = StandingQuery(self.database, lot_id, role="target")
+            table = standing.table
             predicted, *audited = (table.c[name] for name in UNIT_ERRORS)
             measured = [case((table.c.is_suspect, None), else_=error) for error in audited]
             query = select(table.c.revision, table.c.serial, table.c.verdict, predicted, *measured)
             # Asked for in SQL, "with a map" makes PostgreSQL read the calibrations of all lots.
-            rows = self.database.tuples(query.order_by(table.c.serial))
+            rows = self.database.tuples(query.order_by(table.c.serial), standing.values)
             return [UnitErrors(*row) for revision, *row in rows if revision is not None]
 
     def change_marker(self, lot_id: str) -> str:
@@ -213,47 +214,25 @@ class LotPages(RegistryBase):
 
 
 class StandingQuery:
-    """Query of the status of a lot or some of its units."""
+    """Query of the status of a lot or some of its units: `table` with the `values` of its parameters."""
 
-    def __init__(self, database: Database, lot_id: str, serials: Sequence[str] | None = None) -> None:
+    def __init__(
+        self, database: Database, lot_id: str, serials: Sequence[str] | None = None, role: str | None = None
+    ) -> None:
         self.database, self.lot_id = database, lot_id
         # For these two registries put different maps into use. A verdict against another limit does not stand.
-        self.undecided = [serial for _, serial in conflicts_of(database, lot_id, serials)]
+        undecided = [serial for _, serial in conflicts_of(database, lot_id, serials)]
         self.limit = limit_in_force(database, lot_id)
-
-    def table(self, serials: Sequence[str] | None = None, role: str | None = None) -> sa.Subquery:
-        """Return every unit with its map in use and its newest verdict, or that of a later refusal.
-
-        The newest row of a unit is found through the index of the table; a window function over all
-        rows is not, and its join with the units would take the square of their number.
-        """
-        c, u, r = calibrations, in_use, refusals
-        is_refused = and_(r.c.made_at.is_not(None), sa.or_(u.c.made_at.is_(None), r.c.made_at > u.c.made_at))
-        is_open = units.c.serial.in_(self.undecided)
-        is_stated = and_(u.c.made_at.is_not(None), ~is_refused)
-        is_unjudged = and_(is_stated, ~is_open, self.limit.is_other_in_sql())
-        is_undecided = and_(is_stated, sa.or_(is_open, is_unjudged))
-        columns: dict[str, ColumnElement[Any]] = {
-            "verdict": case((is_refused, r.c.verdict), (is_undecided, UNDECIDED), else_=c.c.verdict),
-            "reasons": case((is_refused, r.c.reasons), else_=c.c.reasons),
-            "made_at": case((is_refused, r.c.made_at), else_=u.c.made_at),
-            **{name: case((is_open, None), else_=c.c[name]) for name in MADE_FIELDS},
-            "is_stale": and_(u.c.made_at.is_not(None), ~is_open, ~of_this_method(self.database)),
-            "is_conflict": is_open,
-            # What is left out of an entry.
-            "is_made": and_(is_stated, ~is_undecided),
-            "is_refused": is_refused,
-            "is_suspect": c.c.is_suspect,
-            "judged_by": case((is_unjudged, c.c.limit_rmse), else_=None),
+        self.table = _standing_table(serials is not None, role is not None, self.limit.rmse is not None)
+        given_values = {"serials": serials, "role": role, "limit": self.limit.rmse}
+        self.values: dict[str, Any] = {
+            "standing_lot": lot_id,
+            "standing_lot_again": lot_id,
+            # Nothing is named "". Without members IN and NOT IN are written otherwise, and one would stand for both.
+            "standing_undecided": [*undecided, ""],
+            "standing_methods": [*ids_of_this_method(database), ""],
+            **{f"standing_{name}": value for name, value in given_values.items() if value is not None},
         }
-        stated = units.outerjoin(u, and_(_is_of_unit(u), _is_newest(u, ("made_at", "number", "origin"))))
-        refused = and_(_is_of_unit(r), _is_newest(r, ("made_at", "origin")))
-        joined = stated.outerjoin(c, OF_STATEMENT).outerjoin(r, refused)
-        query = select(units.c.lot_id, units.c.serial, units.c.role, *(c.label(name) for name, c in columns.items()))
-        # Named twice: PostgreSQL would read `= lot` into every table of the join. Of a lot that was just written it
-        # expects one row, and would compare all units of the lot with all.
-        query = query.select_from(joined).where(units.c.lot_id.in_([self.lot_id, self.lot_id]))
-        return query.where(*given((units.c.role, role), (units.c.serial, serials))).subquery("standing")
 
     def entry(self, row: sa.RowMapping) -> UnitEntry:
         serial = row["serial"]
@@ -278,7 +257,7 @@ def standing_units(
 ) -> list[tuple[UnitEntry, bool]]:
     """Return units of a lot, each with whether its calibration in use gives its verdict."""
     standing = StandingQuery(database, lot_id, serials)
-    rows = database.rows(select(table := standing.table(serials)).order_by(table.c.serial))
+    rows = database.rows(select(standing.table).order_by(standing.table.c.serial), standing.values)
     known = {row["serial"] for row in rows}
     # A damaged index hides rows without a word.
     for results in (in_use, refusals):
@@ -286,6 +265,49 @@ def standing_units(
         if lost := sorted({*database.values(query.distinct())} - known):
             raise damaged(f"unit {lost[0]} of lot {lot_id} has a result and was not found itself")
     return [(standing.entry(row), bool(row["is_made"])) for row in rows]
+
+
+@cache
+def _standing_table(has_serials: bool, has_role: bool, is_limited: bool) -> sa.Subquery:
+    """Return every unit beside its map in use and its newest verdict, or a later refusal's.
+
+    Built once: that takes longer than to ask it. The newest row of a unit is found through the index of the table; a
+    window function over all rows is not, and its join with the units would take the square of their number.
+    """
+    c, u, r = calibrations, in_use, refusals
+    is_refused = and_(r.c.made_at.is_not(None), sa.or_(u.c.made_at.is_(None), r.c.made_at > u.c.made_at))
+    is_open = units.c.serial.in_(bindparam("standing_undecided", expanding=True))
+    is_stated = and_(u.c.made_at.is_not(None), ~is_refused)
+    is_other = sa.or_(~c.c.is_limit_stated, c.c.limit_rmse != bindparam("standing_limit"))
+    is_unjudged = and_(is_stated, ~is_open, is_other if is_limited else c.c.is_limit_stated)
+    is_undecided = and_(is_stated, sa.or_(is_open, is_unjudged))
+    is_of_this_method = c.c.method_id.in_(bindparam("standing_methods", expanding=True))
+    columns: dict[str, ColumnElement[Any]] = {
+        "verdict": case((is_refused, r.c.verdict), (is_undecided, UNDECIDED), else_=c.c.verdict),
+        "reasons": case((is_refused, r.c.reasons), else_=c.c.reasons),
+        "made_at": case((is_refused, r.c.made_at), else_=u.c.made_at),
+        **{name: case((is_open, None), else_=c.c[name]) for name in MADE_FIELDS},
+        "is_stale": and_(u.c.made_at.is_not(None), ~is_open, ~is_of_this_method),
+        "is_conflict": is_open,
+        # What is left out of an entry.
+        "is_made": and_(is_stated, ~is_undecided),
+        "is_refused": is_refused,
+        "is_suspect": c.c.suspect_audit.is_not(None),
+        "judged_by": case((is_unjudged, c.c.limit_rmse), else_=None),
+    }
+    stated = units.outerjoin(u, and_(_is_of_unit(u), _is_newest(u, ("made_at", "number", "origin"))))
+    refused = and_(_is_of_unit(r), _is_newest(r, ("made_at", "origin")))
+    joined = stated.outerjoin(c, OF_STATEMENT).outerjoin(r, refused)
+    query = select(units.c.lot_id, units.c.serial, units.c.role, *(c.label(name) for name, c in columns.items()))
+    # Named twice: PostgreSQL would read `= lot` into every table of the join. Of a lot that was just written it
+    # expects one row, and would compare all units of the lot with all.
+    lot: list[Any] = [bindparam("standing_lot"), bindparam("standing_lot_again")]
+    query = query.select_from(joined).where(units.c.lot_id.in_(lot))
+    if has_serials:
+        query = query.where(units.c.serial.in_(bindparam("standing_serials", expanding=True)))
+    if has_role:
+        query = query.where(units.c.role == bindparam("standing_role"))
+    return query.subquery("standing")
 
 
 def _is_of_unit(table: sa.Table) -> ColumnElement[bool]:

@@ -7,7 +7,7 @@ from functools import wraps
 from types import FunctionType
 from typing import Any, TypeVar
 
-from sqlalchemy import RowMapping, Table, bindparam, insert, select
+from sqlalchemy import Double, RowMapping, Table, bindparam, insert, select
 
 from softcal.core.errors import NoSuchLot, NoSuchUnit, RegistryDamaged, RegistryError
 from softcal.core.messages.reason import reason
@@ -24,6 +24,9 @@ KNOWN_LOT = select(lots).where(lots.c.id == bindparam("lot"))
 KNOWN_UNIT = select(units.c.role).where(units.c.lot_id == bindparam("lot"), units.c.serial == bindparam("unit"))
 INSERT_TOLD = insert(audit)
 INSERTS = {name: insert(metadata.tables[name]) for name in AUDITED}
+NUMBERS = {
+    name: [one.name for one in metadata.tables[name].columns if isinstance(one.type, Double)] for name in AUDITED
+}
 OF_UNITS = frozenset(table.name for table in (recordings, in_use, refusals))
 """Tables whose rows belong to a unit of a lot: of one that was not registered there can be none."""
 
@@ -85,7 +88,10 @@ class RegistryBase:
         before: Mapping[str, object] | None = None,
     ) -> None:
         """Insert one row together with its row in the audit trail."""
-        self.database.change(INSERTS[table.name], dict(values))
+        # As databases give them back: a whole number is a float where one belongs, and a zero has no sign.
+        numbers = {name: values[name] for name in NUMBERS[table.name] if values.get(name) is not None}
+        values = {**values, **{name: float(value) + 0.0 for name, value in numbers.items()}}
+        self.database.change(INSERTS[table.name], values)
         if "serial" in values:
             # A revision is numbered through all lots.
             lot_id = "" if table.name == "calibrations" else values["lot_id"]
@@ -164,6 +170,7 @@ class RegistryBase:
         if self.database.row(KNOWN_UNIT, {"lot": lot_id, "unit": serial}) is None:
             values = {"lot_id": lot_id, "serial": serial, "role": role, "added_at": self.settings.clock()}
             self._store(units, values, "add", actor)
+            found.without_fit.add((lot_id, serial))
             found.rows.update({(table, lot_id, serial): () for table in OF_UNITS})
         found.units.add((lot_id, serial))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
@@ -16,7 +17,7 @@ from softcal.db.repositories.registry_base import damaged
 from softcal.db.schema.arrays import get_arrays
 from softcal.db.schema.column_types import canonical_json
 from softcal.db.schema.database import Database, parts
-from softcal.db.schema.tables import fits, methods
+from softcal.db.schema.tables import STATE_PARTS, fits, methods
 
 if TYPE_CHECKING:
     from softcal.core.unit.fit import Fit
@@ -26,16 +27,44 @@ if TYPE_CHECKING:
 FIT_SHA256: WeakKeyDictionary[Fit, str] = WeakKeyDictionary()
 """Hashes of fits that were stored or read: a fit is hashed once, and one without its arrays is never stored again."""
 
-FitRows = Mapping[tuple[str, str], tuple[sa.RowMapping, "Method"]]
-"""Lot and hash of a fit → its row and its method."""
+
+@dataclass(frozen=True)
+class StoredParts:
+    """What rows of `calibrations` rest on.
+
+    Args:
+        fits: row of a fit, with its method, by lot and hash.
+        parts: a part of states as JSON values, by its field, lot and hash.
+    """
+
+    fits: Mapping[tuple[str, str], tuple[sa.RowMapping, Method]]
+    parts: Mapping[tuple[str, str, str], Mapping[str, Any]]
 
 
-def fits_of(database: Database, rows: Sequence[sa.RowMapping]) -> FitRows:
-    """Return the fits that rows of `calibrations` rest on.
+def read_parts(database: Database, rows: Sequence[sa.RowMapping]) -> StoredParts:
+    """Return what rows of `calibrations` rest on.
 
     Raises:
-        RegistryError: a fit or its method differs from its hash.
+        RegistryError: a fit, its method or another part differs from its hash.
     """
+    from softcal.core.unit.state_json import part_from_columns
+
+    read = dict[tuple[str, str, str], Mapping[str, Any]]()
+    for field, table in STATE_PARTS.items():
+        named = {(row["lot_id"], row[f"{field}_sha256"]) for row in rows if row[f"{field}_sha256"] is not None}
+        for some in parts(sorted(named)):
+            query = select(table).where(sa.tuple_(table.c.lot_id, table.c.sha256).in_(some))
+            for row in database.rows(query):
+                part = part_from_columns(field, dict(row))
+                if content_sha256({}, part) != row["sha256"]:
+                    raise damaged(f"{table.name} {row['sha256'][:12]} of lot {row['lot_id']} is not what was stored")
+                read[(field, row["lot_id"], row["sha256"])] = part
+    return StoredParts(_fits_of(database, rows), read)
+
+
+def _fits_of(
+    database: Database, rows: Sequence[sa.RowMapping]
+) -> Mapping[tuple[str, str], tuple[sa.RowMapping, Method]]:
     wanted = sorted({(row["lot_id"], row["fit_sha256"]) for row in rows})
     found: list[sa.RowMapping] = []
     for part in parts(wanted):
@@ -50,7 +79,7 @@ def fits_of(database: Database, rows: Sequence[sa.RowMapping]) -> FitRows:
     return read
 
 
-def state_of(database: Database, row: sa.RowMapping, of: FitRows, *, has_arrays: bool = True) -> UnitState:
+def state_of(database: Database, row: sa.RowMapping, of: StoredParts, *, has_arrays: bool = True) -> UnitState:
     """Return the state of a row of `calibrations`; without arrays it can be listed and decided on.
 
     Raises:
@@ -60,17 +89,26 @@ def state_of(database: Database, row: sa.RowMapping, of: FitRows, *, has_arrays:
 
     from softcal.core.unit.state_json import fit_from_json, state_from_json
 
-    found = of.get((row["lot_id"], row["fit_sha256"]))
+    found = of.fits.get((row["lot_id"], row["fit_sha256"]))
     if found is None:
         raise damaged(f"unit {row['serial']} of lot {row['lot_id']}: the fit of revision {row['revision']} is missing")
     fit, method = found
     arrays: Any = get_arrays(database, fit["blob_sha256"]) if has_arrays else None
     try:
-        read = fit_from_json(fit["content"], method, arrays)
+        read = replace(fit_from_json(fit["content"], method, arrays), fit_s=row["fit_s"])
         FIT_SHA256[read] = row["fit_sha256"]
-        return state_from_json(read, row["state"])
+        return state_from_json(read, _adjustments_of(row, of))
     except (msgspec.ValidationError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise damaged(f"unit {row['serial']}: revision {row['revision']} cannot be read ({error})") from error
+
+
+def _adjustments_of(row: sa.RowMapping, of: StoredParts) -> dict[str, Any]:
+    limit = {name: row[f"limit_{name}"] for name in ("unit", "origin", "reference_expanded", "full_range")}
+    values = {name: row[name] for name in ("unreadable_audit", "suspect_audit")}
+    for field in STATE_PARTS:
+        sha256 = row[f"{field}_sha256"]
+        values[field] = None if sha256 is None else of.parts[(field, row["lot_id"], sha256)]
+    return {"limit": limit | {"maximum_rmse": row["limit_rmse"]}, **values}
 
 
 @lru_cache(maxsize=32)

@@ -117,9 +117,9 @@ class Database:
         with self.reading() as connection:
             return connection.execute(query, values).mappings().first()
 
-    def tuples(self, query: Executable) -> list[Any]:
+    def tuples(self, query: Executable, values: Values = None) -> list[Any]:
         with self.reading() as connection:
-            return list(connection.execute(query))
+            return list(connection.execute(query, values))
 
     def stream(self, query: Executable, size: int = 1000) -> Iterator[RowMapping]:
         """Yield the rows of a query, with `size` rows in memory at once."""

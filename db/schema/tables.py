@@ -62,6 +62,13 @@ def declared(name: str, key: dict[str, Any], *values: Sequence[Column[Any]]) -> 
     return table(name, *made, *chain.from_iterable(values), *lot)
 
 
+def listed(parent: Table, name: str, key: dict[str, Any], *values: Sequence[Column[Any]]) -> Table:
+    """Return a table of what one declaration lists, under its key and one of their own."""
+    above = {column.name: column.type for column in parent.primary_key}
+    named = [f"{parent.name}.{column}" for column in above]
+    return table(name, *keys(**above, **key), *chain(*values), sa.ForeignKeyConstraint([*above], named))
+
+
 def numbered(name: str, number: str, *values: Sequence[Column[Any]]) -> Table:
     """Return a table of what is set or decided of lots, 1, 2, 3 ... each, by whichever registry."""
     key = [Column("lot_id", ForeignKey("lots.id"), primary_key=True), *keys(**{number: Integer, "origin": ORIGIN})]
@@ -137,18 +144,65 @@ fits = table(
 )
 """What recordings gave, by the hash of their content: no act changes a fit."""
 
+
+def part_of_states(name: str, *values: Sequence[Column[Any]]) -> Table:
+    """Return a table of one part of units' states, by the hash of its content; a nested value has its name before."""
+    lot: Column[Any] = Column("lot_id", ForeignKey("lots.id"), primary_key=True)
+    return table(name, lot, *keys(sha256=SHA256), *chain.from_iterable(values))
+
+
+trims = part_of_states(
+    "trims",
+    needed(output=CanonicalJson, reference=CanonicalJson, recording_sha256=SHA256, audit_sha256=SHA256),
+    needed(gain=Double, offset=Double, covariance=CanonicalJson, before_rmse=Double, after_rmse=Double),
+    needed(is_blocking=sa.Boolean),
+    optional(left_out=CanonicalJson),
+)
+corrections = part_of_states(
+    "corrections",
+    needed(number=Integer, line_gain=Double, line_zero=Double, gain_error=Double, zero_error=Double),
+    needed(audits=Integer, gain=Double, offset=Double),
+)
+sample_releases = part_of_states(
+    "sample_releases",
+    needed(number=Integer, limit_rmse=Double, is_released=sa.Boolean, scale=Double),
+    needed(widening_scale=Double, widening_added=Double, day_rmse=Double, audits=CanonicalJson),
+    needed(risk=Double, confidence=Double, sitting=Text),
+    optional(factor=Double, withdrawn=CanonicalJson),
+)
+audits = part_of_states(
+    "audits",
+    needed(map_id=SHA256, recording_sha256=SHA256, output_sha256=SHA256),
+    needed(scores_before_rmse=Double, scores_before_rows=Integer, scores_after_rmse=Double, scores_after_rows=Integer),
+    optional(scores_own_before_rmse=Double, scores_own_before_rows=Integer, scores_own_after_rmse=Double),
+    optional(scores_own_after_rows=Integer, scores_own_own_rmse=Double, scores_own_own_rows=Integer),
+    needed(scores_unscored=CanonicalJson, line_gain=Double, line_zero=Double),
+    needed(fitted_line_gain=Double, fitted_line_zero=Double, unit_rest=Double, audit_rest=Double, span=Double),
+    needed(residual=CanonicalJson, half=CanonicalJson),
+)
+STATE_PARTS = {"trim": trims, "correction": corrections, "release": sample_releases, "audit": audits}
+"""What was done to units and what audits showed, by the field of a state. Arrays stand encoded in one column: nothing
+asks for one of their numbers."""
+
 calibrations = table(
     "calibrations",
     *keys(serial=NAME, revision=Integer, origin=ORIGIN),
     *needed(lot_id=NAME, made_at=UtcTime, actor=Text, reason=Text, version=Text, build=Text),
     *optional(rolled_back_to=Integer),
     *needed(fit_sha256=SHA256, network_id=SHA256, method_id=SHA256, family=Text, map_sha256=SHA256),
-    *needed(state_sha256=SHA256, state=CanonicalJson),
-    *optional(predicted_rmse=Double, before_rmse=Double, after_rmse=Double, own_rmse=Double),
-    *needed(limit_rmse=Double, is_limit_stated=sa.Boolean, is_suspect=sa.Boolean),
+    *needed(state_sha256=SHA256),
+    *optional(**{f"{name}_sha256": SHA256 for name in STATE_PARTS}),
+    *optional(predicted_rmse=Double, before_rmse=Double, after_rmse=Double, own_rmse=Double, fit_s=Double),
+    *needed(limit_unit=Text, limit_rmse=Double, limit_origin=CanonicalJson, is_limit_stated=sa.Boolean),
+    *optional(limit_reference_expanded=Double, limit_full_range=Double),
+    *optional(unreadable_audit=CanonicalJson, suspect_audit=CanonicalJson),
     *needed(verdict=String(16), reasons=CanonicalJson, input_sha256=SHA256, recording_sha256=SHA256),
     sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     sa.ForeignKeyConstraint(["lot_id", "fit_sha256"], ["fits.lot_id", "fits.sha256"]),
+    *(
+        sa.ForeignKeyConstraint(["lot_id", f"{name}_sha256"], [f"{part.name}.lot_id", f"{part.name}.sha256"])
+        for name, part in STATE_PARTS.items()
+    ),
     CheckConstraint("revision >= 1", name="revision"),
     CheckConstraint("verdict IN ('pass', 'conditional', 'fail', 'retest')", name="verdict"),
     Index("ix_calibrations_lot_id_serial", "lot_id", "serial", "made_at"),
@@ -169,7 +223,8 @@ lot_decisions = numbered("lot_decisions", "number", needed(version=Text, build=T
 
 declared("line_spreads", OF_LOT, optional(load=Double, day=Double))
 declared("map_families", OF_LOT, needed(family=Text))
-declared("lot_sources", OF_LOT, needed(networks=CanonicalJson))
+lot_sources = declared("lot_sources", OF_LOT)
+source_networks = listed(lot_sources, "source_networks", {"position": Integer}, needed(network_id=SHA256))
 declared(
     "lot_references",
     OF_LOT,
@@ -178,7 +233,8 @@ declared(
     optional(temperature_per_K=Double, temperature_K=Double, contact=Double, repeatability=Double, bandwidth=Double),
     needed(source_rms=Double),
 )
-declared("known_loads", OF_RECORDING, needed(output=CanonicalJson, reference=CanonicalJson, brought_by=String(8)))
+known_loads = declared("known_loads", OF_RECORDING, needed(brought_by=String(8)))
+load_readings = listed(known_loads, "load_readings", {"position": Integer}, needed(output=Double, reference=Double))
 declared("unit_golden_runs", OF_RECORDING, needed(golden_sha256=SHA256))
 declared(
     "exports",
@@ -186,17 +242,22 @@ declared(
     needed(revision=Integer, map_sha256=SHA256, verdict=String(16)),
 )
 declared("confirmed_audits", OF_UNIT, needed(output_sha256=SHA256, doubt=CanonicalJson))
-declared(
+lot_statements = declared(
     "lot_statements",
     OF_LOT,
-    needed(word=String(16), failed=CanonicalJson, nonconforming_upper=Integer, process_upper=Double),
-    needed(error_ratio=Double, text=Text, measured=CanonicalJson),
+    needed(word=String(16), nonconforming_upper=Integer, process_upper=Double, error_ratio=Double, text=Text),
+)
+checked_units = listed(
+    lot_statements, "checked_units", {"serial": NAME}, needed(measured_rmse=Double, is_failed=sa.Boolean)
 )
 declared("laboratories", {"section": NAME}, needed(statements=CanonicalJson))
 declared("station_qualifications", {"station": NAME}, needed(is_passed=sa.Boolean, due_on=sa.Date, page=CanonicalJson))
 declared(
     "alerts", {"kind": String(32), "lot_id": NAME, "about": NAME}, needed(is_open=sa.Boolean, content=CanonicalJson)
 )
+
+LISTS = {"lot_sources": source_networks, "known_loads": load_readings, "lot_statements": checked_units}
+"""Tables of what declarations list, by the table of the declarations."""
 
 draws = declared(
     "draws",
@@ -351,10 +412,12 @@ deliveries = table(
 )
 
 AUDITED = tuple(
-    "lots limits line_rules units recordings networks network_releases methods fits calibrations lot_decisions "
+    "lots limits line_rules units recordings networks network_releases methods fits trims corrections "
+    "sample_releases audits calibrations lot_decisions "
     "refusals in_use adaptations "
-    "certificates golden_runs line_spreads map_families lot_sources lot_references known_loads unit_golden_runs "
-    "exports confirmed_audits draws drawn_units lot_statements station_qualifications laboratories alerts".split()
+    "certificates golden_runs line_spreads map_families lot_sources source_networks lot_references "
+    "known_loads load_readings unit_golden_runs exports confirmed_audits draws drawn_units lot_statements "
+    "checked_units station_qualifications laboratories alerts".split()
 )
 """Tables whose every row stands in the audit trail, too, in the order rows may be copied."""
 

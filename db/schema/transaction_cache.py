@@ -23,7 +23,9 @@ class Found:
         heads: number and hash of the newest row of a chain of the trail, by registry.
         blobs: hashes of blobs that are stored.
         networks, methods: ids of those that are stored.
+        parts: table, lot and hash of parts of states that are stored.
         units: lot and serial of units that are registered.
+        without_fit: those of them that were registered here, until their first fit.
         rows: rows of a unit by table, lot and serial, newest first; none of a unit that was registered here.
     """
 
@@ -32,7 +34,9 @@ class Found:
     blobs: set[str] = field(default_factory=set)
     networks: set[str] = field(default_factory=set)
     methods: set[str] = field(default_factory=set)
+    parts: set[tuple[str, str, str]] = field(default_factory=set)
     units: set[tuple[str, str]] = field(default_factory=set)
+    without_fit: set[tuple[str, str]] = field(default_factory=set)
     rows: dict[tuple[str, str, str], Sequence[RowMapping]] = field(default_factory=dict)
 
 

@@ -24,7 +24,7 @@ def test_a_measured_sensor_in_steady_operation_is_followed_and_no_third_is_harme
     first, later = slice(0, len(t_s) // 4), slice(len(t_s) // 4, None)
     source = LabelledRecording(OutputRecording("unit", t_s[first], output[first], 10.0), strain[first])
     network = fit_network(source, NetworkConfig(seed=0)).network
-    calibration = source_state(source, network).calibration
+    calibration = source_state(source, network)
     used = OutputRecording("unit", t_s[later], output[later], 10.0)
 
     still = estimate(network, calibration, used).estimate

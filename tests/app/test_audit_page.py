@@ -128,5 +128,5 @@ def test_every_audited_unit_is_listed_and_one_in_doubt_is_confirmed_with_a_reaso
     with open_registry(calibrated) as registry:
         assert len(registry.declarations.in_force("confirmed_audits", "small")) == 1
         standing = registry.pages.standings("small", audited)[audited[0]]
-        assert standing.verdict == state.verdict and standing.summary is not None
-        assert standing.summary.state.decision.is_audited
+        assert standing.verdict == state.verdict and standing.calibration is not None
+        assert standing.calibration.state.decision.is_audited

@@ -10,6 +10,7 @@ import pytest
 
 from softcal.app.batch import lot_work, unit_work
 from softcal.app.cli.main import main
+from softcal.db.connection import open_registry
 
 SMALL = ("--hidden", "16,8")
 
@@ -57,6 +58,21 @@ def test_a_second_run_fits_nothing_again(lot_folder: Path, url: str) -> None:
     assert not second["network_is_new"]
     assert [unit["is_new"] for unit in second["units"]] == [False] * 3
     assert [unit["map"] for unit in second["units"]] == [unit["map"] for unit in first["units"]]
+
+
+def test_units_fitted_again_from_the_same_files_are_the_same_calibrations(
+    lot_folder: Path, url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fit, fitted = unit_work._work_on_unit, []
+    monkeypatch.setattr(unit_work, "_work_on_unit", lambda *work: fitted.append(work[1].serial) or fit(*work))
+    _, first = _batch(lot_folder, url, "--no-own")
+    for calls in (["A1", "A2", "A3"] * 2, ["A1", "A2", "A3"] * 2):
+        _, again = _batch(lot_folder, url, "--no-own", "--refit")
+        assert sorted(fitted) == sorted(calls), "a lot is fitted again once"
+        assert [unit["map"] for unit in again["units"]] == [unit["map"] for unit in first["units"]]
+        assert [unit["verdict"] for unit in again["units"]] == [unit["verdict"] for unit in first["units"]]
+    with open_registry(url) as registry:
+        assert all(len(registry.calibrations.history(serial)) == 1 for serial in ("A1", "A2", "A3"))
 
 
 def test_neither_a_reference_column_in_units_nor_a_second_process_changes_a_map(

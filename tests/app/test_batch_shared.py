@@ -203,7 +203,7 @@ def test_a_unit_that_kills_its_worker_is_named_and_the_rest_is_done(
     with open_registry(registry_url) as registry:
         report = run_batch(open_lot_folder(folder), registry, config)
         assert registry.verify() == []
-    lost = {unit.serial: unit.reasons for unit in report.units if unit.summary is None}
+    lost = {unit.serial: unit.reasons for unit in report.units if unit.calibration is None}
     assert list(lost) == ["A5"] and len(lost["A5"]) == 1
     assert len(kept(registry_url)) == UNITS - 1
 

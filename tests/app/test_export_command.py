@@ -107,7 +107,7 @@ def test_onnx_agrees_with_the_float_model_and_carries_its_facts(run: Run, calibr
     with open_registry(calibrated) as registry:
         unit = UnitLoader(registry, ExportOptions()).load("A2")
     windows = unit.recording.windows
-    mapped = unit.calibration.unit_map.apply(windows)
+    mapped = unit.state.unit_map.apply(windows)
     estimate, source_window = session.run(["estimate", "source_window"], {"window": windows.astype(np.float32)})
     assert np.abs(estimate - unit.network.evaluate(mapped)).max() < 1e-4
     assert np.abs(source_window - mapped).max() < 1e-5

@@ -30,7 +30,7 @@ from softcal.core.messages.reason import reason
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
 from softcal.core.quality.known_loads import KnownLoad, loads_text, ordered_load
 from softcal.core.quality.line_rules import LineRules
-from softcal.db.entries import RunEntry, UnitStanding
+from softcal.db.entries import RunEntry, UnitResult
 
 NOW = datetime(2026, 5, 4, 8, 0, tzinfo=UTC)
 SAY = partial(texts.text, "en")
@@ -147,9 +147,9 @@ class Played:
             unit_page=lambda *_, **__: SimpleNamespace(units=()),
         )
 
-    def _standings(self, lot_id: str, serials: Any) -> dict[str, UnitStanding]:
+    def _standings(self, lot_id: str, serials: Any) -> dict[str, UnitResult]:
         newest = dict(self.world.results)
-        return {s: UnitStanding(s, newest[s], (sentence("because"),), NOW) for s in serials if s in newest}
+        return {s: UnitResult(s, newest[s], (sentence("because"),), NOW) for s in serials if s in newest}
 
     def _units(self, serial: str) -> list[Any]:
         known = {"X7": "L2", **{one: "L1" for one, _ in self.world.results}}

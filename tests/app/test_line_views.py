@@ -23,7 +23,7 @@ from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress
 from softcal.core.quality.known_loads import KnownLoad, loads_text
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.unit.verdict import Verdict
-from softcal.db.entries import NetworkEntry, RunEntry, UnitStanding
+from softcal.db.entries import NetworkEntry, RunEntry, UnitResult
 from softcal.db.repositories.networks import NetworkState
 from softcal.station.tasks.service import CODES
 
@@ -231,7 +231,7 @@ NEAR = reason("stuck", seconds=2.5)
 
 
 def test_a_card_and_its_chip_say_what_every_page_says_of_the_unit_now():
-    audited = UnitStanding("A1", "fail", (NEAR,), NOW)
+    audited = UnitResult("A1", "fail", (NEAR,), NOW)
     view = shown(runs=(run(),), standings={"A1": audited})
     assert (view.state, view.word, view.chips[0].word) == ("fail", "FAIL", "FAIL")
     assert view.details[0] == SAY("plainly.stuck") and SAY("verdict.pass") in view.details[1]
@@ -239,14 +239,14 @@ def test_a_card_and_its_chip_say_what_every_page_says_of_the_unit_now():
 
 
 def test_a_run_that_judged_nothing_shows_no_older_verdict():
-    old = UnitStanding("A1", "pass", (), NOW - timedelta(days=1))
+    old = UnitResult("A1", "pass", (), NOW - timedelta(days=1))
     unjudged = run(replace(UNIT_DONE, verdict=""))
     assert shown(runs=(unjudged,), standings={"A1": old}).state == "recorded"
     assert shown(runs=(unjudged,), standings={"A1": replace(old, made_at=NOW)}).state == "pass"
 
 
 def test_of_several_units_of_one_run_the_worst_is_shown():
-    stands = {f"A1-{k}": UnitStanding(f"A1-{k}", word, (), NOW) for k, word in ((1, "pass"), (2, "conditional"))}
+    stands = {f"A1-{k}": UnitResult(f"A1-{k}", word, (), NOW) for k, word in ((1, "pass"), (2, "conditional"))}
     assert shown(runs=(run(),), standings=stands).state == "conditional"
 
 

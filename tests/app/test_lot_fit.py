@@ -241,7 +241,7 @@ def test_one_labelled_recording_of_the_sitting_gives_the_loads_of_all_and_is_no_
         test = recorded(held_presses(33, 1500, 5.0), int(unit["serial"][1:]))
         output = OutputRecording(unit["serial"], test["t_s"].to_numpy(), test["output"].to_numpy(), RATE_HZ)
         errors = [
-            rmse(estimate(network, state.calibration, output).estimate, test["reference"].to_numpy())
+            rmse(estimate(network, state, output).estimate, test["reference"].to_numpy())
             for state in (states[unit["serial"]], registry.calibrations.get(unit["serial"], lot_id="tuesday").state)
         ]
         assert errors[1] < errors[0]

@@ -201,7 +201,7 @@ def test_units_nobody_measured_pass_on_the_audits_of_the_others(make_lot, batch,
     scaled = widened.scale * second.measured_interval.half_width
     assert np.allclose(second.interval.half_width, np.hypot(scaled, widened.added))
     audited = [unit["serial"] for unit in report["units"] if unit["audited"]]
-    read = [unit.summary.state.audit for unit in registry.pages.standings("large", audited).values()]
+    read = [unit.calibration.state.audit for unit in registry.pages.standings("large", audited).values()]
     asked = fit_widening(
         [AuditedSamples(np.array(one.residual), np.array(one.half)) for one in read], 0.9, Method().release
     )
@@ -383,7 +383,7 @@ def test_a_golden_unit_of_another_sensor_model_withdraws_nothing(make_lot, batch
     batch(make_lot("other", audits=0, model="XX"))
     batch(make_lot("fourteenth", audits=0))
     now = datetime.now(UTC)
-    method = registry.pages.standings("one", ["one-00"])["one-00"].summary.state.fit.method
+    method = registry.pages.standings("one", ["one-00"])["one-00"].calibration.state.fit.method
     registry.stations.add_golden_run(GoldenRun("line", "other", "other-00", now, 9.0, "N", False))
     assert AuditReader(registry, method).evidence("fourteenth", now).qualification.is_given
     registry.stations.add_golden_run(GoldenRun("line", "seventh", "seventh-05", now, 9.0, "N", False))
@@ -649,7 +649,7 @@ def test_a_measured_fail_is_lifted_by_no_trim_no_rollback_and_no_older_revision(
     at = ["--registry", registry_url]
     assert main(["lot", "audit", "large", str(measured), *at]) == 0
     failed = registry.pages.standings("large", [serial])[serial]
-    assert failed.verdict == "fail" and failed.summary is not None and failed.summary.state.decision.is_audited
+    assert failed.verdict == "fail" and failed.calibration is not None and failed.calibration.state.decision.is_audited
     loads = tmp_path / "loads.csv"
     pd.DataFrame({"output": [0.5, 0.75], "reference": [0.0, 4.0]}).to_csv(loads, index=False)
     trimmed = main(["trim", "--serial", serial, "--lot", "large", "--loads", str(loads), *at])
@@ -663,5 +663,5 @@ def test_a_measured_fail_is_lifted_by_no_trim_no_rollback_and_no_older_revision(
     # A new audit decides: of the map that the unit has now.
     pd.read_csv(measured).assign(reference=pd.read_csv(measured)["reference"] / 2.0).to_csv(measured, index=False)
     assert main(["lot", "audit", "large", str(measured), *at]) == 0
-    measured_now = registry.pages.standings("large", [serial])[serial].summary.state.scores
-    assert measured_now.after != failed.summary.state.scores.after
+    measured_now = registry.pages.standings("large", [serial])[serial].calibration.state.scores
+    assert measured_now.after != failed.calibration.state.scores.after

@@ -163,7 +163,7 @@ def check(history: History, tmp_path: Path) -> None:
         assert lot_yields(registry, LOT).last_pass.count == view.yields.last_pass.count == counted["pass"]
         # Nothing passes beyond the limit in force, and nothing is judged by another one.
         limit, standings = lot_limit(registry, LOT), registry.pages.standings(LOT, list(truth))
-        states = {serial: one.summary.state for serial, one in standings.items() if one.summary is not None}
+        states = {serial: one.calibration.state for serial, one in standings.items() if one.calibration is not None}
         assert view.limit_rmse == limit.maximum_rmse
         for serial, one in states.items():
             if truth[serial] in ("pass", "conditional") and one.decision.is_audited:

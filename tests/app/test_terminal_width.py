@@ -11,7 +11,6 @@ import pytest
 
 from softcal.app import output
 from softcal.app.batch.report import TABLE_HEADER, audit_lines, table_row
-from softcal.app.calibration.unit_result import UnitResult
 from softcal.app.cli.main import main
 from softcal.app.output import ProgressLine, print_reasons, print_table
 from softcal.app.registry import listing
@@ -20,7 +19,7 @@ from softcal.app.texts.reason_groups import reasons_by_verdict
 from softcal.core.messages.reason import Reason, plain, reason
 from softcal.core.unit.verdict import VERDICTS
 from softcal.db.connection import open_registry
-from softcal.db.entries import UnitEntry
+from softcal.db.entries import UnitEntry, UnitResult
 
 LONG = (
     "its predicted error is within the limit (RMSE 0.0322 N, 95 %: 0.0227 to 0.0457, limit 0.0772 N, 3 x the source's "

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from softcal.app.batch.report import BatchReport, report_json, table_row
-from softcal.app.calibration.unit_result import UnitResult
 from softcal.app.charts.palette import palette
 from softcal.app.charts.why import why_figure
 from softcal.app.cli.main import main
@@ -46,6 +45,7 @@ from softcal.core.unit.verdict import (
     worst_of,
 )
 from softcal.db.connection import open_registry
+from softcal.db.entries import UnitResult
 from softcal.db.registry import Registry
 from softcal.db.repositories.lot_pages import UnitFilter
 from tests.app.pdf_text import read_text
@@ -141,7 +141,7 @@ def test_every_surface_says_the_same_word(lot, rng):
             "A1",
             stored.state.verdict,
             stored.state.decision.reasons,
-            replace(registry.pages.standings(lot_id, ["A1"])["A1"].summary, state=state),
+            calibration=replace(registry.pages.standings(lot_id, ["A1"])["A1"].calibration, state=state),
         )
         report = BatchReport(lot_id, None, (result,), 0.0)  # type: ignore[arg-type]
         (unit,) = registry.lots.units(lot_id, "A1")

@@ -17,12 +17,16 @@ from softcal.core.operation.stream_estimator import FLAG_SEPARATOR, RECALIBRATE,
 from softcal.core.operation.stream_windows import WRONG_RATE
 from softcal.core.operation.uncertainty import MOVED_WHILE_LEARNT
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import GAP, INVALID, STUCK, WARM_UP, estimate
+from softcal.core.unit.fit import FittedMap
 from softcal.core.unit.health import output_limits
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import make_source_model
+from softcal.core.unit.state import UnitState
+from softcal.core.unit.uncertainty import ErrorForecast
+from softcal.core.unit.verdict import Limit
 from softcal.core.windows import TAPS
+from tests.unit_states import fit_of
 
 RATE_HZ = 50.0
 REST_V, GAIN_V_N = 0.8, 0.25
@@ -60,15 +64,10 @@ def maker(
     interval = make_source_model(
         LabelledRecording(recording, force_N), network, np.arange(0, 4000, 7), method=Method()
     ).interval
-    calibration = Calibration(
-        serial="A1",
-        network_id=network.id,
-        unit_map=AffineMap(1.0, 0.0, "identity"),
-        interval=interval,
-        output_limits=output_limits(recording, recording, True, Method()),
-        method=Method(),
-        predicted_rmse=0.01,
-    )
+    identity, limits = AffineMap(1.0, 0.0, "identity"), output_limits(recording, recording, True, Method())
+    fitted, forecast = FittedMap(identity, interval, limits), ErrorForecast(0.01, 0.01, 0.01)
+    fit = fit_of("A1", network.id, recording.sha256, fitted=fitted, forecast=forecast)
+    calibration = UnitState(fit=fit, limit=Limit("N", 1.0))
 
     def make(mode: str = "improved", method: DriftTracking = DriftTracking()) -> Adapter:  # noqa: B008 - frozen
         return Adapter(network, calibration, recording, AdaptConfig(mode, method))

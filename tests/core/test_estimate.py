@@ -9,20 +9,21 @@ from softcal.core.errors import InputError
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.interface import FitProblem
 from softcal.core.unit.calibrate import calibrate
-from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.health import OutputLimits
+from softcal.core.unit.state import UnitState
 from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.windows import TAPS
+from tests.unit_states import with_fitted
 
 
 @pytest.fixture(scope="module")
-def calibration(source_model, linear_network, press) -> Calibration:
+def calibration(source_model, linear_network, press) -> UnitState:
     unit = press(2, gain=1.3, offset_V=0.05).unlabelled
     problem = FitProblem(source_model.source, linear_network, unit)
     made = calibrate(UnitProblem(source_model, problem.target, anchors=problem.anchors))
     exact = AffineMap(gain=1 / 1.3, offset=-0.05 / 1.3)
-    return replace(made.calibration, unit_map=exact, output_limits=OutputLimits(-np.inf, np.inf, stuck_samples=100))
+    return with_fitted(made, unit_map=exact, output_limits=OutputLimits(-np.inf, np.inf, stuck_samples=100))
 
 
 def test_estimates_follow_the_load_and_the_interval_encloses_them(linear_network, calibration, press):
@@ -61,7 +62,7 @@ def test_a_frozen_output_is_flagged_stuck(linear_network, calibration, press):
 
 def test_a_sample_at_a_rail_is_flagged_saturated(linear_network, calibration, press):
     recording = press(3, gain=1.3, offset_V=0.05).unlabelled
-    clipped = replace(calibration, output_limits=OutputLimits(-np.inf, 0.9, stuck_samples=10_000))
+    clipped = with_fitted(calibration, output_limits=OutputLimits(-np.inf, 0.9, stuck_samples=10_000))
     flag = estimate(linear_network, clipped, replace(recording, output=np.minimum(recording.output, 0.9))).flag
     at_rail = recording.output[TAPS - 1 :] >= 0.9
     assert at_rail.any() and set(flag[TAPS - 1 :][at_rail]) == {"saturated"}

@@ -27,7 +27,7 @@ def test_an_audit_is_scored_on_every_row_that_has_an_estimate(source_model, pres
     gapped = LabelledRecording(replace(raw, t_s=late_s), audit.reference)
     model = replace(source_model, method=Method(map=MapConfig(family="affine")))
     made = calibrate(UnitProblem(model, unit.unlabelled, Limit("N", 2.0), audit=gapped))
-    found = estimate(linear_network, made.calibration, gapped.unlabelled)
+    found = estimate(linear_network, made, gapped.unlabelled)
     has_estimate = np.isfinite(found.estimate)
     error = found.estimate[has_estimate] - gapped.reference[has_estimate]
     assert made.scores is not None
@@ -44,7 +44,7 @@ def test_the_own_calibration_is_compared_on_its_test_rows_alone(source_model, pr
     scores = score_map(linear_network, made.unit_map, audit, DecisionConfig(), config)
     assert scores.own is not None and scores.own.own.rows < scores.after.rows
     rows = np.arange(len(audit) - scores.own.own.rows, len(audit))
-    found = estimate(linear_network, made.calibration, audit.unlabelled).estimate
+    found = estimate(linear_network, made, audit.unlabelled).estimate
     assert scores.own.after == MeasuredError.of(found[rows], audit.reference[rows])
     again = score_map(linear_network, made.unit_map, audit, DecisionConfig(), scores.own.own)
     assert again == scores

@@ -18,15 +18,16 @@ from softcal.core.operation.adapter import AdaptConfig, Adapter
 from softcal.core.operation.method import DriftTracking, OnlineConfig
 from softcal.core.operation.queued_transport import QueuedTransport
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import STUCK
+from softcal.core.unit.state import UnitState
 from softcal.core.windows import TAPS, windows
 from tests.layers import layered
+from tests.unit_states import with_fitted
 
 RATE_HZ, QUEUE, BATCH = 50.0, 320, 32
 REST_V, GAIN_V_N = 0.8, 0.25
 MODES = ("ot", "ot-improved")
-Bench = tuple[Network, Calibration, LabelledRecording]
+Bench = tuple[Network, UnitState, LabelledRecording]
 
 
 def load_N(seconds: float, seed: int) -> Array:
@@ -49,7 +50,7 @@ def bench() -> Bench:
     force_N = load_N(30.0, 0)
     output = OutputRecording("A0", np.arange(len(force_N)) / RATE_HZ, read_V(force_N, 1), RATE_HZ)
     source = LabelledRecording(output, force_N)
-    return network, source_state(source, network).calibration, source
+    return network, source_state(source, network), source
 
 
 def make(bench: Bench, mode: str, queue: int = QUEUE, pool: Executor | None = None) -> QueuedTransport:
@@ -236,7 +237,7 @@ def test_known_loads_outlast_every_swap(bench: Bench, mode: str) -> None:
     """The calibration reads a tenth too low, and known loads have mended that."""
     network, calibration, source = bench
     wrong = AffineMap(0.9, 0.1 * REST_V, "affine")
-    anchored = replace(calibration, unit_map=AnchoredMap(wrong, 1 / 0.9, REST_V - REST_V / 0.9))
+    anchored = with_fitted(calibration, unit_map=AnchoredMap(wrong, 1 / 0.9, REST_V - REST_V / 0.9))
     t_s, _, force_N = stream()
     used_N = 0.6 * force_N
     config = AdaptConfig(mode, DriftTracking(online=OnlineConfig(QUEUE)))

@@ -18,6 +18,7 @@ from softcal.db.maintenance.sync import synchronise
 from softcal.db.schema.arrays import get_arrays, parts_of, put_arrays
 from softcal.db.schema.tables import APPEND_ONLY, audit, blobs, calibrations, fits, metadata, units
 from tests.declarations import declare_all
+from tests.unit_states import adjusted
 
 
 @pytest.fixture
@@ -44,6 +45,7 @@ def filled(factory, recording_of, labelled_of):
     factory.registry.recordings.add("L1", recording_of("A1"), "unit")
     factory.calibrate("A1", 1)
     factory.calibrate("A1", 2)
+    factory.registry.calibrations.add("L1", adjusted(factory.state("A3")))
     factory.registry.calibrations.refuse("L1", "A2", "fail", (plain("constant"),))
     factory.registry.lots.set_line_rules("L1", LineRules(), reason="first lot")
     factory.registry.adaptations.add(UnitKey("L1", "A1"), 1, [{"stream": "s", "sample": 3, "gain": 1.5}])

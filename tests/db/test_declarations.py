@@ -27,6 +27,9 @@ TABLES = {
     "exports",
     "draws",
     "drawn_units",
+    "checked_units",
+    "source_networks",
+    "load_readings",
     "lot_statements",
     "confirmed_audits",
     "lot_references",
@@ -139,4 +142,4 @@ def test_the_trail_tells_of_every_declaration(factory, labelled_of):
     declare_all(factory, labelled_of("S0"))
     told = {row.entity: json.loads(row.after) for row in factory.registry.trail.rows() if row.entity in TABLES}
     assert told.keys() == TABLES
-    assert told["known_loads"]["output"] == [0.1, 0.2] and told["lot_references"]["certificate"] == "D-K-1"
+    assert told["load_readings"]["output"] == 0.2 and told["lot_references"]["certificate"] == "D-K-1"

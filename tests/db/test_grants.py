@@ -88,7 +88,9 @@ def test_what_the_line_may_not_set_is_said_in_one_line(as_role, make_factory):
 
 NEEDED_BY_THE_LINE = {
     "blobs": {"INSERT"}, "lots": {"INSERT"}, "units": {"INSERT"}, "recordings": {"INSERT"}, "networks": {"INSERT"},
-    "methods": {"INSERT"}, "fits": {"INSERT"}, "lot_decisions": {"INSERT"},
+    "methods": {"INSERT"}, "fits": {"INSERT"}, "trims": {"INSERT"}, "corrections": {"INSERT"},
+    "sample_releases": {"INSERT"}, "audits": {"INSERT"}, "source_networks": {"INSERT"}, "load_readings": {"INSERT"},
+    "checked_units": {"INSERT"}, "lot_decisions": {"INSERT"},
     "calibrations": {"INSERT"}, "refusals": {"INSERT"}, "in_use": {"INSERT"}, "audit": {"INSERT"},
     "adaptations": {"INSERT"}, "golden_runs": {"INSERT"}, "work_items": {"INSERT", "UPDATE", "DELETE"},
     "orders": {"INSERT", "UPDATE"}, "heartbeats": {"INSERT", "UPDATE"}, "run_signals": {"INSERT", "DELETE"},

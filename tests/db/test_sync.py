@@ -49,8 +49,8 @@ def test_both_sides_get_what_the_other_did(station, registry, make_factory):
     central.calibrate("A1", 2)
     station.calibrate("A2", 3)
     report = synchronise(station.registry, registry)
-    # A fit, a revision and a statement of use.
-    assert (report.sent, report.received, report.conflicts) == (3, 3, ())
+    # A fit, an audit, a revision and a statement of use.
+    assert (report.sent, report.received, report.conflicts) == (4, 4, ())
     assert same_history(station.registry, registry)
     assert station.registry.calibrations.get("A1").revision == registry.calibrations.get("A2").revision == 2
     assert registry.verify() == station.registry.verify() == []
@@ -99,7 +99,7 @@ def test_a_refusal_after_a_conflict_is_what_every_question_tells(station, regist
     assert unit == paged and unit.is_conflict
     for told in (unit, stated, registry.lots.runs("L1", "A1")[-1]):
         assert (told.verdict, told.reasons) == ("fail", (plain("cable"),))
-    assert stated.summary is None and registry.pages.verdict_counts("L1")["fail"] == 1
+    assert stated.calibration is None and registry.pages.verdict_counts("L1")["fail"] == 1
 
 
 def test_the_same_map_made_twice_is_no_conflict(station, registry, make_factory):

@@ -182,7 +182,7 @@ def edits(registry) -> list[str]:
         ("UPDATE refusals SET made_at = replace(made_at, ' ', 'T')", "made_at", True),
         ("UPDATE lots SET added_at = replace(added_at, ' ', '1')", "added_at", True),
         ("UPDATE audit SET at = replace(at, ' ', 'T') WHERE seq = 2", "damaged", False),
-        ("UPDATE calibrations SET state = replace(state, ':', ': ')", "state", False),
+        ("UPDATE audits SET half = replace(half, ',', ', ')", "half", False),
         ("UPDATE golden_runs SET passed = 2", "passed", False),
     ],
 )

@@ -5,12 +5,14 @@ import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from softcal.core.export.blob import NetworkFile, UnitFile
+from softcal.core.export.c_text import network_header, unit_header
 from softcal.core.export.compile_map import InputScale
 from softcal.core.export.device import DeviceOptions, DeviceRecord, build_network_file, build_unit_file
 from softcal.core.maps.affine_map import AffineMap, fit_affine
@@ -23,6 +25,15 @@ ROOT = Path(__file__).parents[2]
 RUNTIME = ROOT / "firmware" / "softsensor"
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+
+
+TOOLS = {
+    "m0": ("arm-none-eabi-gcc", "qemu-system-arm"),
+    "m4": ("arm-none-eabi-gcc", "qemu-system-arm"),
+    "rv32": ("riscv64-unknown-elf-gcc", "qemu-system-riscv32"),
+    "uno": ("avr-gcc", "simavr"),
+    "mega": ("avr-gcc", "simavr"),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,3 +120,40 @@ def bridge(build: Callable[..., Path]) -> ctypes.CDLL:
     """The runtime with its trim as a library that Python calls; undefined behaviour stops it."""
     trap = ("-fsanitize=undefined", "-fsanitize-undefined-trap-on-error")
     return ctypes.CDLL(str(build(Path(__file__).parent / "bridge.c", "-O2", "-shared", "-fPIC", *trap)))
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What the board printed; `instructions` are cycles on an AVR."""
+
+    estimates: np.ndarray
+    numbers: dict[str, int]
+
+    @property
+    def instructions(self) -> float:
+        return self.numbers["estimate_ticks"] * self.numbers["per_1000_ticks"] / 1000
+
+
+@pytest.fixture
+def run_on_board(require_program: Callable[..., str], examples: Path, tmp_path: Path) -> Callable[..., Run]:
+    """`run_on_board(network, unit, codes)`: build the example for a board (default: Cortex-M0) and run it emulated."""
+
+    def run(network: NetworkFile, unit: UnitFile, codes: Any, board: str = "m0", options: str = "-O2") -> Run:
+        require_program(*TOOLS[board])
+        (tmp_path / "network.h").write_text(network_header(network))
+        (tmp_path / "unit.h").write_text(unit_header(unit))
+        listed = ",".join(map(str, codes))
+        (tmp_path / "codes.h").write_text(f"static const uint16_t SS_TABLE codes[] = {{{listed}}};\n")
+        image = tmp_path / "softsensor.elf"
+        image.unlink(missing_ok=True)
+        done = subprocess.run(
+            ["make", "-s", f"BOARD={board}", f"HEADERS={tmp_path}", f"OUT={image}", f"OPTIMISE={options}", "run"],
+            cwd=examples / "emulated", capture_output=True, text=True, timeout=300,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stdout + done.stderr
+        lines = [line.split() for line in done.stdout.splitlines() if line]
+        estimates = np.array([row[1:] for row in lines if row[0] == "e"], dtype=int)
+        numbers = {row[0]: int(row[1]) for row in lines if len(row) == 2 and row[0] != "e"}
+        return Run(estimates, numbers)
+
+    return run

@@ -3,7 +3,7 @@
 import re
 import subprocess
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,59 +12,15 @@ import pytest
 
 from softcal.core.export.blob import LoadLevels, NetworkFile, UnitFile
 from softcal.core.export.blob_reader import read_network, read_unit
-from softcal.core.export.c_text import network_header, unit_header
 from softcal.core.export.device import device_cost
 from softcal.core.export.integer_network import IntegerMix
 from softcal.core.export.loader import run_self_test
 from tests.device_sensor import open_sensor
+from tests.firmware.conftest import TOOLS, Run
 from tests.firmware.device_stream import DeviceStream, Trim, TrimResult, find_trim
 
 SAMPLES = 250
-TOOLS = {
-    "m0": ("arm-none-eabi-gcc", "qemu-system-arm"),
-    "m4": ("arm-none-eabi-gcc", "qemu-system-arm"),
-    "rv32": ("riscv64-unknown-elf-gcc", "qemu-system-riscv32"),
-    "uno": ("avr-gcc", "simavr"),
-    "mega": ("avr-gcc", "simavr"),
-}
 CONFORMANCE = Path(__file__).parents[2] / "firmware" / "conformance"
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """What the board printed; `instructions` are cycles on an AVR."""
-
-    estimates: np.ndarray
-    numbers: dict[str, int]
-
-    @property
-    def instructions(self) -> float:
-        return self.numbers["estimate_ticks"] * self.numbers["per_1000_ticks"] / 1000
-
-
-@pytest.fixture
-def run_on_board(require_program: Callable[..., str], examples: Path, tmp_path: Path) -> Callable[..., Run]:
-    """`run_on_board(network, unit, codes)`: build the example for a board (default: Cortex-M0) and run it emulated."""
-
-    def run(network: NetworkFile, unit: UnitFile, codes: Any, board: str = "m0", options: str = "-O2") -> Run:
-        require_program(*TOOLS[board])
-        (tmp_path / "network.h").write_text(network_header(network))
-        (tmp_path / "unit.h").write_text(unit_header(unit))
-        listed = ",".join(map(str, codes))
-        (tmp_path / "codes.h").write_text(f"static const uint16_t SS_TABLE codes[] = {{{listed}}};\n")
-        image = tmp_path / "softsensor.elf"
-        image.unlink(missing_ok=True)
-        done = subprocess.run(
-            ["make", "-s", f"BOARD={board}", f"HEADERS={tmp_path}", f"OUT={image}", f"OPTIMISE={options}", "run"],
-            cwd=examples / "emulated", capture_output=True, text=True, timeout=300,
-        )  # fmt: skip
-        assert done.returncode == 0, done.stdout + done.stderr
-        lines = [line.split() for line in done.stdout.splitlines() if line]
-        estimates = np.array([row[1:] for row in lines if row[0] == "e"], dtype=int)
-        numbers = {row[0]: int(row[1]) for row in lines if len(row) == 2 and row[0] != "e"}
-        return Run(estimates, numbers)
-
-    return run
 
 
 def _reference(network: NetworkFile, unit: UnitFile, codes: Any, trim: Trim = Trim()) -> np.ndarray:  # noqa: B008

@@ -280,7 +280,7 @@ def build_certificate(unit: CalibratedUnit) -> Certificate:
     fit, scores = state.fit, state.scores
     # After a trim the budget of the map before says nothing of this one.
     is_trimmed = any(why.code == "trimmed" for why in state.blocking_reasons)
-    with_90, share = estimate(unit.network, unit.calibration, unit.recording), COVERAGE / NORMAL_90
+    with_90, share = estimate(unit.network, unit.state, unit.recording), COVERAGE / NORMAL_90
     # U_est (k = 2) in place of the 90 % interval.
     lower, upper = (with_90.estimate + share * (end - with_90.estimate) for end in (with_90.lower, with_90.upper))
     estimates = replace(with_90, lower=lower, upper=upper)
@@ -335,7 +335,7 @@ def build_certificate(unit: CalibratedUnit) -> Certificate:
         provenance=unit.provenance,
         bands=_bands(estimates, low, high),
         output=output,
-        mapped=unit.calibration.unit_map.apply(resting(output))[:, -1],
+        mapped=unit.state.unit_map.apply(resting(output))[:, -1],
         estimated=estimates,
     )
 

@@ -40,7 +40,7 @@ def render() -> None:
         revision = place.selectbox(say("column.revision"), revisions, index=revisions.index(current)) or current
     stored = next(entry for entry in history if entry.revision == revision)
     standing = standing_of(registry(), stored)
-    if standing.summary is None:
+    if standing.calibration is None:
         st.markdown(f"{say('unit.refused_since')} **{in_words(standing.reasons)}**")
     unit, errors = registry().lots.get(key.lot_id).reference_unit, stored.state.errors
     scores = [(say(f"column.{name}"), errors[f"{name}_rmse"], None) for name in ("before", "after", "own")]
