@@ -22,7 +22,7 @@ from softcal.core.gap.evidence import (
     rivals,
     weights_of,
 )
-from softcal.core.gap.experiments import Identifiability, NextExperiment, identifiability, reasons
+from softcal.core.gap.experiments import Identifiability, NextExperiment, identifiability, reasons, telling_rest
 from softcal.core.gap.fit import Fit
 from softcal.core.gap.model import CalibrationGap, DiagnosisVerdict, GapPlace, Model, Partial, RankedCause, Where
 from softcal.core.gap.places import in_catalogue_form, with_constants
@@ -257,6 +257,7 @@ def diagnose_with(
     say("describing what is left")
     terms = list(model.terms(search.base))
     parents = {"unknown": (search.base, told_on), "no_gap": ()}.get(judgement.verdict, (told_on,))
+    residual = learned(search.base, parents, terms)
     return Diagnosis(
         model=model,
         verdict=judgement.verdict,
@@ -266,7 +267,7 @@ def diagnose_with(
         rivals=judgement.group,
         causes=causes,
         gap=quantified.gap,
-        next_experiment=model.next_experiment(search, judgement),
+        next_experiment=model.next_experiment(search, judgement, _telling_rest(search, judgement, residual)),
         where=where,
         shrink=quantified.shrink,
         protocol=quantified.protocol,
@@ -276,10 +277,23 @@ def diagnose_with(
         explained_share=search.explained_share(best),
         mistakes=questions,
         partial=partial_of(search, judgement),
-        residual=learned(search.base, parents, terms),
+        residual=residual,
         told=told.naming(best.ids),
         list_complete=judgement.list_complete,
     )
+
+
+def _telling_rest(
+    search: Search, judgement: "Judgement", residual: LearnedResidual[Any] | None
+) -> NextExperiment | None:
+    """Return the run that tells what is left from every cause near to it; None where nothing describes it."""
+    rest, beside = (residual.fit, residual.beside) if residual is not None else (search.unmodelled, ())
+    if rest is None or judgement.verdict not in ("unknown", "explained_in_part"):
+        return None
+    beside = beside or tuple(i for i in rest.ids if i in {effect.id for effect in search.candidates})
+    entries = search.model.menu(search.start)
+    proposed = telling_rest(entries, search, rest, beside) if entries else None
+    return None if proposed is None or proposed.profile == "none" else proposed
 
 
 @dataclass(frozen=True)
@@ -331,7 +345,7 @@ def judged(search: Search) -> Judgement:
     trust = dict.fromkeys(effects if best.ids and not quantified.stands else doubted, config.verdict.imitated_trust)
     chances = {i: p * trust.get(i, 1.0) for i, p in every.items()}
     if verdict == "unknown" and search.unmodelled is None:
-        if quantified.stands and any(chances[i] >= config.presence.certain for i in best.ids):
+        if quantified.stands and any(chances[i] >= model.presence_config.certain for i in best.ids):
             verdict = "explained_in_part"
         elif model.hands_on_closest and (best := closest_set(search)) is not search.best:
             group, quantified = (best,), quantify(search.base, with_constants(best), is_given=True)
@@ -366,7 +380,7 @@ def _completeness(search: Search, found: Fit) -> float:
     has_unlisted = search.unmodelled is not None or search.model.is_uneven(found)
     gap, chance = max(search.base.chi2 - search.base.problem.count, 1.0), noise_chance(found)
     rest = min(rest_energy(found, chance) / gap, 1.0) if found.ids else 1.0
-    return list_completeness(chance, rest, has_unlisted, search.model.method.presence)
+    return list_completeness(chance, rest, has_unlisted, search.model.presence_config)
 
 
 def _presence(search: Search, logs: Mapping[tuple[str, ...], float], effects: Iterable[str]) -> dict[str, float]:
@@ -374,15 +388,30 @@ def _presence(search: Search, logs: Mapping[tuple[str, ...], float], effects: It
 
     Every hypothesis counts by its evidence. In one that leaves a rest a cause may be what imitates a part of it.
     """
-    config, chances = search.model.method.presence, dict.fromkeys(effects, 0.0)
+    config, chances, rest = search.model.presence_config, dict.fromkeys(effects, 0.0), 0.0
+    known: dict[tuple[str, ...], dict[str, float]] = {(): {}}
     for ids, weight in weights_of(logs).items():
-        if ids and weight > config.negligible:
-            found = search.fits[ids]
-            complete, rest = _completeness(search, found), rest_energy(found, noise_chance(found))
-            for i in ids:
-                genuine = consistency_of(found, i, rest).genuine_chance(config)
-                chances[i] += weight * (complete + (1.0 - complete) * genuine)
-    return chances
+        if weight > config.negligible:
+            rest += weight * (1.0 - _completeness(search, search.fits[ids]))
+            for i, chance in _genuine(search, ids, known).items():
+                chances[i] += weight * chance
+    # What no hypothesis has may hide beside a rest.
+    return {i: p + (1.0 - p) * config.hides * rest for i, p in chances.items()}
+
+
+def _genuine(search: Search, ids: tuple[str, ...], known: dict[tuple[str, ...], dict[str, float]]) -> dict[str, float]:
+    """Return how likely each cause of a hypothesis is there and imitates nothing; `known` by hypothesis."""
+    if ids not in known:
+        config, found = search.model.presence_config, search.fits[ids]
+        complete, rest = _completeness(search, found), rest_energy(found, noise_chance(found))
+        own = {i: consistency_of(found, i, rest).genuine_chance(config) for i in ids}
+        here = {i: complete + (1.0 - complete) * chance for i, chance in own.items()}
+        known[ids] = dict(here)
+        # Beside one that imitates, the others stand as they do without it.
+        for j, smaller in search.one_less(found).items():
+            without = _genuine(search, smaller.ids, known)
+            known[ids] |= {i: max(known[ids][i], (1.0 - here[j]) * without[i]) for i in smaller.ids}
+    return known[ids]
 
 
 def _verdict(search: Search, group: tuple[Fit, ...], quantified: Quantified) -> DiagnosisVerdict:

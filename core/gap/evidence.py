@@ -188,16 +188,23 @@ class Consistency:
     Args:
         taken: share of the cause in the energy of cause and rest, of what no other fitted parameter imitates.
         disagreement: root mean square by which the parts of all runs ask for another size, relative to the fitted one.
+        cancelled: share of what the base leaves of its signature that the other causes cancel: two that imitate a
+            third by their difference cancel nearly all.
+        is_on_bound: whether a parameter ends on a bound: its law wants to be another one.
     """
 
     taken: float
     disagreement: float
+    cancelled: float = 0.0
+    is_on_bound: bool = False
 
     def genuine_chance(self, config: PresenceConfig) -> float:
         """Return how likely a cause that stands so to a rest is there, and imitates nothing."""
         apart = np.log(min(max(self.disagreement, 1e-3), 1e300) / config.disagreement)
         odds = logit(np.clip(self.taken, 0.0, 1.0))
-        return float(expit(config.of_share * (odds - config.share_odds) - config.of_disagreement * apart))
+        against = config.of_disagreement * apart - config.of_cancelled * np.log1p(-min(self.cancelled, 1.0 - 1e-9))
+        against += config.of_bound * self.is_on_bound
+        return float(expit(config.of_share * (odds - config.share_odds) - against))
 
 
 def signature(found: Fit, effect_id: str) -> Array:
@@ -223,7 +230,11 @@ def rest_energy(found: Fit, noise_chance: float) -> float:
 
 def consistency_of(found: Fit, effect_id: str, rest: float) -> Consistency:
     """Return how a cause of a fit stands to the rest that the fit leaves, in units of χ²."""
-    config, seen = found.problem.method.presence, _visible_part(found, effect_id)
+    config, mine, at = found.problem.model.presence_config, signature(found, effect_id), found.hypothesis.slices
+    # Of its signature what no other fitted parameter imitates.
+    others = np.delete(found.jacobian, range(at[effect_id].start, at[effect_id].stop), axis=0)
+    basis = orthonormal(others, 1e-10)
+    seen = np.asarray(mine - (basis @ mine) @ basis)
     whole = energy(seen)
     if whole <= 0.0:
         return Consistency(0.0, np.inf)
@@ -234,14 +245,10 @@ def consistency_of(found: Fit, effect_id: str, rest: float) -> Consistency:
             # A part where the cause does not act asks for nothing.
             if own > config.acts * whole:
                 asked += float(seen[part] @ found.residual[part]) ** 2 / own
-    return Consistency(whole / (whole + rest), float(np.sqrt(asked / whole)))
-
-
-def _visible_part(found: Fit, effect_id: str) -> Array:
-    """Return (samples,) what of an effect's signature no other fitted parameter imitates."""
-    own, at = signature(found, effect_id), found.hypothesis.slices[effect_id]
-    basis = orthonormal(np.delete(found.jacobian, range(at.start, at.stop), axis=0), 1e-10)
-    return np.asarray(own - (basis @ own) @ basis)
+    beside_base = energy(Tangent(found, base_only=True).visible(mine))
+    cancelled = float(np.clip(1.0 - whole / beside_base, 0.0, 1.0)) if beside_base > 0.0 else 0.0
+    is_on_bound = any(name.startswith(f"{effect_id}.") for name in bounds_reached(found))
+    return Consistency(whole / (whole + rest), float(np.sqrt(asked / whole)), cancelled, is_on_bound)
 
 
 def list_completeness(noise_chance: float, rest_share: float, has_unlisted: bool, config: PresenceConfig) -> float:

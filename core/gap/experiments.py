@@ -7,6 +7,7 @@ the others nor what each run may have of its own can imitate, in standard deviat
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from softcal.core.gap.problem import Problem, own_rows
 from softcal.core.messages.reason import Reason, in_words, reason, several
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
+
+if TYPE_CHECKING:
+    from softcal.core.gap.search import Search
 
 
 @dataclass(frozen=True)
@@ -33,8 +37,14 @@ class NextExperiment:
         return in_words(vars(self), "why")
 
 
-def most_telling(entries: Sequence[MenuEntry], rivals: Sequence[Fit]) -> NextExperiment:
-    """Return the entry that tells most rivals from the first, and does so best per minute."""
+def most_telling(
+    entries: Sequence[MenuEntry], rivals: Sequence[Fit], first_name: Reason | None = None
+) -> NextExperiment:
+    """Return the entry that tells most rivals from the first, and does so best per minute.
+
+    Args:
+        first_name: what the first is called, where it is no set of causes.
+    """
     first, others, enough = rivals[0], rivals[1:], rivals[0].problem.method.telling.enough_sigma
     candidates: list[tuple[int, float, float, MenuEntry]] = []
     # A larger hypothesis can take the shape of a smaller one.
@@ -45,7 +55,7 @@ def most_telling(entries: Sequence[MenuEntry], rivals: Sequence[Fit]) -> NextExp
         least = min(parted, default=0.0)
         candidates.append((len(parted), min(least, 10 * enough) / experiment.minutes, least, experiment))
     count, _, distance, experiment = max(candidates, key=lambda entry: entry[:2])
-    causes = causes_of(rivals)
+    causes = causes_of(rivals, first_name)
     if count == 0:
         remedies = dict.fromkeys(e.signs.remedy for f in rivals for e in f.effects if e.signs.remedy)
         remedy = several([Reason.parse(one) for one in remedies] or [Reason("gap.remedy.usual")])
@@ -56,9 +66,24 @@ def most_telling(entries: Sequence[MenuEntry], rivals: Sequence[Fit]) -> NextExp
     return NextExperiment(experiment.name, why, distance, experiment.minutes)
 
 
-def causes_of(rivals: Sequence[Fit]) -> Reason:
+def telling_rest(entries: Sequence[MenuEntry], search: "Search", rest: Fit, beside: Sequence[str]) -> NextExperiment:
+    """Return the entry that tells a rest, by its own law, from the causes that come nearest to it.
+
+    Args:
+        rest: a hypothesis of the causes `beside` and of what describes the rest.
+    """
+    most = rest.problem.method.rival.most
+    larger = [f for f in search.fits.values() if set(f.ids) > set(beside) and len(f.ids) == len(beside) + 1]
+    nearest = sorted(larger, key=lambda found: found.chi2)[:most]
+    if not (entries and nearest):
+        return NextExperiment("none", Reason("gap.next.no_gap"))
+    return most_telling(entries, (rest, *nearest), Reason("gap.rest"))
+
+
+def causes_of(rivals: Sequence[Fit], first_name: Reason | None = None) -> Reason:
     """Return the causes of hypotheses in words, those of one together."""
-    return several([together(f.ids, "gap.together") for f in rivals], "gap.both")
+    names = [together(f.ids, "gap.together") for f in rivals]
+    return several(names if first_name is None else [first_name, *names[1:]], "gap.both")
 
 
 def together(effects: Sequence[str], code: str) -> Reason:
@@ -212,6 +237,7 @@ class _Rows:
     causes: tuple[str, ...]
     gram: Array = field(repr=False)
     config: TellingConfig
+    _inverses: dict[tuple[int, ...], tuple[Array, Array]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, found: Fit, problem: Problem, effects: Sequence[Effect]) -> "_Rows":
@@ -270,11 +296,14 @@ class _Rows:
 
     def weights(self, row: int, held: Sequence[int]) -> Array:
         """Return by what others imitate a row best."""
-        held = list(held)
-        size = np.sqrt(np.diag(self.gram)[held])
-        size = np.where(size > 0.0, size, 1.0)
-        scaled = self.gram[np.ix_(held, held)] / np.outer(size, size)
-        return np.asarray(np.linalg.pinv(scaled, rcond=1e-12, hermitian=True) @ (self.gram[held, row] / size) / size)
+        held = tuple(held)
+        if held not in self._inverses:
+            size = np.sqrt(np.diag(self.gram)[list(held)])
+            size = np.where(size > 0.0, size, 1.0)
+            scaled = self.gram[np.ix_(held, held)] / np.outer(size, size)
+            self._inverses[held] = size, np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)
+        size, inverse = self._inverses[held]
+        return np.asarray(inverse @ (self.gram[list(held), row] / size) / size)
 
     def shows(self, name: str) -> bool:
         """Whether a base parameter or a cause shows by enough, and is no offset."""

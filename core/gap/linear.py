@@ -170,7 +170,8 @@ def bounded_sizes(normal: Array, slope: Array, has: Array, largest: Array, are_r
     alike = normal / (scale[:, :, np.newaxis] * scale[:, np.newaxis]) + 1e-6 * np.eye(slope.shape[1])
     free = np.linalg.solve(alike, (slope / scale)[..., np.newaxis])[..., 0] / scale + has
     for i in np.flatnonzero(are_relative & is_shown.any(axis=0)):
-        free[is_shown[:, i], i] -= np.median(free[is_shown[:, i], i])
+        sizes = np.sort(free[is_shown[:, i], i])
+        free[is_shown[:, i], i] -= 0.5 * (sizes[(len(sizes) - 1) // 2] + sizes[len(sizes) // 2])
     return np.asarray(np.clip(free, -largest, largest) - has)
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from softcal.core.gap.experiments import NextExperiment
     from softcal.core.gap.fit import Fit, Map, Probe, Regime
     from softcal.core.gap.linear import Prior, RigScale
-    from softcal.core.gap.method import GapMethod, SearchConfig
+    from softcal.core.gap.method import GapMethod, PresenceConfig, SearchConfig
     from softcal.core.gap.problem import Block, Hypothesis, Problem
     from softcal.core.gap.search import Search
 
@@ -163,6 +163,11 @@ class Model(ABC):
     def search_config(self) -> SearchConfig:
         """How wide causes are sought."""
 
+    @property
+    @abstractmethod
+    def presence_config(self) -> PresenceConfig:
+        """How sure a cause is beside a rest: a short list misses more laws than a catalogue."""
+
     # What it predicts.
 
     @abstractmethod
@@ -294,8 +299,12 @@ class Model(ABC):
         """Return where the gap lies."""
 
     @abstractmethod
-    def next_experiment(self, search: Search, judgement: Judgement) -> NextExperiment:
-        """Return what to record next."""
+    def next_experiment(self, search: Search, judgement: Judgement, telling: NextExperiment | None) -> NextExperiment:
+        """Return what to record next.
+
+        Args:
+            telling: the run that tells a rest from the causes nearest to it; None where none does.
+        """
 
     @abstractmethod
     def report(self, diagnosis: Diagnosis[Any]) -> dict[str, object]:

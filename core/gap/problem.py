@@ -354,11 +354,11 @@ class Nearby:
     moved: "Sizes" = field(default_factory=dict)
     _products: dict[int, tuple[Array, Array]] = field(default_factory=dict, repr=False)
 
-    def _weighted(self, problem: Problem, number: int, rows: Array) -> tuple[Array, Array]:
-        """Return the rows of a block over the noise, and their products: the same however often sizes are asked for."""
+    def _pulling(self, problem: Problem, number: int, rows: Array) -> tuple[Array, Array]:
+        """Return the rows of a block over the noise's variance, and their products: the same at every asking."""
         if number not in self._products:
-            weighted = np.asarray(rows / problem.slow_noise[problem.blocks[number].place])
-            self._products[number] = weighted, gram(weighted)
+            weighted = rows / problem.slow_noise[problem.blocks[number].place]
+            self._products[number] = weighted / problem.slow_noise[problem.blocks[number].place], gram(weighted)
         return self._products[number]
 
     def sizes(self, problem: Problem, clean: Array) -> dict[int, Array]:
@@ -366,17 +366,19 @@ class Nearby:
         pairs = list(zip(problem.blocks, self.directions, strict=True))
         runs, count = list(dict.fromkeys(b.run for b, rows in pairs if rows is not None)), len(problem.largest_offsets)
         normal, slope = np.zeros((len(runs), count, count)), np.zeros((len(runs), count))
+        left = problem.measured - clean
+        is_finite = bool(np.isfinite(left.sum()))
         for number, (block, rows) in enumerate(pairs):
             if rows is not None:
-                k, at = runs.index(block.run), block.place
-                error = (problem.measured[at] - clean[at]) / problem.slow_noise[at]
-                weighted, product = self._weighted(problem, number, rows)
-                if not np.all(np.isfinite(error)):
+                k, error = runs.index(block.run), left[block.place]
+                pulling, product = self._pulling(problem, number, rows)
+                if not is_finite:
                     # A sample that nobody can foretell tells nothing.
-                    weighted = np.where(np.isnan(error), 0.0, weighted)
-                    error, product = np.nan_to_num(error), gram(weighted)
+                    is_known = np.isfinite(error)
+                    pulling, error = np.where(is_known, pulling, 0.0), np.where(is_known, error, 0.0)
+                    product = gram(np.where(is_known, rows, 0.0) / problem.slow_noise[block.place])
                 normal[k] += product
-                slope[k] += weighted @ error
+                slope[k] += pulling @ error
         has = np.array([self.moved.get(run, np.zeros(count)) for run in runs]).reshape(len(runs), count)
         sizes = bounded_sizes(normal, slope, has, problem.largest_offsets, problem.are_relative)
         return dict(zip(runs, sizes, strict=True))

@@ -430,7 +430,7 @@ def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
     unseen samples, and what the hypothesis leaves on those it has seen. Where that has no structure it
     is an error of the noise level, and widens the interval alone.
     """
-    problem, spreads = best.problem, []
+    problem, spreads, config = best.problem, [], best.problem.method.shrink
     for fold in folds:
         # (samples,) standard deviation of the prediction by that of the parameters: the diagonal of J C Jᵀ alone, for
         # the whole matrix would be samples by samples.
@@ -452,12 +452,12 @@ def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
         unexplained = 0.0 if is_noise else left
         before = [float(np.sqrt(floor**2 + parted**2 + part**2)) for part in (unexplained, left)]
         likely.append(ChannelGap(before[0], float(np.sqrt(floor**2 + unexplained**2 + spread**2)), floor))
-        after = float(np.sqrt(floor**2 + (1.6 * left) ** 2 + (2.0 * spread) ** 2))
+        after = float(np.sqrt(floor**2 + (config.left_grows * left) ** 2 + (2.0 * spread) ** 2))
         pessimist.append(ChannelGap(before[1], after, floor))
         # What these runs do not tell of a parameter may turn out to be right.
         optimist.append(ChannelGap(before[0], float(np.sqrt(floor**2 + unexplained**2)), floor))
     predicted = _shrink_of(likely)
-    margin = max(problem.method.shrink.least_margin, predicted - _shrink_of(pessimist))
+    margin = max(config.least_margin, predicted - _shrink_of(pessimist))
     return predicted, max(0.0, predicted - margin), min(1.0, max(predicted + margin, _shrink_of(optimist)))
 
 

@@ -14,7 +14,7 @@ from softcal.core.gap.evidence import beside_rest, places_of, regime_places
 from softcal.core.gap.experiments import NextExperiment, causes_of, most_telling, together
 from softcal.core.gap.fit import Fit, Probe, Tangent, fit, structure
 from softcal.core.gap.linear import COMMON_STEP_s, Prior, RigScale, energy, fit_scale, from_fit, to_fit
-from softcal.core.gap.method import METHOD, GapMethod, SearchConfig
+from softcal.core.gap.method import METHOD, GapMethod, PresenceConfig, SearchConfig
 from softcal.core.gap.mistakes import find_repeats
 from softcal.core.gap.model import Directions, GapPlace, Model, RankedCause, Sizes, Where
 from softcal.core.gap.problem import Block, Hypothesis, Problem, rows_of_runs
@@ -222,6 +222,10 @@ class SimulatorModel(Model):
     @property
     def search_config(self) -> SearchConfig:
         return self.method.simulator_search
+
+    @property
+    def presence_config(self) -> PresenceConfig:
+        return self.method.simulator_presence
 
     # What it predicts.
 
@@ -476,12 +480,14 @@ class SimulatorModel(Model):
                 places = beside_rest(places, GapPlace("unknown", channel, regime, 1.0 - search.explained_share(best)))
         return Where((*places, *regime_places(places[0].stage, seen, "gap.seen.energy_of_all")), tuple(seen))
 
-    def next_experiment(self, search: "Search", judgement: "Judgement") -> NextExperiment:
+    def next_experiment(
+        self, search: "Search", judgement: "Judgement", telling: NextExperiment | None
+    ) -> NextExperiment:
         group, verdict = judgement.group, judgement.verdict
         if verdict == "unknown":
-            return NextExperiment("none", Reason("gap.next.add_candidate"))
+            return telling or NextExperiment("none", Reason("gap.next.add_candidate"))
         if verdict == "explained_in_part" and len(group) < 2:
-            return NextExperiment("none", Reason("gap.next.name_rest"))
+            return telling or NextExperiment("none", Reason("gap.next.name_rest"))
         if len(group) < 2:
             no_gap, separated = Reason("gap.next.no_gap"), Reason("gap.next.separated_here")
             return NextExperiment("none", no_gap if verdict == "no_gap" else separated)

@@ -11,7 +11,7 @@ from softcal.core.gap.evidence import beside_rest, partial_of, places_of, regime
 from softcal.core.gap.experiments import NextExperiment, most_telling
 from softcal.core.gap.fit import Fit, Map, Probe, fit, structure
 from softcal.core.gap.linear import RigScale
-from softcal.core.gap.method import METHOD, GapMethod, SearchConfig
+from softcal.core.gap.method import METHOD, GapMethod, PresenceConfig, SearchConfig
 from softcal.core.gap.mistakes import doubts, find_repeats, mistakes, outlier_run, outlier_run_beside
 from softcal.core.gap.model import Directions, GapPlace, Model, RankedCause, Sizes, Where
 from softcal.core.gap.places import cases_of_maps, explained_twin, likely_stages, loose_noise, regimes
@@ -84,6 +84,10 @@ class TwinModel(Model):
     @property
     def search_config(self) -> SearchConfig:
         return self.method.search
+
+    @property
+    def presence_config(self) -> PresenceConfig:
+        return self.method.presence
 
     # What it predicts.
 
@@ -291,13 +295,17 @@ class TwinModel(Model):
         at = max(places, key=lambda p: p.share).stage
         return Where((*places, *regime_places(at, seen, "gap.seen.energy")), seen, maps)
 
-    def next_experiment(self, search: "Search", judgement: "Judgement") -> NextExperiment:
+    def next_experiment(
+        self, search: "Search", judgement: "Judgement", telling: NextExperiment | None
+    ) -> NextExperiment:
         group, verdict = judgement.group, judgement.verdict
         # Where something is left besides, causes that look alike are told apart all the same.
         proposed = most_telling(self.menu(search.start), group) if len(group) > 1 else None
         if proposed is not None and (verdict not in ("unknown", "explained_in_part") or proposed.profile != "none"):
             return proposed
         if verdict in ("unknown", "explained_in_part"):
+            if telling is not None:
+                return telling
             seen, unseen = Reason("gap.next.what_follows"), Reason("gap.next.what_follows_unseen")
             return NextExperiment("rate_sweep", seen if search.base.problem.case.has("stage_mm") else unseen)
         if verdict == "no_gap":

@@ -81,6 +81,7 @@ gap.next.what_follows: press at several speeds with holds between; this shows wh
 gap.next.what_follows_unseen: press at several speeds with holds between; this shows whether the
   rest of the gap follows speed, time or load; record the stage position too, without which half of
   the chain is not seen
+gap.rest: a rest that has its own law
 gap.next.slow: no gap is seen here; slow creep, drift and ageing would show first in a long hold
 gap.next.alias: {effect} may as well be {alias}; {advice}
 gap.next.separated: these runs tell the causes apart; apply them to the twin

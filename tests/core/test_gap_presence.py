@@ -1,5 +1,6 @@
 """Presence and completeness are two numbers: on a line with a rest of known size, and on a measured axis."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -10,7 +11,7 @@ from softcal.core.gap.evidence import Consistency, bounds_reached, consistency_o
 from softcal.core.gap.method import METHOD
 from softcal.core.gap.residual import Shrink
 from softcal.core.gap.search import Search
-from softcal.core.gap.simulator import Simulator, candidate, recorded
+from softcal.core.gap.simulator import Experiment, Simulator, candidate, recorded
 from softcal.core.twin.effects import Parameter
 from tests.core.linear_mechanism import (
     BEND,
@@ -26,6 +27,8 @@ from tests.core.linear_mechanism import (
     problem_of,
     runs_of,
 )
+
+SIZE, WIDTH = Parameter("size", "", -50.0, 50.0, 0.2, neutral=0.0), 0.5
 
 
 def with_rest(size, bend=0.5, seed=5):
@@ -91,6 +94,9 @@ def test_how_a_cause_stands_to_a_rest_is_that_of_its_algebra():
         start += len(run)
     assert got.taken == pytest.approx(seen @ seen / (seen @ seen + rest), rel=1e-3)
     assert got.disagreement == pytest.approx(np.sqrt(asked / (seen @ seen)), rel=1e-2)
+    beside_base = left_of(columns[:, :2], columns[:, 2]) * size / SIGMA
+    assert got.cancelled == pytest.approx(1.0 - seen @ seen / (beside_base @ beside_base), abs=1e-3)
+    assert not got.is_on_bound
 
 
 def test_more_of_the_gap_and_less_disagreement_make_a_cause_likelier():
@@ -106,6 +112,50 @@ def test_more_of_the_gap_and_less_disagreement_make_a_cause_likelier():
         < 0.9
         < Consistency(0.97, 0.1).genuine_chance(METHOD.presence)
     )
+
+
+def stepping(inputs, p):
+    x = inputs["x"]
+    out = p["level"] + p["slope"] * x + p["step.size"] * np.tanh(x / p["step.width"])
+    return {"y": out + p["bump.size"] * np.exp(-((x / 0.4) ** 2))}
+
+
+STEP = Simulator(
+    "step",
+    stepping,
+    ("x",),
+    ("y",),
+    LINE.base,
+    (
+        candidate("step", "sensor", SIZE, Parameter("width", "", WIDTH / 2.0, 2.0 * WIDTH, WIDTH, scale="log")),
+        candidate("bump", "sensor", SIZE),
+    ),
+)
+
+
+def test_a_law_that_ends_on_its_bound_beside_a_rest_is_not_named():
+    """A sharp edge takes the step to the least of its widths, where it takes 95 % of the gap and more."""
+    runs = []
+    for run, bare in enumerate(with_rest(0.0, bend=0.0)):
+        x = bare.columns["x"]
+        y = bare.columns["y"] + 0.8 * np.sign(x)
+        runs.append(recorded(STEP, str(run + 1), {"t_s": bare.columns["t_s"], "x": x, "y": y}))
+    found = diagnose_simulator(STEP, runs)
+    assert all(cause.probability < 0.5 for cause in found.causes)
+    assert found.list_complete < 0.5 and found.verdict == "unknown"
+    # What the law can reach is named.
+    runs = [
+        replace(
+            run,
+            columns={
+                **run.columns,
+                "y": run.columns["y"] + 0.8 * (np.tanh(run.columns["x"] / 0.5) - np.sign(run.columns["x"])),
+            },
+        )
+        for run in runs
+    ]
+    found = diagnose_simulator(STEP, runs)
+    assert found.verdict == "explained" and found.causes[0].effect == "step" and found.causes[0].probability > 0.9
 
 
 def test_noise_leaves_a_list_complete_and_a_departure_outside_does_not():
@@ -188,3 +238,23 @@ def test_of_an_unknown_gap_the_set_that_is_handed_on_may_have_a_cause_more_than_
     search = Search(fitted(without), CAUSES)
     search.fits = fits_of(without, *((cause,) for cause in CAUSES), *combinations(CAUSES, 2))
     assert closest_set(search).ids == ("bend",)
+
+
+def experiments(count=120):
+    t_s = 0.05 * np.arange(count)
+    return {
+        "short stroke": Experiment({"t_s": t_s, "x": 0.3 * np.sin(t_s)}),
+        "long stroke": Experiment({"t_s": t_s, "x": 4.0 * np.sin(t_s)}),
+    }
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.5])
+def test_the_run_that_separates_a_rest_from_every_cause_is_proposed(bend):
+    """The rest is a cube: far out it stands apart from square, wave and kink, close to 0 it does not."""
+    both = experiments()
+    found = diagnose_simulator(replace(LINE, experiments=both), with_rest(0.15, bend=bend))
+    assert found.verdict in ("unknown", "explained_in_part") and found.residual is not None
+    proposed = found.next_experiment
+    assert proposed.profile == "long stroke" and proposed.separation_sigma > 10.0
+    turned = {name: both[name] for name in reversed(both)}
+    assert diagnose_simulator(replace(LINE, experiments=turned), with_rest(0.15, bend=bend)).next_experiment == proposed
