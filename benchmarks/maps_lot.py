@@ -6,10 +6,10 @@ that it replaced. No audit lies in the folder: what is tested here, the product 
 `insole` fits the units on another day than the source's, under another programme, and tests them on the held-out
 quarter of the source's day (as maps_insole.py other). `--own` gives errors over those of own calibrations, too, of one
 training each (the first of the seeds), and keeps these in a file for the next call.
-Constants of the shared load were looked at with every fourth unit behind taxel_001, 030 and 061, one seed, and lot 0 of
-`simulated`; all else tests them. `--planted` presses a third of the units by the source's programme instead, and
-leaves one with noise alone. `simulated` draws lots under one programme that the source did not have; the depth differs
-from unit to unit, or from press to press.
+Constants of the shared load were chosen behind other sources (`core/maps/config.py`) or looked at with every fourth
+unit behind taxel_001, 030 and 061, one seed, and lot 0 of `simulated`; all else tests them. `--planted` presses a third
+of the units by the source's programme instead, and leaves one with noise alone. `simulated` draws lots under one
+programme that the source did not have; the depth differs from unit to unit, or from press to press.
 
 python benchmarks/maps_lot.py insole [--sources NAME ...] [--units N ...] [--seeds K ...] [--planted]
     [--programme same|other] [--own FILE]

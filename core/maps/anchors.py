@@ -10,7 +10,7 @@ from softcal.core.maps.config import AnchorConfig, MapConfig
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
 from softcal.core.metrics import rms, rmse
 from softcal.core.recording import Array, Arrays, LabelledRecording
-from softcal.core.windows import resting
+from softcal.core.windows import TAPS, resting
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, kind: str) 
     """Correct gain and level of a map so that the unit under a known load looks like the source under it.
 
     Minimises sum ((offset + gain x_k - y_k) / sigma_k)^2 + (dgain / s_gain)^2 + (dlevel / s_level)^2: x_k is what the
-    map makes of the output at rest under load k, y_k and sigma_k are level and spread of the source's own output under
+    map makes of the output at rest under load k, y_k and sigma_k are level and spread of the source's own visits to
     that load, s_gain and s_level how far the map may be off before any load is seen. One anchor moves what it can see,
     several fix both numbers. The gain turns about the source's rest level: both numbers would else be strongly
     correlated.
@@ -112,16 +112,22 @@ def _mean_slope(source: LabelledRecording) -> float:
 def source_level(source: LabelledRecording, load: float, config: AnchorConfig) -> tuple[float, float]:
     """Return the source's output under a load, and its standard uncertainty, both in the source's output unit.
 
-    A straight line through the samples whose load is near. Their scatter about it is what lag, loop and drift of the
-    source do not settle.
+    A straight line through the samples whose load is near. How far the means of single visits to that load scatter
+    about it is what lag, loop and drift of the source do not settle; noise averages out over a visit.
     """
     away = source.reference - load
     span = float(np.ptp(source.reference))
     within = np.count_nonzero(np.abs(away) <= config.near * span)
-    near = np.argsort(np.abs(away), kind="stable")[: max(within, 30)]
     # Thirty samples hold a straight line and their scatter.
+    near = np.sort(np.argsort(np.abs(away), kind="stable")[: max(within, 30)])
     slope, level = np.polyfit(away[near], source.unlabelled.output[near], 1)
-    scatter = float(np.std(source.unlabelled.output[near] - level - slope * away[near]))
+    rest = source.unlabelled.output[near] - level - slope * away[near]
+    # Samples that a window holds together are of one visit.
+    visit = np.cumsum(np.diff(near, prepend=near[0]) > TAPS)
+    count = np.bincount(visit)
+    means = np.bincount(visit, rest) / count
+    # One visit shows no other; its samples stand for what it cannot show.
+    scatter = float(np.sqrt(np.average(means**2, weights=count))) if len(count) > 1 else float(np.std(rest))
     # A load is known to so much only: a source that repeats well must not make two anchors overrule a good map.
     return float(level), float(np.hypot(scatter, config.load_error * span * _mean_slope(source)))
 

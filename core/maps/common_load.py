@@ -329,7 +329,8 @@ def weigh_lines(
 
     A line errs where the units are bent otherwise than the source, or where they were pressed less hard; a curve where
     their time is spent otherwise: all alike for all units. The variances V_l and V_c of these two errors give the
-    weights (`weigh_line`).
+    weights (`weigh_line`). Over a lot nothing ties one error to the other: what the recording of a single unit gives to
+    both is averaged out.
 
     V_l: the source's bend b is measured, that of a unit is drawn about the mean of its kind with the variance s^2 of
     the lines over the units. With a normal prior of that mean, of standard deviation M about a straight line, the error
@@ -351,7 +352,7 @@ def weigh_lines(
     drawn = spread / (spread + shared.mean_bend**2)
     of_lines = (drawn * bend) ** 2 + drawn * shared.mean_bend**2 + spread / units + gain**2
     of_curves = 0.5 * (max(apart - of_lines, 0.0) + shared.dwell**2)
-    share, error = weigh_line(of_lines**0.5, of_curves**0.5, config.curve)
+    share, error = weigh_line(of_lines**0.5, of_curves**0.5, correlation=0.0)
     return share, float(np.sqrt(max(error**2 - (share * gain) ** 2, 0.0)))
 
 

@@ -16,7 +16,12 @@ MATCH_CHOSEN = "benchmarks/maps_other.py: eGaIn pair, skin, every fourth taxel b
 LINE_CHOSEN = (
     "insole, every third taxel behind five sources, both ways; simulated lots 100-105; tested on those of maps_lot.py"
 )
-"""Origin of the two priors of `SharedLoad`."""
+"""Origin of the prior of a bend in `SharedLoad`."""
+
+DWELL_CHOSEN = (
+    "insole, every third taxel behind taxel_013, 025, 048, 066, 136 and 219; tested behind others by maps_lot.py"
+)
+"""Origin of the prior of a dwell in `SharedLoad`."""
 
 
 @dataclass(frozen=True)
@@ -213,7 +218,7 @@ class SharedLoadConfig:
     bands: int = setting(8)
     max_growth: float = setting(0.03)
     mean_bend: float = setting(0.04, LINE_CHOSEN)
-    dwell: float = setting(0.05, LINE_CHOSEN)
+    dwell: float = setting(0.08, DWELL_CHOSEN)
     source_apart: float = setting(1.64, f"{SET}: 95 % of a normal distribution, one-sided")
 
 

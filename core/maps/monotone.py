@@ -5,7 +5,7 @@ from functools import lru_cache
 import numpy as np
 
 from softcal.core.errors import UnitRefused
-from softcal.core.maps.config import CurveConfig, MapConfig
+from softcal.core.maps.config import MapConfig
 from softcal.core.maps.crossing import CACHED, robust_range
 from softcal.core.maps.curve import CurveMap, continued
 from softcal.core.maps.ends import match_ends
@@ -51,20 +51,21 @@ def fit_averaged(problem: FitProblem) -> CurveMap:
     rest = np.quantile(output, config.crossing.robust_range[0 if problem.source.direction > 0 else 1])
     gain = match.gain_error * rms(output - rest) / robust_range(problem.source.unlabelled.output, config.crossing)
     error = config.curve.match_error
-    share, _ = weigh_line(float(np.hypot(error, gain)), error, config.curve)
+    share, _ = weigh_line(float(np.hypot(error, gain)), error, config.curve.match_correlation)
     return CurveMap(curve.knots, (1.0 - share) * curve.values + share * line, AVERAGED)
 
 
-def weigh_line(line_error: float, curve_error: float, config: CurveConfig) -> tuple[float, float]:
+def weigh_line(line_error: float, curve_error: float, correlation: float) -> tuple[float, float]:
     """Weigh a line beside a curve so that their mean errs least (Bates and Granger 1969).
 
     Args:
         line_error, curve_error: standard uncertainties of both, in one unit.
+        correlation: of both errors.
 
     Returns:
         The weight of the line, and the standard uncertainty of the mean.
     """
-    common = config.match_correlation * line_error * curve_error
+    common = correlation * line_error * curve_error
     share = (curve_error**2 - common) / (line_error**2 + curve_error**2 - 2.0 * common)
     share = float(np.clip(share, 0.0, 1.0))
     rest = 1.0 - share

@@ -12,7 +12,7 @@ from softcal.core.errors import UnitRefused
 from softcal.core.maps.anchors import AnchoredMap
 from softcal.core.maps.catalogue import map_from_arrays
 from softcal.core.maps.choose import choose_map
-from softcal.core.maps.config import CurveConfig, MapConfig
+from softcal.core.maps.config import MapConfig
 from softcal.core.maps.interface import Anchors, FitProblem
 from softcal.core.maps.monotone import fit_averaged, fit_monotone, weigh_line
 from softcal.core.maps.synchrony import find_synchrony
@@ -154,12 +154,12 @@ def test_a_line_counts_by_how_well_its_gain_is_known(make, gain_error, share):
     assert fit_averaged(problem).values == pytest.approx((1 - share) * curve.values + share * line)
 
 
-def test_the_shares_of_line_and_curve_leave_the_least_error():
-    config = CurveConfig()
+@pytest.mark.parametrize("rho", [0.0, 0.5])
+def test_the_shares_of_line_and_curve_leave_the_least_error(rho):
     for line, curve in ((0.04, 0.04), (0.05, 0.04), (0.07, 0.04), (0.1, 0.04), (0.03, 0.09)):
-        rho, shares = config.match_correlation, np.linspace(0.0, 1.0, 1001)
+        shares = np.linspace(0.0, 1.0, 1001)
         variance = (shares * line) ** 2 + ((1 - shares) * curve) ** 2 + 2 * rho * shares * (1 - shares) * line * curve
-        share, error = weigh_line(line, curve, config)
+        share, error = weigh_line(line, curve, rho)
         assert share == pytest.approx(shares[np.argmin(variance)], abs=1e-3)
         assert error == pytest.approx(np.sqrt(variance.min()), rel=1e-3)
 
@@ -255,6 +255,39 @@ def test_known_loads_show_a_paired_unit_that_was_pressed_with_another_load(make,
     without, given = (choose_map(replace(problem, anchors=a)) for a in (None, anchors))
     assert given.family == without.family == "synchronous"
     assert after(problem, given)[0] < 0.3 * after(problem, without)[0]
+
+
+@pytest.mark.parametrize(
+    ("family", "pressed", "within_N"),
+    [
+        ("identity", 0.925, 0.06),
+        ("two_point", 0.85, 0.06),
+        ("monotone", 0.85, 0.06),
+        ("averaged", 0.85, 0.06),
+        # Behind pairs the network's own error of 0.1 N counts beside, and both in twice as much may be by chance.
+        ("synchronous", 0.7, 0.2),
+        ("stage_matched", 0.7, 0.2),
+    ],
+)
+def test_a_known_load_is_read_to_within_its_uncertainty(linear_network, family, pressed, within_N):
+    """The source is noisy by 0.1 N a sample. A press passes a load in three, so what it puts out is known to 0.06 N."""
+    noise_V = np.random.default_rng(3).normal(0.0, 0.01, (2, 6000))
+    load_N = presses(1, 6000)
+    own_N = load_N if family == "synchronous" else presses(8, 6000)
+    t_s = np.arange(6000) / 50.0
+    source_V, unit_V = 0.5 + 0.1 * load_N + noise_V[0], 0.5 + 0.1 * pressed * own_N + noise_V[1]
+    source = LabelledRecording(OutputRecording("S", t_s, source_V, 50.0, stage_mm=load_N), load_N)
+    target = OutputRecording("T", t_s, unit_V, 50.0, stage_mm=own_N)
+    # The others take its softer presses for the source's; its output stands as low where none is taken for another.
+    known_V = np.array([0.5 + 0.1 * 2.5 * (pressed if family == "identity" else 1.0)])
+    problem = FitProblem(source, linear_network, target, config=MapConfig(family))
+    given = replace(problem, anchors=Anchors(known_V, np.array([2.5])))
+    before, after = (
+        float(linear_network.evaluate(choose_map(one).unit_map.apply(np.full((1, 15), known_V)))[0]) - 2.5
+        for one in (problem, given)
+    )
+    assert abs(before) > 2.5 * within_N
+    assert abs(after) < within_N
 
 
 def test_two_loads_say_how_well_they_fix_gain_and_zero(make):
