@@ -4,8 +4,9 @@ python benchmarks/screens.py [--units 10000] [--rounds 5]
 
 A Chromium opens each page; the clock runs from the address to what a person came for: the word of the state, the yield
 of a lot, the verdict of a unit, a table. "New browser" has nothing in its cache, "known browser" has opened the page
-before; "browser CPU" is the time its page thread computed for a new one. The empty page holds one word and is served by
-the same Streamlit: what it takes is the floor. Needs Chromium and Playwright.
+before; "browser CPU" is the time its page thread computed for a new one. "Server CPU" is what the server computed
+until it is at rest again: "cold" for the first look at a page since the server began, the others in "warm". The empty
+page holds one word and is served by the same Streamlit: what it takes is the floor. Needs Chromium and Playwright.
 """
 
 import os
@@ -47,13 +48,20 @@ CHUNK = 200
 SETTLE_MS = 500
 """So long a new browser goes on reading scripts before it counts as one that knows the page."""
 
+Site = tuple[str, int]
+"""The address of a server and the id of its process."""
+
 LOT, UNIT = "bench", "U004242"
 HEADLINE = ".st-key-headline p"
 FIRST_NUMBER = "[data-testid=stMetricValue] >> nth=1"
 EMPTY = 'import streamlit as st\nst.html("<b class=sc-word>READY</b>")\n'
 PAGES = (
     ("line", "line", ".sc-word", "the word of the state"),
+    ("lots", "lots", "[data-testid=stTable]", "table of lots"),
     ("lot", f"lot?lot={LOT}", HEADLINE, "the next step"),
+    ("lot, audit", f"lot?lot={LOT}&tab=audit", "[data-testid=stButton]", "how to draw units"),
+    ("lot, release", f"lot?lot={LOT}&tab=release", FIRST_NUMBER, "units by verdict"),
+    ("lot, compare", f"lot?lot={LOT}&tab=compare", "[data-testid=stTable]", "its numbers"),
     ("lot, units", f"lot?lot={LOT}&tab=units", ".js-plotly-plot >> nth=0", "control chart"),
     ("lot, units", f"lot?lot={LOT}&tab=units", "[data-testid=stDataFrame] >> nth=-1", "table of units"),
     ("unit", f"unit?unit={LOT}/{UNIT}", "span[role=status]", "verdict"),
@@ -107,13 +115,13 @@ def add_simulated_unit(registry: Registry) -> UnitState:
 
 
 @contextmanager
-def empty_page(folder: Path) -> Iterator[str]:
-    """Serve a page that holds one word; give its address."""
+def empty_page(folder: Path) -> Iterator[Site]:
+    """Serve a page that holds one word."""
     page = folder / "empty.py"
     page.write_text(EMPTY)
     flags = ("--server.headless=true", "--server.fileWatcherType=none", "--browser.gatherUsageStats=false")
-    with served_by([sys.executable, "-m", "streamlit", "run", str(page), *flags], dict(os.environ)) as (address, _):
-        yield address
+    with served_by([sys.executable, "-m", "streamlit", "run", str(page), *flags], dict(os.environ)) as site:
+        yield site
 
 
 def paint_s(page: Page, address: str, path: str, wanted: str) -> float:
@@ -124,11 +132,27 @@ def paint_s(page: Page, address: str, path: str, wanted: str) -> float:
     return time.perf_counter() - start_s
 
 
-def row(browser: Browser, address: str, entry: tuple[str, str, str, str], rounds: int, cookies: list) -> tuple:
-    """Return one row of the table: medians for a new browser, its page thread, and a known browser."""
+def cpu_s(process_id: int) -> float:
+    """Return the CPU seconds of a process since it began."""
+    fields = Path(f"/proc/{process_id}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def rest(page: Page) -> None:
+    """Wait until the server has drawn the page to its end."""
+    page.wait_for_timeout(SETTLE_MS)
+    page.locator("[data-testid=stApp][data-test-script-state=notRunning]").wait_for(timeout=120_000)
+    page.wait_for_timeout(SETTLE_MS)
+    page.locator("[data-testid=stApp][data-test-script-state=notRunning]").wait_for(timeout=120_000)
+
+
+def row(browser: Browser, site: Site, entry: tuple[str, str, str, str], rounds: int, cookies: list) -> tuple:
+    """Return one row of the table: medians for a new browser, its page thread, a known browser; the server's CPU."""
     name, path, wanted, what = entry
-    new, cpu, known = [], [], []
+    address, process_id = site
+    new, cpu, known, of_server = [], [], [], []
     for _ in range(rounds):
+        began_s = cpu_s(process_id)
         context = browser.new_context(viewport={"width": 1280, "height": 900})
         context.add_cookies(cookies)
         page = context.new_page()
@@ -137,10 +161,15 @@ def row(browser: Browser, address: str, entry: tuple[str, str, str, str], rounds
         new.append(paint_s(page, address, path, wanted))
         metrics = devtools.send("Performance.getMetrics")["metrics"]
         cpu.append(next(m["value"] for m in metrics if m["name"] == "TaskDuration"))
-        page.wait_for_timeout(SETTLE_MS)
-        known.append(paint_s(context.new_page(), address, path, wanted))
+        rest(page)
+        of_server.append(cpu_s(process_id) - began_s)
+        tab, began_s = context.new_page(), cpu_s(process_id)
+        known.append(paint_s(tab, address, path, wanted))
+        rest(tab)
+        of_server.append(cpu_s(process_id) - began_s)
         context.close()
-    return name, what, *(statistics.median(times) for times in (new, cpu, known))
+    medians = (statistics.median(times) for times in (new, cpu, known))
+    return name, what, *medians, of_server[0], statistics.median(of_server[1:])
 
 
 def cookies_of(browser: Browser, address: str, name: str, pin: str) -> list:
@@ -166,6 +195,7 @@ def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--units", type=int, default=10_000)
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--server", action="store_true", help="print what the server computes alone")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="softcal-bench-") as folder:
         url = f"sqlite:///{Path(folder) / 'registry.db'}"
@@ -176,19 +206,21 @@ def main() -> None:
             registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC), process="rig:1"))
         print(flush=True)
         os.environ["XDG_DATA_HOME"] = folder
-        with empty_page(Path(folder)) as empty, served(url) as (address, _), chromium() as browser:
-            header = ("page", "to", "new browser s", "browser CPU s", "known browser s")
-            print_table(header, table(browser, empty, address, options.rounds))
+        with empty_page(Path(folder)) as empty, served(url) as site, chromium() as browser:
+            header = ("page", "to", "new browser s", "browser CPU s", "known browser s", "server CPU s, cold", "warm")
+            left = (0, 1, 5, 6) if options.server else range(len(header))
+            rows = (tuple(one[k] for k in left) for one in table(browser, empty, site, options.rounds))
+            print_table(tuple(header[k] for k in left), rows)
 
 
-def table(browser: Browser, empty: str, address: str, rounds: int) -> Iterator[tuple]:
+def table(browser: Browser, empty: Site, site: Site, rounds: int) -> Iterator[tuple]:
     """Give one row per page, the empty page first and last: the machine may be busier at one end than at the other."""
     floor = ("empty page", "", ".sc-word", "its word")
     yield row(browser, empty, floor, rounds, [])
     for name, pin, pages in ((NAME, PIN, PAGES), (QUALITY, QUALITY_PIN, PAGES_OF_QUALITY)):
-        cookies = cookies_of(browser, address, name, pin)
+        cookies = cookies_of(browser, site[0], name, pin)
         for entry in pages:
-            yield row(browser, address, entry, rounds, cookies)
+            yield row(browser, site, entry, rounds, cookies)
     yield row(browser, empty, floor, rounds, [])
 
 

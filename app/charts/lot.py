@@ -14,12 +14,16 @@ from softcal.app.texts.reasons import Words, plainly
 from softcal.app.views.common import far_end
 from softcal.app.views.lot import LotView, ProcessView
 from softcal.app.views.lot_runs import DESK, YieldAt
+from softcal.core.quality.control_chart import MAX_FAR_SHARE
 
 BINS = 48
 SHOWN_VALUES = 300
 """So many of the newest values are shown; limits and rules come from all."""
 
 MOST_REASONS = 8
+MOST_SIGMA = 8.0
+"""So far from the centre a control chart is drawn."""
+
 LEVEL_COLOURS = ("limit", "text", "limit")
 
 
@@ -66,10 +70,21 @@ def control_chart_figure(process: ProcessView, unit: str, colours: Palette, word
     first = max(0, len(process.errors) - SHOWN_VALUES)
     at, values, names = np.arange(len(process.errors)) + 1, process.errors, process.serials
     figure = go.Figure()
+    # One value far out would squeeze all others: it stands at the edge, with its number.
+    lower, centre, upper = process.levels
+    wide = (upper / centre) ** (MOST_SIGMA / 3)
+    drawn = np.clip(values, centre / wide, centre * wide)
+    if np.mean(drawn != values) > MAX_FAR_SHARE:
+        drawn = values
     line, marker = {"color": colours.source, "width": 1}, {"color": colours.source, "size": 5}
-    hover = f"%{{text}}: %{{y:.3g}} {unit}<extra></extra>"
+    hover = f"%{{text}}: %{{customdata:.3g}} {unit}<extra></extra>"
     shown = {"text": names[first:], "mode": "lines+markers", "line": line, "marker": marker, "hovertemplate": hover}
-    figure.add_scatter(x=at[first:], y=values[first:], **shown)
+    figure.add_scatter(x=at[first:], y=drawn[first:], customdata=values[first:], **shown)
+    for k in np.flatnonzero(drawn != values).tolist():
+        if k >= first:
+            mark = "↑" if values[k] > drawn[k] else "↓"
+            place = {"x": at[k], "y": math.log10(drawn[k]), "xanchor": "right", "xshift": -8, "showarrow": False}
+            figure.add_annotation(text=f"{values[k]:.3g} {mark}", font={"color": colours.limit, "size": 12}, **place)
     rules: dict[int, list[str]] = {}
     for broken in process.broken:
         for k in broken.starts:
@@ -77,16 +92,17 @@ def control_chart_figure(process: ProcessView, unit: str, colours: Palette, word
                 rules.setdefault(k, []).append(words(f"rule.{broken.rule}"))
     text = [f"{names[k]}: {', '.join(said)}" for k, said in rules.items()]
     look: dict[str, Any] = {"symbol": "diamond", "text": text, "hovertemplate": "%{text}<extra></extra>"}
-    style.dots(figure, [k + 1 for k in rules], [values[k] for k in rules], colours.limit, None, 10, **look)
-    for level, colour, dash in zip(process.levels, LEVEL_COLOURS, ("dash", "solid", "dash"), strict=True):
+    style.dots(figure, [k + 1 for k in rules], [drawn[k] for k in rules], colours.limit, None, 10, **look)
+    for level, colour, dash in zip((lower, centre, upper), LEVEL_COLOURS, ("dash", "solid", "dash"), strict=True):
         ink = getattr(colours, colour)
         figure.add_hline(level, line={"color": ink, "width": 1.5, "dash": dash})
         # Plotly takes a note's height on such an axis as its logarithm.
         place = {"x": 1.0, "xref": "paper", "xanchor": "right", "y": math.log10(level), "yanchor": "bottom"}
         figure.add_annotation(text=f"{level:.3g}", font={"color": ink, "size": 12}, showarrow=False, **place)
     style.styled(figure, colours, words("chart.order"), f"{words('column.predicted')} [{unit}]")
-    # Of one decade and less the ticks between its ends are written too.
-    figure.update_yaxes(type="log", dtick="D1", exponentformat="none")
+    # Of a decade and less every step of it is written, else 1, 2 and 5; without a format Plotly writes 0.06 as 6.
+    step = "D1" if drawn.max() < 10 * drawn.min() else "D2"
+    figure.update_yaxes(type="log", dtick=step, tickformat=".3~g")
     return figure.update_layout(showlegend=False, margin_t=20)
 
 

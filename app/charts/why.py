@@ -37,7 +37,7 @@ POINTS = 1500
 """Dots of one panel."""
 
 MIN_SHARE = 0.002
-"""Parts of the forecast below this share of the limit are left out."""
+"""The smallest parts are left out, by which together the forecast falls by less than this share of the limit."""
 
 PANELS = FIRST, SECOND, THIRD, FOURTH = tuple({"row": row, "col": column} for row in (1, 2) for column in (1, 2))
 
@@ -116,7 +116,12 @@ def _draw_forecast(figure: go.Figure, view: UnitView, colours: Palette, words: W
     """Draw the parts of the predicted error: they add in quadrature, so that each begins where those before it end."""
     state, unit = view.stored.state, view.lot.reference_unit
     forecast, limit = state.forecast, state.limit.maximum_rmse
-    parts = [(name, value) for name, value in contributions(state.fit).items() if value >= MIN_SHARE * limit]
+    every = contributions(state.fit)
+    rising = np.sort([0.0, *every.values()])
+    whole = float(np.hypot.reduce(rising))
+    without = whole - np.sqrt(np.maximum(whole**2 - np.cumsum(rising**2), 0.0))
+    largest = rising[without < MIN_SHARE * limit].max(initial=0.0)
+    parts = [(name, value) for name, value in every.items() if value > largest]
     levels = np.sqrt(np.cumsum([value**2 for _, value in parts])) if parts else np.zeros(0)
     starts = np.concatenate([[0.0], levels[:-1]])
     figure.add_bar(

@@ -75,7 +75,8 @@ class _Axis:
         if self.names:
             return [(name, name) for name in self.names]
         if self.is_log:
-            steps = [k * 10.0**power for power in range(-12, 13) for k in (1, 2, 5)]
+            every = range(1, 10) if self.high - self.low < 1 else (1, 2, 5)
+            steps = [k * 10.0**power for power in range(-12, 13) for k in every]
             return [(v, f"{v:g}") for v in steps if self.low <= np.log10(v) <= self.high]
         step = 10.0 ** np.floor(np.log10((self.high - self.low) / 4.0))
         step *= next(k for k in (1.0, 2.0, 5.0, 10.0) if (self.high - self.low) / (k * step) <= 6.0)

@@ -49,7 +49,7 @@ def unlabelled(recording: OutputRecording | LabelledRecording) -> OutputRecordin
 
 def target_serials(registry: Registry, lot_id: str) -> list[str]:
     """Return the serials of a lot's target units."""
-    return [unit.serial for unit in registry.lots.units(lot_id) if unit.role == "target"]
+    return registry.lots.serials(lot_id, "target")
 
 
 def newest_audits(registry: Registry, lot_id: str, serial: str | None = None) -> dict[str, RecordingEntry]:

@@ -34,10 +34,13 @@ export default function ({ data }) {
   const isLeftBehind = () =>
     document.querySelector(".st-key-scan-field, .st-key-line-actions") &&
     Date.now() - (document.softcalDrawn ?? Date.now()) > LEFT_BEHIND_MS
-  // Streamlit calls the field of files a decoration and gives it a name: a reader that is told both leaves it out.
+  // Streamlit calls the field of files a decoration and gives it a name: a reader that is told both leaves it out. The
+  // words on its button are drawn by the style, which not every reader reads.
   const named = () => {
-    for (const field of document.querySelectorAll("[data-testid=stFileUploaderDropzone][role=presentation]"))
+    for (const field of document.querySelectorAll("[data-testid=stFileUploaderDropzone]")) {
       field.removeAttribute("role")
+      field.querySelector("button")?.setAttribute("aria-label", document.softcalTexts.files)
+    }
   }
   const look = async () => {
     let answers = true

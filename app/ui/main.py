@@ -41,7 +41,8 @@ def run() -> None:
     readable()
     # Registered here because a component needs a running server; the same again changes nothing.
     watch = st.components.v2.component("softcal_liveness", html="<span hidden></span>", js=LIVENESS)
-    watch(data={"server": say("gone.server"), "late": say("gone.late"), "health": HEALTH}, key="liveness")
+    texts = {"server": say("gone.server"), "late": say("gone.late"), "files": say("choose.files")}
+    watch(data={**texts, "health": HEALTH}, key="liveness")
     with errors_in_words():
         bar: list[StreamlitPage] = []
         hidden: list[StreamlitPage] = []

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from math import nan
 from typing import Any
 from urllib.parse import quote, urlencode
 
@@ -191,7 +192,7 @@ def go_to(page: str, **query: str | Sequence[str]) -> None:
 
 def table(listed: Iterable[Mapping[str, object]], otherwise: str = "") -> None:
     """Draw a table to read: a short one in full, a long one to scroll in; of no rows the sentence instead."""
-    rows = list(listed)
+    rows = with_units_in_heads(list(listed))
     if not rows and otherwise:
         st.caption(otherwise)
         return
@@ -203,13 +204,44 @@ def table(listed: Iterable[Mapping[str, object]], otherwise: str = "") -> None:
     st.table(_coloured(plain, rows), border="horizontal", hide_index=True)
 
 
+@dataclass(frozen=True)
+class Figure:
+    """A number of a column whose head has the unit, with as many decimals as the others there."""
+
+    value: float
+    decimals: int
+
+
+def with_units_in_heads(rows: Sequence[Mapping[str, object]]) -> list[dict[str, object]]:
+    """Return rows in which a column of quantities of one unit has numbers, and the unit in its head."""
+    names = list(rows[0]) if rows else []
+    columns = {name: _figures([row.get(name) for row in rows]) for name in names}
+    heads = {name: f"{name} [{columns[name][0]}]" if columns[name][0] else name for name in names}
+    return [{heads[name]: columns[name][1][k] for name in names} for k in range(len(rows))]
+
+
+def _figures(cells: Sequence[object]) -> tuple[str, Sequence[object]]:
+    """Return the one unit of a column of quantities and its numbers; else "" and the cells as they are."""
+    found = [QUANTITY.fullmatch(cell) if isinstance(cell, str) else None for cell in cells]
+    units = {one[2] for one in found if one}
+    is_other = any(cell not in ("", NOTHING, None) and not one for cell, one in zip(cells, found, strict=True))
+    if len(units) != 1 or is_other:
+        return "", cells
+    most = max(len(one[1].partition(".")[2]) for one in found if one)
+    return units.pop(), [Figure(float(one[1]) if one else nan, most) for one in found]
+
+
 def _coloured(shown: Sequence[Mapping[Any, object]], rows: Sequence[Mapping[str, object]]) -> Any:
     """Return what is shown as a table in which every verdict has its colour beside its mark."""
-    frame = pd.DataFrame(shown).convert_dtypes()
+    figures = {name: one.decimals for row in shown for name, one in row.items() if isinstance(one, Figure)}
+    plain = [{n: one.value if isinstance(one, Figure) else one for n, one in row.items()} for row in shown]
+    frame = pd.DataFrame(plain).convert_dtypes()
     styles = [[VERDICT_STYLE.get(str(value)[:2], "") for value in row.values()] for row in rows]
-    if not any(map(any, styles)):
+    if not any(map(any, styles)) and not figures:
         return frame
-    return frame.style.apply(lambda _: pd.DataFrame(styles, frame.index, frame.columns), axis=None)
+    formats: Any = {name: f"{{:.{places}f}}" for name, places in figures.items()}
+    drawn = frame.style.format(formats, na_rep=NOTHING) if formats else frame.style
+    return drawn.apply(lambda _: pd.DataFrame(styles, frame.index, frame.columns), axis=None)
 
 
 def with_addresses(rows: Sequence[Mapping[str, object]]) -> tuple[list[dict[str, object]], dict[str, Any]]:
@@ -231,11 +263,11 @@ def told(rows: Sequence[Mapping[str, object]]) -> list[dict[str, object]]:
 
 
 def _as_it_is(value: object) -> object:
-    """Return a text for a cell, which is read as Markdown; a number keeps its unit on its line."""
+    """Return a text for a cell, which is read as Markdown; a number keeps its unit, a verdict its mark, on its line."""
     if isinstance(value, Link):
         return value.markdown
-    if isinstance(value, str) and (quantity := QUANTITY.fullmatch(value)):
-        value = NO_BREAK.join(quantity.groups())
+    if isinstance(value, str) and (value[:2] in VERDICT_STYLE or QUANTITY.fullmatch(value)):
+        value = value.replace(" ", NO_BREAK)
     return MARKDOWN.sub(r"\\\1", value) if isinstance(value, str) else NOTHING if value is None else value
 
 

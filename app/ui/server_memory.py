@@ -9,7 +9,8 @@ import streamlit as st
 from softcal.app.bootstrap import open_chosen_registry
 from softcal.app.calibration.audit import lot_audit
 from softcal.app.calibration.changes import Changes, preview, preview_limit
-from softcal.app.calibration.release import decide_lot, lot_standing, outline_lot
+from softcal.app.calibration.redecision import confirm
+from softcal.app.calibration.release import decide_lot, lot_standing, outline_lot, roll_back
 from softcal.app.views.audited import AuditedView, audited_view
 from softcal.app.views.lot import EVERY_RUN, LotView, lot_view
 from softcal.app.views.lot_runs import LotFilter
@@ -75,6 +76,26 @@ def remembered_outline(lot_id: str) -> LotStanding:
 def remembered_release_changes(lot_id: str) -> Changes:
     """Return what a release of a lot would change."""
     return preview(registry(), lot_id, partial(decide_lot, registry(), lot_id))
+
+
+@remembered
+def remembered_rollback(lot_id: str, serial: str, revision: int) -> Changes:
+    """Return what an older revision of a unit, back in use, would change."""
+    act = partial(roll_back, registry(), serial, revision, reason="preview", lot_id=lot_id)
+    return preview(registry(), lot_id, act)
+
+
+@remembered
+def remembered_network_changes(lot_id: str, decision: str, network_id: str) -> Changes:
+    """Return what the release or the withdrawal of a network would change."""
+    act = partial(getattr(registry().networks, decision), network_id, reason="preview")
+    return preview(registry(), lot_id, act)
+
+
+@remembered
+def remembered_confirmation(lot_id: str, serial: str) -> Changes:
+    """Return what a confirmed audit would change."""
+    return preview(registry(), lot_id, partial(confirm, registry(), lot_id, serial, reason="preview"))
 
 
 @remembered

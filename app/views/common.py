@@ -1,11 +1,11 @@
 """How screens show numbers: rounding, units, and long series thinned for a chart."""
 
-import math
 from collections.abc import Sized
 
 import numpy as np
 
 from softcal.app.texts.reasons import Words, phrase
+from softcal.core.messages.figures import decimals_of_limit
 from softcal.core.recording import Array
 from softcal.core.unit.verdict import Limit
 
@@ -20,13 +20,8 @@ def number(value: float | None, unit: str = "", limit: float | None = None) -> s
     """
     if value is None:
         return "–"
-    shown = f"{value:.3g}" if limit is None else f"{value:.{decimals(limit)}f}"
+    shown = f"{value:.3g}" if limit is None else f"{value:.{decimals_of_limit(limit)}f}"
     return f"{shown} {unit}".strip()
-
-
-def decimals(limit: float) -> int:
-    """Return how many decimals a limit has with three significant digits."""
-    return max(0, 2 - math.floor(math.log10(limit))) if limit > 0 else 3
 
 
 def limit_said(limit: Limit | None, words: Words) -> str:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 from softcal.app.line.facts import SHOWN_RUNS, LineFacts, LineRun
 from softcal.app.texts.reasons import Words, said
-from softcal.app.views.common import phase_said
+from softcal.app.views.common import percent, phase_said
 from softcal.app.views.line_states import STATES, Card, verdict_of
 from softcal.core.messages.reason import plain
 from softcal.core.orders import Condition, OrderKind, RunState, Signal
@@ -153,6 +153,7 @@ def _cells(facts: LineFacts, operator: str, words: Words) -> tuple[tuple[str, st
         station = f"{station} · {words(f'station.state.{facts.station_state}')}"
     counts = dict(lot.counts) if lot else {}
     judged = sum(counts.values()) - counts.get("none", 0)
+    decided = judged - counts.get("conditional", 0)
     target = (lot.rules.target if lot else None) or (sum(counts.values()) if counts.get("none") else None)
     if not operator and facts.place.operator:
         operator = words("line.badge" if facts.operator else "line.badge.over", name=facts.place.operator)
@@ -162,5 +163,5 @@ def _cells(facts: LineFacts, operator: str, words: Words) -> tuple[tuple[str, st
         (words("line.cell.product"), (lot.lot.sensor_model if lot else "") or "–"),
         (words("role.operator"), operator or "–"),
         (words("line.cell.units"), f"{judged} / {target}" if target else str(judged)),
-        (words("line.cell.yield"), f"{counts.get('pass', 0) / judged:.0%}" if judged else "–"),
+        (words("line.cell.yield"), percent(counts.get("pass", 0) / decided if decided else None)),
     )

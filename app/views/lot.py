@@ -14,7 +14,7 @@ from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.messages.reason import Reason
 from softcal.core.quality.control_chart import FORBIDDING, Capability, ControlChart, capability, control_chart
-from softcal.core.quality.yields import UnitRun, Yields, yields
+from softcal.core.quality.yields import UNDECIDED, UnitRun, Yields, yields
 from softcal.core.recording import Array
 from softcal.core.unit.verdict import VERDICTS, Limit
 from softcal.db.entries import RunEntry
@@ -218,7 +218,8 @@ def yield_drop(runs: Sequence[RunEntry]) -> YieldDrop | None:
     """
     first: dict[str, bool] = {}
     for run in runs:
-        first.setdefault(run.serial, run.verdict == "pass")
+        if run.verdict not in UNDECIDED:
+            first.setdefault(run.serial, run.verdict == "pass")
     passed = list(first.values())
     newest, before = passed[-NEWEST_OF_YIELD:], passed[:-NEWEST_OF_YIELD]
     if len(before) < NEWEST_OF_YIELD:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import date, tzinfo
 
-from softcal.core.quality.yields import GOOD, Share
+from softcal.core.quality.yields import GOOD, UNDECIDED, Share
 from softcal.db.entries import RunEntry
 from softcal.db.queues.order_queue import Pressed
 from softcal.db.registry import Registry
@@ -76,18 +76,29 @@ def placed(runs: Sequence[RunEntry], pressed: Sequence[Pressed]) -> tuple[Placed
 
 @dataclass(frozen=True)
 class YieldAt:
-    """First-pass yield of the units first run on one day, at one station or by one operator."""
+    """First-pass yield of the units first run on one day, at one station or by one operator.
+
+    Args:
+        share: of the decided ones.
+        units: all of them.
+    """
 
     name: str
     share: Share
+    units: int
 
 
 def yield_over(runs: Sequence[PlacedRun], place: Callable[[PlacedRun], str]) -> tuple[YieldAt, ...]:
-    """Return the first-pass yield by the place of each unit's first run."""
+    """Return the first-pass yield by the place of each unit's first decided run."""
     firsts: dict[str, PlacedRun] = {}
     for run in runs:
-        firsts.setdefault(run.run.serial, run)
-    groups: dict[str, list[bool]] = {}
+        if run.run.serial not in firsts or firsts[run.run.serial].run.verdict in UNDECIDED:
+            firsts[run.run.serial] = run
+    groups: dict[str, list[str]] = {}
     for run in firsts.values():
-        groups.setdefault(place(run), []).append(run.run.verdict in GOOD)
-    return tuple(YieldAt(name, Share(sum(group), len(group))) for name, group in sorted(groups.items()))
+        groups.setdefault(place(run), []).append(run.run.verdict)
+    return tuple(YieldAt(name, _share(group), len(group)) for name, group in sorted(groups.items()))
+
+
+def _share(verdicts: Sequence[str]) -> Share:
+    return Share(sum(one in GOOD for one in verdicts), sum(one not in UNDECIDED for one in verdicts))

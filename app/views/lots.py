@@ -15,7 +15,7 @@ class LotRow:
 
     Args:
         state: the text `lots.state.STATE`.
-        decided: units with a result, of `units` target units.
+        decided: units with a result that waits for no evidence, of `units` target units.
         good: decided units that pass, the yield; None while none is decided.
         audited: units whose error was measured with the load cell, as on the lot's page.
         released: units that pass.
@@ -51,13 +51,13 @@ def proposed_lot_id(registry: Registry, today: date) -> str:
 def _row(registry: Registry, lot_id: str) -> LotRow:
     counts, recordings = registry.pages.verdict_counts(lot_id), registry.recordings.of_lot(lot_id)
     units, released = sum(counts.values()), counts["pass"]
-    decided, decision = units - counts["none"], registry.decisions.in_force(lot_id)
+    decided, decision = units - counts["none"] - counts["conditional"], registry.decisions.in_force(lot_id)
     instants = [entry.added_at for entry in recordings] + ([decision.made_at] if decision else [])
     kinds = {entry.kind for entry in recordings}
     limit = limit_or_none(registry, lot_id)
     if "source" not in kinds and registry.networks.released(lot_id) is None:
         state = "source"
-    elif not decided:
+    elif counts["none"] == units:
         state = "units"
     elif limit is None or not limit.is_stated:
         state = "limit"

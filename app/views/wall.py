@@ -12,6 +12,7 @@ from softcal.app.views.common import number, percent
 from softcal.app.views.line import Chip
 from softcal.app.views.line_states import STATES
 from softcal.app.views.lot import LotView
+from softcal.app.views.lot_runs import YieldAt
 from softcal.core.orders import StationState
 from softcal.core.quality.yields import Share
 from softcal.db.registry import Registry
@@ -48,14 +49,16 @@ def wall_view(
     """Read what the wall board shows of a lot, the urgent first, in the time zone of `now`."""
     now = now or datetime.now(UTC).astimezone()
     target = registry.lots.line_rules(view.lot).target or view.total
-    today = next((day.share for day in view.days if day.name == now.date().isoformat()), Share(0, 0))
+    nothing = YieldAt("", Share(0, 0), 0)
+    today = next((day for day in view.days if day.name == now.date().isoformat()), nothing)
+    of_today = {"good": today.share.count, "of": today.share.of}
     first = view.yields.first_pass
     low, high = (percent(end) for end in first.interval)
     limit = view.limit_rmse
     tiles = (
         (words("wall.done"), f"{view.judged} / {target}", words("lot.units")),
         (words("lot.first_pass"), percent(first.value), f"{low} – {high}" if first.of else ""),
-        (words("wall.today"), str(today.of), words("wall.today.good", good=today.count, of=today.of)),
+        (words("wall.today"), str(today.units), words("wall.today.good", **of_today) if today.share.of else ""),
         (
             words("lot.predicted"),
             number(view.median_predicted, view.lot.reference_unit, limit),

@@ -16,6 +16,11 @@ def decimals_of(uncertainty: float) -> int:
     return 1 - floor(log10(round(uncertainty, place)))
 
 
+def decimals_of_limit(limit: float) -> int:
+    """Return how many decimals a limit has with three significant digits; all errors beside it have as many."""
+    return max(0, 2 - floor(log10(limit))) if isfinite(limit) and limit > 0 else 3
+
+
 def with_decimals(value: float, decimals: int) -> str:
     """Return a number rounded to a decimal place; below 0 to tens, hundreds ..."""
     return f"{round(value, decimals):.{max(decimals, 0)}f}"

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from string import Formatter
 from typing import Any, Union
 
+from softcal.core.messages.figures import decimals_of_limit
 from softcal.core.messages.gap_sentences import GAP_SENTENCES
 from softcal.core.messages.rig_sentences import SENTENCES
 from softcal.core.messages.sentences import UNIT_SENTENCES
@@ -25,6 +26,9 @@ PLAIN = "plain"
 
 ENGLISH: dict[str, str] = {PLAIN: "{text}", **UNIT_SENTENCES, **GAP_SENTENCES, **SENTENCES}
 """One sentence a code, values in braces; a value that is a reason is a phrase of its own."""
+
+BESIDE_LIMIT = ("rmse", "lower", "upper", "error", "day", "judged", "limit")
+"""Values of a sentence in the unit of its `limit`."""
 
 _LOADERS: list[Callable[[], object]] = []
 
@@ -108,7 +112,11 @@ class _Filler(Formatter):
 
 
 def filled(sentence: str, values: Mapping[str, object]) -> str:
-    """Return a sentence with its values filled in."""
+    """Return a sentence with its values filled in; errors beside a limit have its decimals, as everywhere."""
+    limit = values.get("limit")
+    if isinstance(limit, float):
+        errors = {name: values[name] for name in BESIDE_LIMIT if name in values and not isinstance(values[name], str)}
+        values = {**values, **{name: f"{value:.{decimals_of_limit(limit)}f}" for name, value in errors.items()}}
     return _Filler().vformat(sentence, (), values)
 
 

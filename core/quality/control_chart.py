@@ -14,7 +14,13 @@ from softcal.core.recording import Array, Mask
 D2 = 1.128
 """Mean range of two normal values in standard deviations."""
 
+FEWEST = 8
 FEWEST_FOR_CAPABILITY = 25
+
+FAR, MAX_FAR_SHARE = 4.0, 0.1
+"""Values so many sigma out have a cause of their own and no part in the limits (Montgomery, Introduction to Statistical
+Quality Control, on trial limits), up to this share of all: of more the process itself has moved. One would else widen
+the limits, and move the centre until all others lie on one side of it."""
 
 FORBIDDING = (1, 2, 3)
 """Rules that a process must keep to be called stable. All eight together would stop a quarter of the stable processes
@@ -36,7 +42,7 @@ class ControlChart:
 
     Args:
         values: (n,) in time order.
-        centre: mean of the values the limits were made from.
+        centre: mean of the values the limits were made from, those far out left out.
         sigma: mean moving range / 1.128: the spread from one value to the next.
     """
 
@@ -86,11 +92,25 @@ def control_chart(values: Array, baseline: int | None = None) -> ControlChart:
     """
     values = np.asarray(values, dtype=np.float64)
     first = values[: len(values) if baseline is None else baseline]
-    if len(first) < 8:
+    if len(first) < FEWEST:
         raise InputError(reason("chart.few", count=len(first)))
     if not np.isfinite(values).all():
         raise InputError(reason("chart.not_a_number", value=int(np.flatnonzero(~np.isfinite(values))[0])))
-    return ControlChart(values, float(first.mean()), float(np.abs(np.diff(first)).mean()) / D2)
+    return ControlChart(values, *_centre_and_sigma(_without_far(first)))
+
+
+def _centre_and_sigma(values: Array) -> tuple[float, float]:
+    return float(values.mean()), float(np.abs(np.diff(values)).mean()) / D2
+
+
+def _without_far(values: Array) -> Array:
+    """Return the values without the few that are far out; all of them where they are more than a few."""
+    near, count, least = values, 0, max(FEWEST, (1 - MAX_FAR_SHARE) * len(values))
+    while count != len(near) >= least:
+        count = len(near)
+        centre, sigma = _centre_and_sigma(near)
+        near = near[np.abs(near - centre) <= FAR * sigma]
+    return near if len(near) >= least else values
 
 
 @dataclass(frozen=True)

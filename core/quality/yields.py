@@ -9,6 +9,8 @@ from softcal.core.metrics import wilson
 from softcal.core.unit.verdict import Verdict
 
 GOOD = frozenset({Verdict.PASS})
+UNDECIDED = frozenset({Verdict.CONDITIONAL})
+"""Units that wait for evidence are neither good nor bad: a lot that nobody audited has no yield yet, not one of 0 %."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +53,10 @@ class UnitRun:
 
 
 def yields(runs: Mapping[str, Sequence[UnitRun]], golden: Collection[str] = (), good: Collection[str] = GOOD) -> Yields:
-    """Count the yields of a lot from the runs of each unit in time order; golden units are left out."""
+    """Count the yields of a lot from the decided runs of each unit in time order; golden units are left out."""
     units = [unit for serial, unit in runs.items() if unit and serial not in golden]
-    verdicts = [[run.verdict in good for run in unit] for unit in units]
+    decided = [[run.verdict in good for run in unit if run.verdict not in UNDECIDED - set(good)] for unit in units]
+    verdicts = [unit for unit in decided if unit]
     firsts = [
         unit[-1].reasons[0] if unit[-1].reasons else plain("no reason given")
         for unit in units
@@ -62,9 +65,9 @@ def yields(runs: Mapping[str, Sequence[UnitRun]], golden: Collection[str] = (), 
     kinds = {kind(first): first for first in firsts}
     counts = Counter(map(kind, firsts))
     return Yields(
-        first_pass=Share(sum(unit[0] for unit in verdicts), len(units)),
-        second_pass=Share(sum(any(unit[:2]) for unit in verdicts), len(units)),
-        last_pass=Share(sum(unit[-1] for unit in verdicts), len(units)),
+        first_pass=Share(sum(unit[0] for unit in verdicts), len(verdicts)),
+        second_pass=Share(sum(any(unit[:2]) for unit in verdicts), len(verdicts)),
+        last_pass=Share(sum(unit[-1] for unit in verdicts), len(verdicts)),
         runs=Share(sum(sum(unit) for unit in verdicts), sum(map(len, verdicts))),
         reasons=tuple(
             (kinds[name], count) for name, count in sorted(counts.items(), key=lambda item: (-item[1], item[0]))

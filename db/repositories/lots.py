@@ -15,7 +15,7 @@ from softcal.db.repositories.in_use import newest_limit
 from softcal.db.repositories.lot_pages import standing_units
 from softcal.db.repositories.registry_base import RegistryBase, of_row
 from softcal.db.schema.database import given
-from softcal.db.schema.tables import calibrations, limits, line_rules, lots, refusals
+from softcal.db.schema.tables import calibrations, limits, line_rules, lots, refusals, units
 
 STATED_WITH_LOT = "stated with the lot"
 """The reason of a version of the limit that came with `lot.toml`."""
@@ -75,6 +75,13 @@ class LotTables(RegistryBase):
             in_lots = known if lot_id is None else [lot_id]
             serials = None if serial is None else [serial]
             return [unit for name in in_lots for unit, _ in standing_units(self.database, name, serials)]
+
+    def serials(self, lot_id: str, role: str) -> list[str]:
+        """Return the serials of a lot's units of one role in order (`InputError`: no such lot)."""
+        with self.database.reading():
+            self._lot_row(lot_id)
+            query = select(units.c.serial).where(units.c.lot_id == lot_id, units.c.role == role)
+            return self.database.values(query.order_by(units.c.serial))
 
     def runs(self, lot_id: str, serial: str | None = None) -> list[RunEntry]:
         """Return every result of a lot's units, or of one of them, in time order.

@@ -1,4 +1,4 @@
-"""A load cell behind an HX711: its Arduino prints 24-bit counts (Avia, HX711 data sheet)."""
+"""A load cell behind an HX711 or ADS1232: its Arduino prints 24-bit counts (data sheets of Avia and TI)."""
 
 from dataclasses import dataclass
 
@@ -71,6 +71,6 @@ def _simulate(around: Surroundings) -> Simulated[Hx711Config]:
 
 
 _OPEN = opens(CELL, lambda link, own: Hx711Cell(link, own.counts_per_N, own.zero_counts, own.capacity_N, own.rate_Hz))
-_WHAT = "text lines `ms,counts` of an HX711"
+_WHAT = "text lines `ms,counts` of an HX711 or ADS1232"
 _MESSAGES = {**PAGES["text_stream"], **PAGES["hx711"]}
 DRIVERS = (Driver("hx711", _WHAT, Hx711Config, _OPEN, _simulate, WIRES, messages=_MESSAGES),)

@@ -116,7 +116,9 @@ def test_every_audited_unit_is_listed_and_one_in_doubt_is_confirmed_with_a_reaso
         suspect = replace(state, suspect_audit=Reason("doubt.gain", {"gain": 0.01, "usual": 1.0, "others": 5}))
         registry.calibrations.add("small", suspect, decided_by="release")
     screen = show(calibrated, "lot", tab="audit", lot="small")
-    assert sorted(map(serial_of, screen.table[-1].value.iloc[:, 0])) == audited
+    assert sorted(map(serial_of, screen.table[-2].value.iloc[:, 0])) == audited
+    # Before the button: which unit gets another verdict by it.
+    assert list(map(serial_of, screen.table[-1].value.iloc[:, 0])) == audited[:1]
     key = f"reason-text-confirm-small/{audited[0]}"
     submit = next(one for one in screen.button if one.label == say("audit.confirm", serial=audited[0]))
     submit.click().run()

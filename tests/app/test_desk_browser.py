@@ -208,7 +208,7 @@ def test_a_field_for_files_speaks_the_language_of_its_page(
     _sign_in(panel, address, remembered)
     panel.goto(f"{address}/new_lot?lang={language}")
     zone = panel.get_by_test_id("stFileUploaderDropzone")
-    zone.get_by_role("button", name=asked).wait_for()
+    expect(zone.get_by_role("button", name=asked)).to_have_attribute("aria-label", asked)
     # The icon is a letter font's ligature, and no word that is seen.
     zone.get_by_test_id("stIconMaterial").evaluate("(icon) => icon.remove()")
     own_words = zone.evaluate("(zone) => zone.innerText")

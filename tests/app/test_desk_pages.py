@@ -22,6 +22,7 @@ from softcal.app.views.lot import lot_view
 from softcal.app.views.station import bounds
 from softcal.app.views.wall import wall_view
 from softcal.core.lot import UnitKey
+from softcal.core.messages.reason import Reason
 from softcal.core.orders import Heartbeat, OrderKind, RunState, StationState
 from softcal.core.profiles import BUILT_IN
 from softcal.core.quality.line_rules import LineRules
@@ -143,6 +144,29 @@ def test_a_rollback_needs_a_reason_and_stays_in_the_history(calibrated: str, sho
     with open_registry(calibrated) as registry:
         assert registry.calibrations.get("A1").rolled_back_to == 1
         assert registry.trail.rows()[-1].reason == "wrong fixture in week 47"
+
+
+@pytest.mark.parametrize("is_doubted", [False, True])
+def test_a_rollback_does_what_its_page_said_before(calibrated: str, show, is_doubted: bool) -> None:
+    def verdicts(registry) -> dict[str, str | None]:
+        return {unit.serial: unit.verdict for unit in registry.lots.units("small")}
+
+    with open_registry(calibrated) as registry:
+        state = registry.calibrations.get("A1").state
+        doubt = Reason("doubt.gain", {"gain": 0.01, "usual": 1.0, "others": 5}) if is_doubted else None
+        fit = replace(state.fit, load_rms=1.01 * state.fit.load_rms)
+        registry.calibrations.add("small", replace(state, fit=fit, suspect_audit=doubt), decided_by="release")
+        before = verdicts(registry)
+    screen = show(calibrated, "unit", tab="history", unit="A1")
+    listed = [cell[1:].partition("]")[0] for one in screen.table[1:] for cell in one.value.iloc[:, 0]]
+    with open_registry(calibrated) as registry:
+        assert verdicts(registry) == before, "a look changes nothing"
+    screen.text_input(key="reason-text-rollback-small/A1-1").set_value("wrong fixture in week 47")
+    press(screen, "unit.rollback.do")
+    with open_registry(calibrated) as registry:
+        after = verdicts(registry)
+    assert listed == [serial for serial in after if after[serial] != before[serial]]
+    assert bool(listed) == is_doubted
 
 
 def test_a_certificate_is_typed_in_and_what_it_lacks_is_named(calibrated: str, show) -> None:
@@ -276,9 +300,8 @@ def _adapted(url: str) -> None:
 def test_a_unit_in_use_shows_its_course_and_that_a_calibration_is_due(calibrated: str, show) -> None:
     _adapted(calibrated)
     screen = show(calibrated, "unit", tab="history", unit="small/A2")
-    shown = {metric.label: metric.value for metric in screen.metric[-5:]}
-    assert shown[text("en", "column.state")] == text("en", "event.alarm")
-    assert shown[text("en", "lot.predicted")] == "0.21 N"
+    (line,) = [one.value for one in screen.markdown if text("en", "long_term.steps") in one.value]
+    assert f"**{text('en', 'event.alarm')}**" in line and "**0.21" in line
     assert "0.2 N" in screen.warning[0].value
 
 

@@ -304,7 +304,7 @@ def test_every_code_of_the_station_has_its_instruction_in_every_language():
 def test_the_bar_tells_station_lot_product_operator_count_and_yield():
     station, *others = (value for _, value in shown().cells)
     assert station.startswith("line-1") and SAY("station.state.ready") in station
-    assert others == ["L1", "eGaIn pad", "Kim", "4 / 6", "75%"]
+    assert others == ["L1", "eGaIn pad", "Kim", "4 / 6", "75.0 %"]
     # A stated target goes before the number of known units.
     lot = replace(LOT, rules=LineRules(target=500))
     assert dict(shown(lot=lot).cells)[SAY("line.cell.units")] == "4 / 500"

@@ -260,7 +260,7 @@ def test_a_country_that_is_none_is_refused_and_nothing_is_kept(calibrated: str, 
 
 
 def test_a_lot_is_released_from_its_page_and_the_trail_says_so(calibrated: str, show, monkeypatch) -> None:
-    change = VerdictChange("small", "A1", "conditional", "pass", Reason("release.promised"))
+    change = VerdictChange("small", "A1", "conditional", "pass", Reason("reversed"))
     monkeypatch.setattr(lot_release, "remembered_release_changes", lambda _: Changes((change,), {"pass": 1}))
     decided: list[str] = []
     monkeypatch.setattr(lot_release, "decide_lot", lambda _, lot_id, name: decided.append(f"{lot_id} {name}"))

@@ -95,6 +95,17 @@ def test_limit_lines_are_seen_on_either_ground(rng, colours) -> None:
     assert len(figure.data[0].x) == charts_lot.SHOWN_VALUES
 
 
+def test_one_value_far_out_does_not_flatten_the_others_and_is_read_as_it_is(rng) -> None:
+    values = 0.08 + 0.002 * rng.normal(size=40)
+    values[20] = 8.0
+    process = process_view(runs_of(values), 0.12)
+    figure = charts_lot.control_chart_figure(process, "N", LIGHT, lambda key, **_: key)
+    drawn, usual = np.array(figure.data[0].y), np.delete(values, 20)
+    assert np.ptp(np.log(usual)) > 0.2 * np.ptp(np.log(drawn))
+    assert figure.data[0].customdata[20] == pytest.approx(8.0)
+    assert any("8 " in note.text for note in figure.layout.annotations)
+
+
 def errors_drawn(errors: dict[str, list[float]], limit: float | None):
     def predicted(verdict: str | None = None):
         return np.array(errors.get(verdict, []) if verdict else [value for some in errors.values() for value in some])

@@ -107,6 +107,20 @@ def test_limits_from_a_baseline_show_a_later_shift(rng):
     assert any(signal.index >= 30 for signal in chart.signals) and not chart.is_stable
 
 
+@pytest.mark.parametrize("at", [0, 12, 24])
+def test_one_value_far_out_is_the_only_signal_and_moves_no_limit(rng, at):
+    stable = stable_chart(rng)
+    chart = control_chart(np.insert(stable.values, at, stable.centre + 40 * stable.sigma))
+    assert (chart.centre, chart.sigma) == (pytest.approx(stable.centre), pytest.approx(stable.sigma))
+    assert {signal.index for signal in chart.instabilities} == {at}
+
+
+def test_a_process_that_has_moved_keeps_limits_of_all_its_values(rng):
+    values = np.concatenate([rng.normal(size=20), rng.normal(30.0, 1.0, size=20)])
+    chart = control_chart(values)
+    assert chart.centre == pytest.approx(values.mean()) and not chart.is_stable
+
+
 def stable_chart(rng):
     return next(c for c in (control_chart(rng.normal(size=30)) for _ in range(50)) if c.is_stable)
 
@@ -153,6 +167,16 @@ def test_chart_and_capability_are_refused_where_they_would_promise_too_much(valu
         capability(control_chart(values), *limits)
     assert refused.value.reason.code == code
     assert refused.value.reason.values.get("least", 25) == 25 and refused.value.reason.values.get("value", 3) == 3
+
+
+def test_a_unit_that_waits_for_evidence_counts_in_no_yield():
+    good, bad, waits = UnitRun("pass"), UnitRun("fail", (Reason("reversed"),)), UnitRun("conditional")
+    new = yields({serial: [waits] for serial in "ABC"})
+    assert new.first_pass.value is new.last_pass.value is None
+    found = yields({"A": [waits, good], "B": [waits], "C": [good, bad]})
+    assert (found.first_pass, found.last_pass) == (Share(2, 2), Share(1, 2))
+    # Who asks for conditional units too counts them.
+    assert yields({"A": [waits], "B": [bad]}, good=("pass", "conditional")).last_pass == Share(1, 2)
 
 
 def test_yields_count_each_unit_once_and_leave_golden_units_out():

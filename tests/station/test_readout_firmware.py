@@ -1,9 +1,6 @@
 """The project's own readout sketch, compiled for an ATmega328P, run in simavr, read by our driver."""
 
-import shutil
-import subprocess
 import time
-from pathlib import Path
 
 import pytest
 
@@ -11,57 +8,21 @@ from softcal.station.clock import HostClock
 from softcal.station.drivers.arduino import ArduinoReadout
 from softcal.station.tasks.identify import identify
 from softcal.station.wire.link import Link
-from tests.system_packages import ARDUINO
+from tests.station.avr_board import MISSING, can_run, running_board
 
-SKETCH = Path(__file__).parents[2] / "firmware" / "readout" / "readout.ino"
-CORE = Path("/usr/share/arduino/hardware/arduino/avr")
-SIMAVR = Path("/usr/include/simavr/sim_avr.h")
-SOURCES = """wiring.c wiring_analog.c wiring_digital.c hooks.c main.cpp HardwareSerial.cpp HardwareSerial0.cpp
-Print.cpp new.cpp abi.cpp""".split()
-TARGET = ["-mmcu=atmega328p", "-std=gnu++11", "-DF_CPU=16000000L", "-DARDUINO=10819"]
-BOARD = ["-DARDUINO_AVR_UNO", "-DARDUINO_ARCH_AVR"]
-SIZE = ["-Os", "-ffunction-sections", "-fdata-sections", "-Wl,--gc-sections"]
 CHANNELS = 2
 LONGEST_S = 120.0
-
-
-def compile_sketch(folder: Path) -> Path:
-    include = [f"-I{CORE / 'cores' / 'arduino'}", f"-I{CORE / 'variants' / 'standard'}"]
-    flags = [*TARGET, *BOARD, *SIZE, *include]
-    sketch, built, program = folder / "readout.cpp", folder / "readout.o", folder / "readout.elf"
-    sketch.write_text("#include <Arduino.h>\n" + SKETCH.read_text())
-    warnings = ["-Wall", "-Wextra", "-Werror", "-Wno-unused-parameter"]
-    _run(["avr-gcc", *flags, *warnings, f"-DCHANNELS={CHANNELS}", "-c", str(sketch), "-o", str(built)])
-    core = [str(CORE / "cores" / "arduino" / name) for name in SOURCES]
-    _run(["avr-gcc", *flags, "-w", "-fpermissive", *core, str(built), "-o", str(program)])
-    return program
-
-
-def compile_host(folder: Path) -> Path:
-    source = Path(__file__).with_name("simavr_host.c")
-    _run(["gcc", "-O2", str(source), "-o", str(folder / "host"), "-lsimavr", "-lelf"])
-    return folder / "host"
-
-
-def _run(command: list[str]) -> None:
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-2000:]
 
 
 @pytest.fixture(scope="module")
 def port(tmp_path_factory, require, require_program):
     """The pty of a running board with 1000 mV at A0 and 2500 mV at A1."""
     require_program("gcc")
-    is_there = shutil.which("avr-gcc") and CORE.is_dir() and SIMAVR.exists()
-    require(is_there, f"no simulated Arduino; apt-get install {ARDUINO}")
-    folder = tmp_path_factory.mktemp("avr")
-    board = subprocess.Popen(
-        [str(compile_host(folder)), str(compile_sketch(folder)), "1000", "2500"], stdout=subprocess.PIPE, text=True
-    )
-    yield next(line for line in board.stdout if line.startswith("/dev/")).strip()
-    board.terminate()
-    board.wait()
-    board.stdout.close()
+    require(can_run(), MISSING)
+    with running_board(
+        tmp_path_factory.mktemp("avr"), "readout/readout.ino", f"CHANNELS={CHANNELS}", "1000", "2500"
+    ) as port:
+        yield port
 
 
 def read(port, count):

@@ -35,23 +35,25 @@ def render() -> None:
         draw_recordings(key)
         return
     revisions, revision = [entry.revision for entry in reversed(history)], current
-    if len(revisions) > 1:
-        place, _ = st.columns([1, 4])
-        revision = place.selectbox(say("column.revision"), revisions, index=revisions.index(current)) or current
+    left, right = st.columns([1, 6]) if len(revisions) > 1 else (None, st.container())
+    if left is not None:
+        revision = left.selectbox(say("column.revision"), revisions, index=revisions.index(current)) or current
     stored = next(entry for entry in history if entry.revision == revision)
     standing = standing_of(registry(), stored)
     if standing.calibration is None:
         st.markdown(f"{say('unit.refused_since')} **{in_words(standing.reasons)}**")
     unit, errors = registry().lots.get(key.lot_id).reference_unit, stored.state.errors
-    scores = [(say(f"column.{name}"), errors[f"{name}_rmse"], None) for name in ("before", "after", "own")]
-    cells = [(say("lot.predicted"), errors["predicted_rmse"], say("unit.predicted.help")), *scores]
-    numbers(
-        [
-            (label, number(value, unit, stored.state.limit.maximum_rmse), tip)
-            for label, value, tip in cells
-            if value is not None
-        ]
-    )
+    # What was measured first.
+    scores = [(say(f"column.{name}"), errors[f"{name}_rmse"], None) for name in ("after", "before", "own")]
+    cells = [*scores, (say("lot.predicted"), errors["predicted_rmse"], say("unit.predicted.help"))]
+    with right:
+        numbers(
+            [
+                (label, number(value, unit, stored.state.limit.maximum_rmse), tip)
+                for label, value, tip in cells
+                if value is not None
+            ]
+        )
     draw_tabs("unit", key, stored)
 
 

@@ -10,8 +10,8 @@ from softcal.app.ui.actions import csv_of, download
 from softcal.app.ui.desk import errors_in_words, in_one_language, named, say, verdict_word
 from softcal.app.ui.panels import go_to, table_to_choose, unit_link
 from softcal.app.ui.server_memory import registry
-from softcal.app.views.common import decimals
 from softcal.core.lot import Lot
+from softcal.core.messages.figures import decimals_of_limit
 from softcal.core.unit.verdict import VERDICTS
 from softcal.db.entries import UnitEntry
 from softcal.db.repositories.lot_pages import UnitFilter
@@ -50,7 +50,7 @@ def unit_table(lot: Lot, serials: Serials) -> None:
         st.caption(say("lot.table.none"))
         return
     limit = limit_or_none(registry(), lot.id)
-    shown = ".4g" if limit is None else f".{decimals(limit.maximum_rmse)}f"
+    shown = ".4g" if limit is None else f".{decimals_of_limit(limit.maximum_rmse)}f"
     heads = [f"{say(f'column.{name}')} [{lot.reference_unit}]" for name in NUMBERS]
     columns = {head: st.column_config.NumberColumn(format=f"%{shown}") for head in heads}
     serial, verdict = say("column.serial"), say("column.verdict")

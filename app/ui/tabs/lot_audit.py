@@ -21,9 +21,16 @@ from softcal.app.ui.components.lot_upload import (
     first_readable,
     forget_files,
 )
+from softcal.app.ui.components.verdict_changes import draw_changes
 from softcal.app.ui.desk import colours, in_words, instant, say, verdict_word, zone
 from softcal.app.ui.panels import figures_beside, go_to, has_units, numbers, table, unit_link
-from softcal.app.ui.server_memory import registry, remembered_audited, remembered_lot_view, remembered_outline
+from softcal.app.ui.server_memory import (
+    registry,
+    remembered_audited,
+    remembered_confirmation,
+    remembered_lot_view,
+    remembered_outline,
+)
 from softcal.app.views.common import number
 from softcal.core.lot import Lot, UnitKey
 from softcal.core.quality.audit_plan import AuditConfig
@@ -67,6 +74,8 @@ def draw_audit(lot_id: str) -> None:
     for serial, doubt in ((row.serial, row.doubt) for row in audited if row.doubt is not None):
         with st.container(border=True):
             st.warning(in_words(doubt), title=serial, icon=":material/rule:")
+            if allows("release"):
+                draw_changes(remembered_confirmation(lot_id, serial).changed)
             reason = ask_reason(f"confirm-{lot_id}/{serial}", say("audit.confirm", serial=serial), "release")
         if reason is not None:
             confirm(registry(), lot_id, serial, reason=reason, actor=actor())

@@ -22,5 +22,6 @@ def draw_compare(lot_id: str) -> None:
     )
     views = [remembered_lot_view(lot) for lot in (lot_id, *chosen)]
     table(lot_rows(views, say))
-    if rest_may_follow():
+    # One lot alone has its histogram on its first tab.
+    if chosen and rest_may_follow():
         figure_under("lot.distribution", errors_of_lots(views, colours(), say), "compare-errors")

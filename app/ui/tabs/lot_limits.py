@@ -4,19 +4,19 @@ from collections.abc import Mapping, Sequence
 
 import streamlit as st
 
-from softcal.app.calibration.changes import VerdictChange, change_limit, reached_lots
+from softcal.app.calibration.changes import change_limit, reached_lots
 from softcal.app.charts import lot as charts_lot
 from softcal.app.export.export import withdraw_given
 from softcal.app.line.load_readings import check_stated
 from softcal.app.registry.lot_recordings import source_recording
-from softcal.app.texts.reasons import all_said
 from softcal.app.ui.account import actor, allows
 from softcal.app.ui.actions import ask_reason, finish, refusals_in_words, say_finished
-from softcal.app.ui.desk import colours, instant, say, verdict_word
-from softcal.app.ui.panels import figure_under, headline, rest_may_follow, table, unit_link
+from softcal.app.ui.components.verdict_changes import draw_changes
+from softcal.app.ui.desk import colours, instant, say
+from softcal.app.ui.panels import figure_under, headline, rest_may_follow, table
 from softcal.app.ui.server_memory import registry, remembered_limit_changes, remembered_lot_view
 from softcal.app.views.common import limit_said, number
-from softcal.core.lot import Lot, UnitKey
+from softcal.core.lot import Lot
 from softcal.core.quality.known_loads import MOST_LOADS, KnownLoad
 from softcal.core.quality.line_rules import LETTERS, LineRules
 from softcal.core.unit.method import Method
@@ -24,8 +24,6 @@ from softcal.core.unit.verdict import VERDICTS
 from softcal.db.entries import LimitEntry, LineRulesEntry
 
 MOST_UNITS, MOST_RETESTS = 10_000_000, 99
-MOST_SHOWN = 20
-"""So many changes of a verdict are shown one by one."""
 
 
 def draw_limits(lot_id: str) -> None:
@@ -43,8 +41,9 @@ def draw_limits(lot_id: str) -> None:
         wanted = st.number_input(label, 0.0, None, usual, step, "%.4g", key, disabled=is_automatic)
         rmse = None if is_automatic else wanted
         label = say("limits.withdraw") if rmse is None else say("limits.set", limit=f"{rmse:g} {unit}")
-        # By the very decision that would be made.
-        changes = remembered_limit_changes(lot_id, rmse) if allows("set_limit") and rmse != 0 else None
+        # By the very decision that would be made; the limit in force changes nothing.
+        is_other = rmse not in (0, view.lot.limit_rmse)
+        changes = remembered_limit_changes(lot_id, rmse) if allows("set_limit") and is_other else None
         if changes is not None:
             words = ", ".join(f"{say(f'verdict.{word}')} {count}" for word, count in changes.counts.items() if count)
             st.markdown(say("limits.then", counts=words or say("limits.then.none")))
@@ -62,7 +61,7 @@ def draw_limits(lot_id: str) -> None:
     with right:
         figure_under("lot.distribution", charts_lot.predicted_errors(view, colours(), say), "limit-distribution")
     if changes is not None and changes.changed:
-        _draw_changes(changes.changed)
+        draw_changes(changes.changed)
     st.header(say("limits.versions"))
     rows = [
         _row(entry, {say("lot.limit"): number(entry.rmse, unit, entry.rmse) if entry.rmse else automatic})
@@ -87,21 +86,6 @@ def draw_limits(lot_id: str) -> None:
         }
         rows.append(_row(entry, facts))
     table(rows, say("rules.none"))
-
-
-def _draw_changes(changed: Sequence[VerdictChange]) -> None:
-    table(
-        {
-            say("column.serial"): unit_link(UnitKey(one.lot_id, one.serial)),
-            say("choose.lot"): one.lot_id,
-            say("limits.now.verdict"): verdict_word(one.verdict),
-            say("limits.then.verdict"): verdict_word(one.next_verdict),
-            say("column.reasons"): all_said([one.reason], say),
-        }
-        for one in changed[:MOST_SHOWN]
-    )
-    if len(changed) > MOST_SHOWN:
-        st.caption(say("limits.more", count=len(changed) - MOST_SHOWN))
 
 
 def _seen(looked_at: str, versions: Sequence[LimitEntry | LineRulesEntry]) -> int:

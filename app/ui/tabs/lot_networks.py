@@ -7,9 +7,10 @@ import streamlit as st
 from softcal.app.ui.account import actor, allows, permit
 from softcal.app.ui.actions import ask_reason, finish, refusals_in_words, role_allows, say_finished
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
+from softcal.app.ui.components.verdict_changes import draw_changes
 from softcal.app.ui.desk import empty, instant, say
 from softcal.app.ui.panels import headline, rest_may_follow, table, told
-from softcal.app.ui.server_memory import registry
+from softcal.app.ui.server_memory import registry, remembered_network_changes
 from softcal.app.views.common import number
 from softcal.app.views.network import NetworkRow, hidden_widths, loss_spec, network_rows
 from softcal.core.lot import Lot
@@ -77,6 +78,8 @@ def release(lot: Lot, rows: Sequence[NetworkRow]) -> None:
             if not is_open:
                 continue
             with st.container(border=True):
+                if allows("release"):
+                    draw_changes(remembered_network_changes(lot.id, what, row.id).changed)
                 reason = ask_reason(f"{what}-{row.id[:12]}-{row.state}", say(f"networks.{what}.do"), "release")
             if reason is not None:
                 decide(row.id, reason=reason, actor=actor())

@@ -1,11 +1,8 @@
 """What of a lot leaves the house: nothing yet and why, what can be released, or what was; and its archive."""
 
-from collections.abc import Sequence
-from functools import partial
-
 import streamlit as st
 
-from softcal.app.calibration.changes import Changes, VerdictChange, reached_lots
+from softcal.app.calibration.changes import Changes, reached_lots
 from softcal.app.calibration.release import decide_lot
 from softcal.app.export.certificates.lot_statement import build_lot_statement, lot_statement_pdf
 from softcal.app.export.export import withdraw_given
@@ -14,6 +11,7 @@ from softcal.app.jobs.jobs import archive_path, archived_state
 from softcal.app.ui.account import actor, allows, permit
 from softcal.app.ui.actions import download, finish, say_finished
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
+from softcal.app.ui.components.verdict_changes import draw_changes
 from softcal.app.ui.desk import in_words, instant, named, say, verdict_word, words
 from softcal.app.ui.panels import has_units, numbers, table, unit_link
 from softcal.app.ui.server_memory import (
@@ -80,7 +78,7 @@ def _decide(lot_id: str, changes: Changes) -> None:
         if units:
             st.markdown(say(f"release.then.{kind}", count=len(units)))
             with st.expander(say("release.refused.which"), expanded=len(units) <= MOST_OPEN):
-                _changes(units)
+                draw_changes(units)
     is_withdrawing = bool(changes.withdrawn)
     label = say("release.do.withdrawing" if is_withdrawing else "release.do", count=len(changes.withdrawn))
     if st.button(label, type="primary", icon=":material/verified:", key="release-do"):
@@ -88,17 +86,6 @@ def _decide(lot_id: str, changes: Changes) -> None:
         decide_lot(registry(), lot_id, actor())
         withdraw_given(registry(), reached_lots(registry(), lot_id))
         finish("release", say("release.done", count=len(changes.released), lot=lot_id))
-
-
-def _changes(units: Sequence[VerdictChange]) -> None:
-    table(
-        {
-            say("column.serial"): unit_link(UnitKey(one.lot_id, one.serial)),
-            say("limits.now.verdict"): verdict_word(one.verdict),
-            say("limits.then.verdict"): verdict_word(one.next_verdict),
-        }
-        for one in units[:MOST_ROWS]
-    )
 
 
 def _statement(standing: LotStanding) -> None:
@@ -123,7 +110,11 @@ def _statement(standing: LotStanding) -> None:
     if standing.releasable:
         # The page would promise units that nobody has released yet.
         return
-    make = partial(lot_statement_pdf, build_lot_statement(registry(), standing, decided), words())
+
+    def make() -> bytes:
+        return lot_statement_pdf(build_lot_statement(registry(), standing, decided), said)
+
+    said = words()
     exported = ("lots", (lot_id,), {"file": "statement.pdf"})
     download(say("release.pdf"), f"{lot_id}-statement.pdf", make, "release-pdf", exported=exported)
 

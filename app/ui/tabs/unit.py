@@ -13,20 +13,20 @@ from softcal.app.export.export import exported_file_record, withdraw_given
 from softcal.app.export.formats import writer_of
 from softcal.app.export.names import FORMATS
 from softcal.app.texts.reasons import all_said, phrase
-from softcal.app.ui.account import actor
+from softcal.app.ui.account import actor, allows
 from softcal.app.ui.actions import ask_reason, download, finish, refusals_in_words
+from softcal.app.ui.components.verdict_changes import draw_changes
 from softcal.app.ui.desk import colours, empty, in_words, instant, named, say, verdict_word
 from softcal.app.ui.panels import (
     figure_under,
     figures_beside,
     named_units,
-    numbers,
     rest_may_follow,
     show_figure,
     table,
     table_to_choose,
 )
-from softcal.app.ui.server_memory import registry
+from softcal.app.ui.server_memory import registry, remembered_rollback
 from softcal.app.views.common import number, percent
 from softcal.app.views.long_term import course, units_in_use
 from softcal.app.views.unit import UnitView, unit_view
@@ -135,13 +135,16 @@ def draw_history(key: UnitKey, stored: StoredCalibration) -> None:
     table(rows)
     if older:
         _roll_back(key, older)
-    _draw_long_use(key)
+    _draw_long_use(key, stored)
 
 
 def _roll_back(key: UnitKey, older: list[int]) -> None:
     with st.container(border=True):
         st.markdown(f"**{say('unit.rollback')}**")
-        revision = st.selectbox(say("column.revision"), older, key=f"rollback-{key}-{len(older)}")
+        revision = int(st.selectbox(say("column.revision"), older, key=f"rollback-{key}-{len(older)}"))
+        if allows("rollback"):
+            with refusals_in_words():
+                draw_changes(remembered_rollback(key.lot_id, key.serial, revision).changed)
         reason = ask_reason(f"rollback-{key}-{len(older)}", say("unit.rollback.do"), "rollback")
         if reason is None:
             return
@@ -151,24 +154,22 @@ def _roll_back(key: UnitKey, older: list[int]) -> None:
             finish("unit", say("unit.rollback.done", revision=revision))
 
 
-def _draw_long_use(key: UnitKey) -> None:
+def _draw_long_use(key: UnitKey, stored: StoredCalibration) -> None:
     """Draw the state and the course of a unit in use; nothing where it is not followed."""
     use = next((found for found in units_in_use(registry()) if found[0].key == key), None)
     if use is None:
         return
     unit, reference_unit = use
     st.header(say("long_term.course", serial=key.serial))
-    state = "alarm" if unit.entry["alarm"] else unit.entry["verdict"]
-    numbers(
-        (
-            (say("column.state"), say(f"event.{state}"), None),
-            (say("lot.predicted"), number(unit.entry["predicted_rmse"], reference_unit), None),
-            (say("chart.drift_scale"), number(unit.entry["shift"]), None),
-            (say("long_term.steps"), str(unit.steps), None),
-            (say("column.made"), instant(unit.made_at), None),
-        ),
-        narrowest_px=185,
+    state, limit = "alarm" if unit.entry["alarm"] else unit.entry["verdict"], stored.state.limit.maximum_rmse
+    cells = (
+        (say("column.state"), say(f"event.{state}")),
+        (say("lot.predicted"), number(unit.entry["predicted_rmse"], reference_unit, limit)),
+        (say("chart.drift_scale"), number(unit.entry["shift"])),
+        (say("long_term.steps"), str(unit.steps)),
+        (say("column.made"), instant(unit.made_at)),
     )
+    st.markdown(" · ".join(f"{label}: **{value}**" for label, value in cells))
     streams = registry().adaptations.streams(key)
     stream = streams[0] if len(streams) == 1 else str(st.selectbox(say("long_term.stream"), streams))
     stream_course = course(registry(), key, stream)

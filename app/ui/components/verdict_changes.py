@@ -1,0 +1,31 @@
+"""What an act will change, before it is done: each unit whose verdict another one replaces."""
+
+from collections.abc import Sequence
+
+import streamlit as st
+
+from softcal.app.calibration.changes import VerdictChange
+from softcal.app.ui.desk import in_words, say, verdict_word
+from softcal.app.ui.panels import table, unit_link
+from softcal.core.lot import UnitKey
+
+MOST_SHOWN = 200
+
+
+def draw_changes(changed: Sequence[VerdictChange]) -> None:
+    """Draw the units that an act changes, in the order given; where there are none, say so."""
+    table(
+        (
+            {
+                say("column.serial"): unit_link(UnitKey(one.lot_id, one.serial)),
+                say("choose.lot"): one.lot_id,
+                say("limits.now.verdict"): verdict_word(one.verdict),
+                say("limits.then.verdict"): verdict_word(one.next_verdict),
+                say("column.reasons"): in_words([one.reason]),
+            }
+            for one in changed[:MOST_SHOWN]
+        ),
+        say("changes.none"),
+    )
+    if len(changed) > MOST_SHOWN:
+        st.caption(say("limits.more", count=len(changed) - MOST_SHOWN))
