@@ -17,7 +17,7 @@ from softcal.app.bootstrap import data_folder
 from softcal.core.errors import SoftcalError
 
 LOGS_VARIABLE = "SOFTCAL_LOGS"
-KEPT_DAYS = 30
+MAX_AGE_DAYS = 30
 LARGEST_BYTES = 50_000_000
 """A file this large is set aside and another one begun: one editor must still open it."""
 
@@ -65,7 +65,7 @@ def start_logging(**context: str) -> Any:
     import structlog
 
     folder = log_folder()
-    oldest = time.time() - KEPT_DAYS * 86_400
+    oldest = time.time() - MAX_AGE_DAYS * 86_400
     for path in folder.glob("softcal-*.jsonl"):
         if path.stat().st_mtime < oldest:
             path.unlink(missing_ok=True)
@@ -75,7 +75,7 @@ def start_logging(**context: str) -> Any:
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso", utc=True),
             structlog.processors.format_exc_info,
-            without_secrets,
+            mask_secrets,
             structlog.processors.JSONRenderer(default=str),
         ],
         logger_factory=lambda *_: DayFiles(folder),
@@ -103,11 +103,11 @@ def end_run(log: Any, code: int, message: str) -> None:
     structlog.contextvars.clear_contextvars()
 
 
-def note(event: str, **facts: object) -> None:
+def note(event: str, **values: object) -> None:
     """Put what happened into the log of the run that is under way; nothing where none was begun."""
     log = _log_of_run()
     if log is not None:
-        log.info(event, **facts)
+        log.info(event, **values)
 
 
 def _log_of_run() -> Any:
@@ -118,28 +118,28 @@ def _log_of_run() -> Any:
 
 def log_crash(error: BaseException, command: str) -> str:
     """Write a defect of softcal to the log; return the one line for the person."""
-    what = masked(f"{type(error).__name__}: {error}".splitlines()[0])
+    summary = mask_passwords(f"{type(error).__name__}: {error}".splitlines()[0])
     try:
         log = _log_of_run() or start_logging(command=command)
-        log.error("crash", error=what, traceback="".join(traceback.format_exception(error)))
-        where = f"the details are in {log_folder()}; `softcal doctor --out FILE.zip` collects them"
+        log.error("crash", error=summary, traceback="".join(traceback.format_exception(error)))
+        location = f"the details are in {log_folder()}; `softcal doctor --out FILE.zip` collects them"
     except (OSError, ImportError) as trouble:
-        where = f"the log could not be written: {trouble}"
-    return f"a defect of softcal stopped this command ({what}); {where}"
+        location = f"the log could not be written: {trouble}"
+    return f"a defect of softcal stopped this command ({summary}); {location}"
 
 
-def without_secrets(logger: object, method: str, event: MutableMapping[str, Any]) -> Mapping[str, Any]:
+def mask_secrets(logger: object, method: str, event: MutableMapping[str, Any]) -> Mapping[str, Any]:
     """Mask passwords in URLs and everything whose name says that it is a secret."""
     for key, value in event.items():
         if any(secret in key.lower() for secret in SECRET_KEYS):
             event[key] = "***"
         elif isinstance(value, str):
-            event[key] = masked(value)
+            event[key] = mask_passwords(value)
         elif isinstance(value, list):
-            event[key] = [masked(part) if isinstance(part, str) else part for part in value]
+            event[key] = [mask_passwords(part) if isinstance(part, str) else part for part in value]
     return event
 
 
-def masked(text: str) -> str:
+def mask_passwords(text: str) -> str:
     """Return a text with the passwords in its URLs masked."""
     return PASSWORD_IN_QUERY.sub(r"\1***", PASSWORD_IN_URL.sub(r"\1:***@", text))

@@ -33,12 +33,12 @@ COLOURS = {"pass": "green", "conditional": "yellow", "fail": "red", "retest": "m
 """Of a terminal, which knows colours by name alone."""
 
 
-def say(line: str) -> None:
+def echo(line: str) -> None:
     """Print one line of progress on standard error."""
-    print(shown(line), file=sys.stderr, flush=True)
+    print(escape_controls(line), file=sys.stderr, flush=True)
 
 
-def shown(text: str) -> str:
+def escape_controls(text: str) -> str:
     """Return text whose control characters show as codes: a file must not steer a terminal."""
     return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
 
@@ -117,7 +117,7 @@ def _print_rows(header: Sequence[str], rows: Sequence[Sequence[str]], width: int
         print_line(row, widths)
         others = zip(header[in_rows:], row[in_rows:], strict=True)
         below = [f"{name}: {cell}" for name, cell in others if cell not in NO_VALUES]
-        for line in _wrapped("; ".join(below), (width or 0) - len(BELOW)) if below else ():
+        for line in _wrap("; ".join(below), (width or 0) - len(BELOW)) if below else ():
             print(BELOW + line)
 
 
@@ -130,7 +130,7 @@ def _line_printer() -> Callable[[Sequence[str], Sequence[int]], None]:
 
     def padded(cells: Sequence[str], widths: Sequence[int]) -> list[str]:
         if len(widths) == 1 and _cells_of(cells[0]) > widths[0]:
-            return ["\n".join(_wrapped(cells[0], widths[0]))]
+            return ["\n".join(_wrap(cells[0], widths[0]))]
         return [cell + " " * (one - _cells_of(cell)) for cell, one in zip(cells, widths, strict=False)]
 
     def plain(cells: Sequence[str], widths: Sequence[int]) -> None:
@@ -158,7 +158,7 @@ def _cells_of(text: str) -> int:
     return cell_len(text)
 
 
-def _wrapped(text: str, width: int) -> list[str]:
+def _wrap(text: str, width: int) -> list[str]:
     """Return a text in lines of at most so many places, broken at blanks where it can be."""
     if text.isascii():
         return textwrap.wrap(text, width, break_on_hyphens=False)
@@ -171,19 +171,19 @@ def _wrapped(text: str, width: int) -> list[str]:
 def _cell(value: object) -> str:
     if value is None:
         return NOTHING
-    return f"{value:.4g}" if isinstance(value, float) else shown(str(value)).replace("\n", " ")
+    return f"{value:.4g}" if isinstance(value, float) else escape_controls(str(value)).replace("\n", " ")
 
 
 def print_sentence(text: str) -> None:
     """Print a sentence in as many lines as it needs."""
-    print(*_wrapped(shown(text), min(_width() or WIDTH, WIDTH)), sep="\n")
+    print(*_wrap(escape_controls(text), min(_width() or WIDTH, WIDTH)), sep="\n")
 
 
 def print_reasons(subject: str, reasons: Iterable[object]) -> None:
     """Print what is said of something: its name, then a reason a line."""
     print_sentence(subject)
     for reason in reasons:
-        first, *others = _wrapped(shown(str(reason)), min(_width() or WIDTH, WIDTH) - len(BELOW)) or [""]
+        first, *others = _wrap(escape_controls(str(reason)), min(_width() or WIDTH, WIDTH) - len(BELOW)) or [""]
         print(f"  - {first}", *(f"{BELOW}{line}" for line in others), sep="\n")
 
 
@@ -209,8 +209,8 @@ class ProgressLine:
     What was done before counts for the share and not for the speed.
     """
 
-    def __init__(self, what: str, total: int, done: int = 0) -> None:
-        self._what, self._total, self._start, self._shown_s = what, total, time.monotonic(), 0.0
+    def __init__(self, items: str, total: int, done: int = 0) -> None:
+        self._items, self._total, self._start, self._printed_s = items, total, time.monotonic(), 0.0
         self._before = self._done = done
 
     def step(self, note: str = "", count: int = 1) -> None:
@@ -222,13 +222,13 @@ class ProgressLine:
         elapsed_s = time.monotonic() - self._start
         is_last = self._done >= self._total
         is_terminal = sys.stderr.isatty()
-        if not is_last and elapsed_s - self._shown_s < (0.1 if is_terminal else 5.0):
+        if not is_last and elapsed_s - self._printed_s < (0.1 if is_terminal else 5.0):
             return
-        self._shown_s = elapsed_s
+        self._printed_s = elapsed_s
         speed_per_s = (self._done - self._before) / max(elapsed_s, 1e-9)
-        parts = [f"{self._done}/{self._total} {self._what}, {_duration(elapsed_s)}"]
+        parts = [f"{self._done}/{self._total} {self._items}, {_duration(elapsed_s)}"]
         if speed_per_s:
-            parts.append(f", {speed_per_s:.3g} {self._what}/s")
+            parts.append(f", {speed_per_s:.3g} {self._items}/s")
             if not is_last:
                 parts.append(f", about {_duration((self._total - self._done) / speed_per_s)} left")
         parts += [f"  {note}"] if note else []
@@ -245,20 +245,20 @@ class ProgressBar:
     """
 
     def __init__(self, note: str) -> None:
-        self._start_s, self._shown_s = time.monotonic(), -math.inf
+        self._start_s, self._printed_s = time.monotonic(), -math.inf
         self.reach(0.0, note)
 
     def reach(self, share: float, note: str = "") -> None:
         """Show that this share of the task is done, and what happens now."""
         now_s, is_terminal = time.monotonic(), sys.stderr.isatty()
-        if share < 1.0 and now_s - self._shown_s < (0.1 if is_terminal else 5.0):
+        if share < 1.0 and now_s - self._printed_s < (0.1 if is_terminal else 5.0):
             return
-        self._shown_s, elapsed_s = now_s, now_s - self._start_s
+        self._printed_s, elapsed_s = now_s, now_s - self._start_s
         filled = round(BAR * share)
         parts = [f"[{'#' * filled}{'.' * (BAR - filled)}] {share:.0%}, {_duration(elapsed_s)}"]
         if 0.0 < share < 1.0:
             parts.append(f", about {_duration(elapsed_s * (1.0 - share) / share)} left")
-        parts += [f"  {shown(note)}"] if note else []
+        parts += [f"  {escape_controls(note)}"] if note else []
         while is_terminal and len(parts) > 1 and _cells_of("".join(parts)) >= shutil.get_terminal_size().columns:
             parts.pop()
         _show_progress("".join(parts), share >= 1.0)

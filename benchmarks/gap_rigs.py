@@ -165,8 +165,8 @@ def transfer(options: argparse.Namespace) -> None:
 
 def rig_lot(sealed: SealedCase, units: int) -> PressedLot:
     """Return a lot pressed on a sealed rig as the calibration takes it."""
-    runs: dict[tuple[str, str], LotRun] = {(r.place, r.serial): r for r in press_lot(sealed, units)}
-    serials = [serial for place, serial in runs if place == "units"]
+    runs: dict[tuple[str, str], LotRun] = {(r.folder, r.serial): r for r in press_lot(sealed, units)}
+    serials = [serial for folder, serial in runs if folder == "units"]
     pressed = tuple(
         LotUnit(labelled(runs["units", s], sealed).unlabelled, labelled(runs["audit", s], sealed)) for s in serials
     )
@@ -386,15 +386,15 @@ def case_count(line: str) -> int:
     return FORM_CASES if line == "form" else CASES
 
 
-def diagnosed(line: str, seed: int, place: Path) -> list[CaseScore]:
+def diagnosed(line: str, seed: int, folder: Path) -> list[CaseScore]:
     """Make, diagnose and score the rigs of one line, each by its command."""
-    sealed, reports, seal = place / "sealed", place / "reports", place / "labels.json"
+    sealed, reports, seal = folder / "sealed", folder / "reports", folder / "labels.json"
     reports.mkdir(parents=True)
     count = ("--cases", str(case_count(line)), "--line", line, "--seed", str(seed))
     run("challenge", *count, "--out", str(sealed), "--seal", str(seal))
     for case in sorted(sealed.glob("case-*")):
         run("diagnose", str(case), "--json", str(reports / f"{case.name}.json"))
-    run("score", str(sealed), "--reports", str(reports), "--seal", str(seal), "--json", str(place / "score.json"))
+    run("score", str(sealed), "--reports", str(reports), "--seal", str(seal), "--json", str(folder / "score.json"))
     answers = {path.stem: json.loads(path.read_text()) for path in reports.glob("*.json")}
     labels = open_challenge(sealed, seal)
     return [CaseScore(label, read_answer(label.case.name, answers[label.case.name])) for label in labels]

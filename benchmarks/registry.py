@@ -32,7 +32,7 @@ from common.tables import print_table
 from sqlalchemy import make_url
 
 from softcal.app.batch.batch import run_batch
-from softcal.app.batch.lot_work import BatchConfig, Watch
+from softcal.app.batch.lot_work import BatchConfig, Callbacks
 from softcal.app.batch.train import provide_network
 from softcal.app.calibration.changes import change_limit, compare_verdicts, read_verdicts
 from softcal.app.files.lot_folder import LotFolder, open_lot_folder
@@ -393,7 +393,7 @@ def batch(url: str, folder: LotFolder, acknowledge: Acknowledge) -> None:
         acknowledge(f"{unit.serial} {unit.calibration.revision}" if unit.calibration else f"{unit.serial} refused")
 
     with open_registry(url, create=False) as registry:
-        run_batch(folder, registry, BatchConfig(network=NETWORK), Watch(on_unit=tell))
+        run_batch(folder, registry, BatchConfig(network=NETWORK), Callbacks(on_unit=tell))
 
 
 def kill_batches(kind: str, kills: int, moments: random.Random) -> Row:

@@ -43,7 +43,7 @@ from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.state import UnitState
 from softcal.core.unit.unit_problem import UnitProblem
 from softcal.core.windows import TAPS, windows
-from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.bench.bench import open_simulated_bench
 from softcal.station.simulated.wire import PtyEnd
 from softcal.station.tasks.acquisition import record
 

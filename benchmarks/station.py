@@ -32,12 +32,12 @@ from softcal.core.unit.method import DecisionConfig, Method
 from softcal.core.unit.scoring import score_map
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.unit.unit_problem import UnitProblem
+from softcal.station.bench.bench import open_simulated_bench
 from softcal.station.clock import residual_offset_s
-from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.devices.config import UNKNOWN_S
 from softcal.station.motion.interlock import TABLE
 from softcal.station.tasks.acquisition import RunProgress, record
-from softcal.station.tasks.seconds import FEELING
+from softcal.station.tasks.durations import PROBING
 
 SEARCHING = "searching for contact"
 
@@ -186,7 +186,7 @@ def host_dies(options: argparse.Namespace) -> None:
 
 def _deaths(accelerations: tuple[float, ...], stops_N_mm: tuple[float, ...]) -> Iterator[Row]:
     for a, stop_N_mm, latency_s in itertools.product(accelerations, stops_N_mm, (0.0, UNKNOWN_S)):
-        for where, phase, stop_mm in (("in the first press", FEELING, STOP_MM), ("in the search", SEARCHING, 0.0)):
+        for where, phase, stop_mm in (("in the first press", PROBING, STOP_MM), ("in the search", SEARCHING, 0.0)):
             law = ForceLaw(stop_mm=stop_mm, stop_N_mm=stop_N_mm)
             case = RigCase(a, law, 1.2, latency_s=latency_s, approach_mm=1.1)
             deaths = (press_until_gone(case, ramps([1.4], 8.0), phase, stop_mm + mm) for mm in PLACES_MM)

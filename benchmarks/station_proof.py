@@ -2,7 +2,7 @@
 
 python benchmarks/station_proof.py [--seeds A B] [--kept FILE] [--part K N] [--minutes M] [--quick]
 
-The numbers of station/record/method.py and station/motion/safety.py were chosen on seeds 0 to 99, 156, 400 to 519 and
+The numbers of station/record/method.py and station/motion/monitors.py were chosen on seeds 0 to 99, 156, 400 to 519 and
 600 to 1099; other seeds test them.
 """
 
@@ -22,12 +22,12 @@ from common.proof_trial import GoodRig, draw_good_rig, press_good_rig
 from common.tables import print_table, wilson_interval
 
 from softcal.core.errors import SoftcalError
-from softcal.station.devices.simulated_station import SimulatedStation
+from softcal.station.bench.simulated_station import SimulatedStation
 from softcal.station.interfaces import Sample
-from softcal.station.record.recording import Raw, RunFacts, assemble
+from softcal.station.record.recording import Raw, RunMetadata, assemble
 from softcal.station.record.spool import SpooledRun, read_spool
 from softcal.station.tasks.acquisition import RunProgress
-from softcal.station.tasks.seconds import PRESSING
+from softcal.station.tasks.durations import PRESSING
 from softcal.station.testing.faults import hang
 
 LATER_S = (-0.15, 0.02, 0.03, 0.05, 0.1)
@@ -120,8 +120,8 @@ def _said(act: Callable[[], float]) -> tuple[str, float | None]:
 
 def _assembled(run: SpooledRun) -> str:
     # A latency that is not stated is corrected, not refused: it is stated here as it was found to be.
-    facts = replace(RunFacts(**run.facts), is_latency_stated=True)
-    return _said(lambda: assemble(Raw(run.output, run.force, run.polls), facts).zero_N)[0]
+    metadata = replace(RunMetadata(**run.metadata), is_latency_declared=True)
+    return _said(lambda: assemble(Raw(run.output, run.force, run.polls), metadata).zero_N)[0]
 
 
 def _later(run: SpooledRun, late_s: float) -> SpooledRun:
@@ -131,7 +131,7 @@ def _later(run: SpooledRun, late_s: float) -> SpooledRun:
 
 def _gain(run: SpooledRun, gain: float) -> SpooledRun:
     """Change the cell's gain between two presses: where the stage is highest, near the middle of the profile."""
-    zero_N, (begun_s, ended_s) = run.facts["zero_N"], run.facts["span_s"]
+    zero_N, (begun_s, ended_s) = run.metadata["zero_N"], run.metadata["span_s"]
     inside = [
         p for p in run.polls if begun_s + 0.35 * (ended_s - begun_s) < p.host_s < ended_s - 0.35 * (ended_s - begun_s)
     ]
@@ -146,7 +146,7 @@ def _gain(run: SpooledRun, gain: float) -> SpooledRun:
 
 def _then(run: SpooledRun, what: str, value: float, rng: np.random.Generator) -> tuple[SpooledRun, float]:
     """Change the cell from a drawn moment on; return that and by how much the labels are wrong, RMS of their range."""
-    zero_N, (begun_s, ended_s) = run.facts["zero_N"], run.facts["span_s"]
+    zero_N, (begun_s, ended_s) = run.metadata["zero_N"], run.metadata["span_s"]
     t_s, force_N = np.array([(s.host_s, s.values[0] - zero_N) for s in run.force]).T
     at_s = rng.uniform(t_s[np.argmax(force_N > 0.2 * np.max(force_N))], ended_s)
     ways = {
@@ -163,7 +163,7 @@ def _then(run: SpooledRun, what: str, value: float, rng: np.random.Generator) ->
 
 def _loosened(run: SpooledRun, lost: Callable[[float], float], count: int, rng: np.random.Generator) -> SpooledRun:
     """Lose some samples of the output in the profile."""
-    begun_s, ended_s = run.facts["span_s"]
+    begun_s, ended_s = run.metadata["span_s"]
     inside = [k for k, sample in enumerate(run.output) if begun_s < sample.host_s < ended_s]
     begin = int(rng.choice(inside[count : -2 * count]))
     output = list(run.output)

@@ -21,10 +21,10 @@ from softcal.core.orders import Order, OrderKind, Progress, StationState
 from softcal.core.profiles import unit_profile
 from softcal.core.quality.gate import Gate
 from softcal.core.simulated_lot import draw_lot, twin_of
-from softcal.station.devices.bench import open_simulated_bench
-from softcal.station.devices.simulated_station import SimulatedStation
+from softcal.station.bench.bench import open_simulated_bench
+from softcal.station.bench.simulated_station import SimulatedStation
 from softcal.station.tasks.acquisition import record
-from softcal.station.tasks.seconds import HOMING
+from softcal.station.tasks.durations import HOMING
 from softcal.station.tasks.service import Hooks, StationService
 from softcal.station.testing.line import NAMES, SimulatedLine
 

@@ -19,8 +19,8 @@ from common.tables import print_table, wilson_interval
 
 from softcal.core.errors import DeviceError
 from softcal.station.interfaces import Move
+from softcal.station.motion.monitored_bench import bounds_of
 from softcal.station.motion.motion import TICK_S
-from softcal.station.motion.watched import bounds_of
 
 STIFFEST_N_MM, LIMIT_N, WAY_MM, SEEDS = 1000.0, 12.0, 0.06, 60
 STEP_MM_S = 1.5
@@ -130,20 +130,20 @@ def _spoil_one(wire: object, spoil: Spoil, rng: np.random.Generator, nth: int) -
 
 def _feed(bench, late_s, rng) -> None:  # type: ignore[no-untyped-def]
     bounds, cell = bounds_of(bench), Cell(bench, late_s, rng)
-    noticed_N = bounds.rise_N(0.0)
-    speed_mm_s = bounds.noticed_mm_s(noticed_N)
+    detected_N = bounds.rise_N(0.0)
+    speed_mm_s = bounds.detected_mm_s(detected_N)
     to_mm = bench.stage.position_mm + 2 * WAY_MM
-    bench.stage.begin(Move(to_mm, speed_mm_s, bounds.ahead_mm(speed_mm_s, noticed_N)))
-    cell.watch(noticed_N)
+    bench.stage.begin(Move(to_mm, speed_mm_s, bounds.ahead_mm(speed_mm_s, detected_N)))
+    cell.watch(detected_N)
 
 
 def _step(bench, late_s, rng) -> None:  # type: ignore[no-untyped-def]
     bounds, at_mm, cell = bounds_of(bench), bench.stage.position_mm, Cell(bench, late_s, rng)
-    end_mm, noticed_N = at_mm + 2 * WAY_MM, bounds.rise_N(0.0)
-    while at_mm < end_mm and cell.force_N <= noticed_N:
+    end_mm, detected_N = at_mm + 2 * WAY_MM, bounds.rise_N(0.0)
+    while at_mm < end_mm and cell.force_N <= detected_N:
         at_mm += (bounds.ceiling_N - max(0.0, cell.force_N)) / STIFFEST_N_MM
         bench.stage.begin(Move(at_mm, STEP_MM_S))
-        cell.watch(noticed_N)
+        cell.watch(detected_N)
         cell.await_fresh()
 
 
@@ -166,14 +166,14 @@ class Cell:
                 self.force_N = samples[-1].values[0] - self._zero_N
                 return self.force_N
 
-    def watch(self, noticed_N: float) -> None:
+    def watch(self, detected_N: float) -> None:
         """Follow a move, and stop it when more force has come than that."""
         while self._bench.stage.is_moving:
             self._bench.clock.sleep_s(TICK_S + (self._late_s if self._rng.random() < 0.1 else 0.0))
             self._bench.stage.poll()
             for sample in self._bench.force.poll():
                 self.force_N = sample.values[0] - self._zero_N
-            if self.force_N > noticed_N:
+            if self.force_N > detected_N:
                 self._bench.stage.stop()
                 return
 

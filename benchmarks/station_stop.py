@@ -25,15 +25,15 @@ from common.screens import chromium, served
 from common.tables import print_table
 
 from softcal.app.line.host import StationHost
-from softcal.app.line.pressed_run import RunKeeper
+from softcal.app.line.pressed_run import RunStore
 from softcal.core.lot import Lot
 from softcal.core.orders import Order, OrderKind, Progress, StationState
 from softcal.core.profiles import unit_profile
 from softcal.core.quality.gate import Gate
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
-from softcal.station.devices.bench import Bench, open_simulated_bench
-from softcal.station.devices.simulated_station import SimulatedStation
+from softcal.station.bench.bench import Bench, open_simulated_bench
+from softcal.station.bench.simulated_station import SimulatedStation
 from softcal.station.tasks.service import Hooks, StationService
 
 STATION, LOT = "line-1", "L1"
@@ -107,11 +107,11 @@ def serving(registry: Registry, folder: Path) -> Iterator[Rig]:
     rig, is_over = Rig(registry), threading.Event()
     profile = unit_profile(np.random.default_rng(1))
 
-    def service(report: Callable[[Progress], None], is_stop_wanted: Callable[[], bool]) -> StationService:
-        hooks = Hooks(report, is_stop_wanted, lambda kind, facts: Gate())
+    def service(report: Callable[[Progress], None], is_stop_requested: Callable[[], bool]) -> StationService:
+        hooks = Hooks(report, is_stop_requested, lambda kind, facts: Gate())
         return StationService(rig.open, {OrderKind.UNIT: profile}, folder, hooks)
 
-    keeper = RunKeeper(registry, STATION)
+    keeper = RunStore(registry, STATION)
     host = StationHost(registry.order_queue, STATION, keeper, lambda actor, why: None, service)
     thread = threading.Thread(target=lambda: host.run(lambda: not is_over.is_set()))
     thread.start()

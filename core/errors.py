@@ -41,15 +41,15 @@ class SoftcalError(Exception):
     2 samples; at least 15 are needed to fill one window
 
     Args:
-        said: what happened, as a code with its values; a sentence where English is enough.
+        cause: what happened, as a code with its values; a sentence where English is enough.
     """
 
     exit_code: ClassVar[int] = 2
     """Of a command that ends so."""
 
-    def __init__(self, said: Reason | str = "") -> None:
-        self.reason = Reason.parse(said)
-        super().__init__(said)
+    def __init__(self, cause: Reason | str = "") -> None:
+        self.reason = Reason.parse(cause)
+        super().__init__(cause)
 
     def __str__(self) -> str:
         return printable(str(self.reason))

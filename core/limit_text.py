@@ -20,7 +20,7 @@ class LimitText:
     is_percent: bool = False
 
     @classmethod
-    def of(cls, text: str) -> "LimitText":
+    def parse(cls, text: str) -> "LimitText":
         """Read `0.3` or `5%`.
 
         Raises:

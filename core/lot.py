@@ -27,18 +27,18 @@ def check_serial(serial: str) -> str:
 
     Serials become file names and bar codes: letters and digits of any script, dot, dash, underscore.
     """
-    serial, shown = unicodedata.normalize("NFC", serial), repr(serial[:80])
+    serial, serial_text = unicodedata.normalize("NFC", serial), repr(serial[:80])
     for character in serial:
         if not (_is_alphanumeric(character) or character in "._-"):
             name = f"U+{ord(character):04X} {unicodedata.name(character, '')}".strip()
-            raise InputError(reason("name.character", serial=shown, character=name))
+            raise InputError(reason("name.character", serial=serial_text, character=name))
     if RESERVED.fullmatch(serial) or serial.endswith("."):
-        raise InputError(reason("name.windows", serial=shown))
+        raise InputError(reason("name.windows", serial=serial_text))
     lengths = {"count": len(serial), "length": len(escape_serial(serial))}
     if lengths["count"] > MAX_CHARACTERS or lengths["length"] > MAX_ESCAPED:
-        raise InputError(reason("name.long", serial=shown, max_length=MAX_ESCAPED, **lengths))
+        raise InputError(reason("name.long", serial=serial_text, max_length=MAX_ESCAPED, **lengths))
     if not _is_alphanumeric(serial[:1]) or ".." in serial:
-        raise InputError(reason("name.serial", serial=shown))
+        raise InputError(reason("name.serial", serial=serial_text))
     return serial
 
 
@@ -79,11 +79,11 @@ def unescape_serial(escaped: str) -> str:
 
 def row_name(name: str) -> str:
     """Return a name that is no serial as a row of a table shows it: visible, and short enough."""
-    shown = "".join(c if c.isprintable() else _percent(c) for c in unicodedata.normalize("NFC", name))
-    if len(shown) > MAX_CHARACTERS:
-        digest = hashlib.sha256(shown.encode()).hexdigest()[:8]
-        shown = f"{shown[: MAX_CHARACTERS - 9]}~{digest}"
-    return shown
+    visible = "".join(c if c.isprintable() else _percent(c) for c in unicodedata.normalize("NFC", name))
+    if len(visible) > MAX_CHARACTERS:
+        digest = hashlib.sha256(visible.encode()).hexdigest()[:8]
+        visible = f"{visible[: MAX_CHARACTERS - 9]}~{digest}"
+    return visible
 
 
 def file_stem(name: str) -> str:
@@ -152,12 +152,12 @@ class Lot:
 
     @classmethod
     def from_settings(cls, lot_id: str, settings: Mapping[str, object]) -> "Lot":
-        words = ("sensor_model", "reference_quantity", "reference_unit", "output_unit")
+        text_fields = ("sensor_model", "reference_quantity", "reference_unit", "output_unit")
         limit, rate_Hz = settings.get("limit_rmse"), float(str(settings["sample_rate_Hz"]))
         return cls(
             lot_id,
             str(settings["source"]),
             rate_Hz,
-            **{name: str(settings[name]) for name in words},
+            **{name: str(settings[name]) for name in text_fields},
             limit_rmse=None if limit is None else float(str(limit)),
         )

@@ -27,11 +27,11 @@ from softcal.core.recording import Array
 Ids = tuple[str, ...]
 SCHEMA = "softcal.gap_lot/1"
 
-FEWEST_UNITS = 2
+MIN_UNITS = 2
 
 
 @dataclass(eq=False)
-class Searched:
+class UnitSearch:
     """What one unit's search leaves for the lot; the fits themselves are too large to keep."""
 
     problem: Problem
@@ -42,11 +42,11 @@ class Searched:
     """χ² of every fit, and what its parameters cost."""
 
     @classmethod
-    def of(cls, fits: Fits) -> "Searched":
+    def of(cls, fits: Fits) -> "UnitSearch":
         """Take what is needed from fits under one noise level."""
-        found = {ids: (one.hypothesis, one.coordinates) for ids, one in fits.items()}
-        left = {ids: (one.chi2, penalty(one)) for ids, one in fits.items()}
-        return cls(fits[()].problem, Yardstick.of(fits.values()), dict(log_evidences(fits)), found, left)
+        fits_by_ids = {ids: (one.hypothesis, one.coordinates) for ids, one in fits.items()}
+        costs = {ids: (one.chi2, penalty(one)) for ids, one in fits.items()}
+        return cls(fits[()].problem, Yardstick.of(fits.values()), dict(log_evidences(fits)), fits_by_ids, costs)
 
     @property
     def top(self) -> float:
@@ -77,8 +77,8 @@ class Searched:
         signs = [-1.0 if p.low < 0.0 and p.scale == "linear" else 1.0 for p in hypothesis.parameters]
         turned = sizes * np.array(signs[hypothesis.of_base.stop :])
         starts = [sizes] if np.array_equal(turned, sizes) else [sizes, turned]
-        tried = [fit(self.problem, hypothesis, np.append(base, start), steps=40) for start in starts]
-        best = min(tried, key=lambda one: one.chi2)
+        attempts = [fit(self.problem, hypothesis, np.append(base, start), steps=40) for start in starts]
+        best = min(attempts, key=lambda one: one.chi2)
         self.logs[ids] = self.yardstick.log_evidence(best)
         self.found[ids], self.left[ids] = (best.hypothesis, best.coordinates), (best.chi2, penalty(best))
 
@@ -106,7 +106,7 @@ class LotMember:
     fit: Fit | None = field(default=None, repr=False)
 
     @property
-    def is_left_out(self) -> bool:
+    def is_excluded(self) -> bool:
         """Whether nothing was judged, for the recordings hold a mistake."""
         return self.diagnosis.verdict == "data"
 
@@ -119,7 +119,7 @@ class LotMember:
             "follows": self.follows,
             "log_odds": self.log_odds,
             "sizes": {i: {name: vars(p) for name, p in rows.items()} for i, rows in self.sizes.items()},
-            "data": [found.record() for found in self.diagnosis.mistakes],
+            "data": [mistake.record() for mistake in self.diagnosis.mistakes],
         }
 
 
@@ -147,12 +147,12 @@ class LotDiagnosis:
     @property
     def outliers(self) -> list[str]:
         """Units with causes of their own."""
-        return [m.name for m in self.members if not m.follows and not m.is_left_out]
+        return [m.name for m in self.members if not m.follows and not m.is_excluded]
 
     @property
-    def left_out(self) -> list[str]:
+    def excluded(self) -> list[str]:
         """Units whose recordings hold a mistake."""
-        return [m.name for m in self.members if m.is_left_out]
+        return [m.name for m in self.members if m.is_excluded]
 
     def report(self) -> dict[str, object]:
         """Return JSON values, schema `softcal.gap_lot/1`."""
@@ -166,7 +166,7 @@ class LotDiagnosis:
             ],
             "rivals": [list(ids) for ids in self.rivals],
             "outliers": self.outliers,
-            "left_out": self.left_out,
+            "left_out": self.excluded,
             "stray_odds": self.stray_odds,
             "ruled_out_by_bound": self.ruled_out,
             "units": [m.record() for m in self.members],
@@ -179,83 +179,85 @@ def diagnose_lot(cases: Mapping[str, Case], progress: Callable[[str], None] | No
     Raises:
         InputError: fewer than two units.
     """
-    if len(cases) < FEWEST_UNITS:
-        raise InputError(f"{len(cases)} unit in the lot; at least {FEWEST_UNITS} are needed to be diagnosed together")
-    say = progress or (lambda _: None)
+    if len(cases) < MIN_UNITS:
+        raise InputError(f"{len(cases)} unit in the lot; at least {MIN_UNITS} are needed to be diagnosed together")
+    report = progress or (lambda _: None)
     alone: dict[str, Diagnosis[TwinModel]] = {}
-    searched: dict[str, Searched] = {}
-    every: list[Searched] = []
+    searches: dict[str, UnitSearch] = {}
+    every: list[UnitSearch] = []
     for number, (name, case) in enumerate(cases.items(), start=1):
-        alone[name] = found = diagnose(case, on_fits=lambda fits: every.append(Searched.of(fits)))
-        if found.verdict != "data":
-            searched[name] = every[-1]
-        named = " + ".join(found.best.ids) or "no cause"
-        say(f"unit {number} of {len(cases)}, {name}: {found.verdict}, {named}")
-    if not searched:
+        alone[name] = diagnosis = diagnose(case, on_fits=lambda fits: every.append(UnitSearch.of(fits)))
+        if diagnosis.verdict != "data":
+            searches[name] = every[-1]
+        causes = " + ".join(diagnosis.best.ids) or "no cause"
+        report(f"unit {number} of {len(cases)}, {name}: {diagnosis.verdict}, {causes}")
+    if not searches:
         members = tuple(_member(n, d, None, ()) for n, d in alone.items())
         return LotDiagnosis("data", (), (), {}, {}, 0, members, TWIN.method.evidence.stray_odds)
-    say("adding up the evidence of the units")
-    votes, ruled_out = lot_logs(list(searched.values()))
+    report("adding up the evidence of the units")
+    votes, ruled_out = lot_logs(list(searches.values()))
     leader = max(votes, key=lambda ids: votes[ids])
-    following = [one for one in searched.values() if one.shared(leader) > one.stray]
+    following = [one for one in searches.values() if one.shared(leader) > one.stray]
     logs = joint_logs(following, votes) if following else votes
-    method = next(iter(searched.values())).problem.method
-    held = [_held_open(alone[name], one) for name, one in searched.items()]
-    best, rivals, imitated = _best(logs, held, method.rival)
-    members = tuple(_member(name, one, searched.get(name), best) for name, one in alone.items())
+    method = next(iter(searches.values())).problem.method
+    open_causes = [_find_imitated(alone[name], one) for name, one in searches.items()]
+    best, rivals, surrogates = _best(logs, open_causes, method.rival)
+    members = tuple(_member(name, one, searches.get(name), best) for name, one in alone.items())
     verdict = _verdict(best, rivals, members)
     # Where nothing explains the units, the truth is most likely none of the causes compared.
-    doubt = method.verdict.unknown_trust if verdict == "unknown" else 1.0
+    trust = method.verdict.unknown_trust if verdict == "unknown" else 1.0
     chances = probabilities(logs, sorted({i for ids in logs for i in ids}))
-    probability = {i: p * doubt * (method.verdict.imitated_trust if i in imitated else 1.0) for i, p in chances.items()}
+    probability = {
+        i: p * trust * (method.verdict.imitated_trust if i in surrogates else 1.0) for i, p in chances.items()
+    }
     return LotDiagnosis(verdict, best, rivals, probability, logs, ruled_out, members, method.evidence.stray_odds)
 
 
-def joint_logs(following: Sequence[Searched], hypotheses: Iterable[Ids]) -> dict[Ids, float]:
+def joint_logs(following: Sequence[UnitSearch], hypotheses: Iterable[Ids]) -> dict[Ids, float]:
     """Return the log evidence of every hypothesis over units that share their causes, up to a constant.
 
     What a hypothesis leaves is summed over the units, and only then judged as of one unit: an equation
     that is a little wrong does not become more so by being repeated. Within the noise every unit counts
     in full.
     """
-    floor = sum(one.yardstick.floor for one in following)
+    noise_floor = sum(one.yardstick.floor for one in following)
     # The first unit's parameters are paid for apart. Paid for in every unit, what one cause is a little cheaper than
     # another would count as often as there are units.
     size = sum(float(np.log(one.problem.count)) for one in following[1:])
-    left = {ids: sum(one.left[ids][0] for one in following) + len(ids) * size for ids in hypotheses}
-    least = min(left.values())
-    cost = {ids: float(np.mean([one.left[ids][1] for one in following])) for ids in left}
+    totals = {ids: sum(one.left[ids][0] for one in following) + len(ids) * size for ids in hypotheses}
+    min_total = min(totals.values())
+    cost = {ids: float(np.mean([one.left[ids][1] for one in following])) for ids in totals}
     modes = following[0].problem.method.evidence.modes
-    return {ids: -0.5 * (misfit(floor + total - least, modes) + cost[ids]) for ids, total in left.items()}
+    return {ids: -0.5 * (misfit(noise_floor + total - min_total, modes) + cost[ids]) for ids, total in totals.items()}
 
 
-def lot_logs(searched: Sequence[Searched]) -> tuple[dict[Ids, float], int]:
+def lot_logs(searches: Sequence[UnitSearch]) -> tuple[dict[Ids, float], int]:
     """Return the votes of the units for every hypothesis, and how many a bound has ruled out.
 
     A vote is a unit's own log evidence. One that strays cannot outvote the others.
     A hypothesis that a unit did not fit is fitted to it, unless even at its bound it is far behind.
     """
-    every = {ids for one in searched for ids in one.logs}
-    bounds = {ids: _pooled(searched, ids) for ids in every}
+    every = {ids for one in searches for ids in one.logs}
+    bounds = {ids: _pooled(searches, ids) for ids in every}
     logs: dict[Ids, float] = {}
     for ids in sorted(every, key=lambda i: (-bounds[i], i)):
-        if logs and bounds[ids] < max(logs.values()) - searched[0].problem.method.rival.negligible:
+        if logs and bounds[ids] < max(logs.values()) - searches[0].problem.method.rival.negligible:
             continue
-        donor = max((one for one in searched if ids in one.logs), key=lambda one: one.shared(ids) - one.top)
-        for one in searched:
+        donor = max((one for one in searches if ids in one.logs), key=lambda one: one.shared(ids) - one.top)
+        for one in searches:
             if ids not in one.logs:
                 one.add(ids, donor.found[ids])
-        logs[ids] = _pooled(searched, ids)
+        logs[ids] = _pooled(searches, ids)
     return logs, len(every) - len(logs)
 
 
-def _pooled(searched: Sequence[Searched], ids: Ids) -> float:
-    prior_odds = searched[0].problem.method.evidence.prior_odds
-    return len(ids) * float(np.log(prior_odds)) + sum(one.log_term(ids) for one in searched)
+def _pooled(searches: Sequence[UnitSearch], ids: Ids) -> float:
+    prior_odds = searches[0].problem.method.evidence.prior_odds
+    return len(ids) * float(np.log(prior_odds)) + sum(one.log_term(ids) for one in searches)
 
 
 def _best(
-    logs: Mapping[Ids, float], held: Sequence[set[str]], config: RivalConfig
+    logs: Mapping[Ids, float], open_causes: Sequence[set[str]], config: RivalConfig
 ) -> tuple[Ids, tuple[Ids, ...], set[str]]:
     top = max(logs, key=lambda ids: logs[ids])
     near = sorted((ids for ids in logs if logs[ids] > logs[top] - config.odds), key=lambda ids: -logs[ids])
@@ -264,35 +266,35 @@ def _best(
         is_larger = any(set(ids) > set(other) for other in in_play)
         if ids and ids not in in_play and (not is_larger or logs[ids] > logs[top] - config.added):
             in_play.append(ids)
-    imitated = {i for i in top if 2 * sum(i in causes for causes in held) >= len(held)}
-    smaller = tuple(i for i in top if i not in imitated)
-    if imitated and smaller in logs:
-        return smaller, (smaller, *in_play)[: config.most], imitated
+    surrogates = {i for i in top if 2 * sum(i in causes for causes in open_causes) >= len(open_causes)}
+    smaller = tuple(i for i in top if i not in surrogates)
+    if surrogates and smaller in logs:
+        return smaller, (smaller, *in_play)[: config.most], surrogates
     return top, tuple(in_play[: config.most]) if top else (top,), set()
 
 
-def _held_open(one: Diagnosis[TwinModel], searched: Searched) -> set[str]:
+def _find_imitated(one: Diagnosis[TwinModel], searches: UnitSearch) -> set[str]:
     """Return the causes that a free form of the others imitates in a unit, though likelier."""
     ids = one.best.ids
     every = [rival.ids for rival in one.rivals[1:] if set(rival.ids) > set(ids)]
-    larger = [other for other in every if searched.logs[other] > searched.logs[ids]]
+    larger = [other for other in every if searches.logs[other] > searches.logs[ids]]
     return {i for other in larger for i in other if i not in ids}
 
 
-def _member(name: str, alone: Diagnosis[TwinModel], searched: Searched | None, best: Ids) -> LotMember:
-    if searched is None:
+def _member(name: str, alone: Diagnosis[TwinModel], searches: UnitSearch | None, best: Ids) -> LotMember:
+    if searches is None:
         return LotMember(name, alone, follows=False, log_odds=None, sizes={})
-    odds = searched.shared(best) - searched.stray
-    found = searched.fitted(best)
-    sizes = {i: estimates_of(found, i) for i in best} if odds > 0.0 else {}
-    return LotMember(name, alone, odds > 0.0, odds, sizes, found)
+    odds = searches.shared(best) - searches.stray
+    shared_fit = searches.fitted(best)
+    sizes = {i: estimates_of(shared_fit, i) for i in best} if odds > 0.0 else {}
+    return LotMember(name, alone, odds > 0.0, odds, sizes, shared_fit)
 
 
 def _verdict(best: Ids, rivals: tuple[Ids, ...], members: tuple[LotMember, ...]) -> DiagnosisVerdict:
-    judged = [m for m in members if not m.is_left_out]
+    included = [m for m in members if not m.is_excluded]
     # The lot explains no more than most of its units: what they leave is there in each of them.
-    is_left = 2 * sum(m.diagnosis.verdict == "unknown" for m in judged) > len(judged)
-    if is_left or 2 * sum(m.follows for m in judged) <= len(judged):
+    is_unexplained = 2 * sum(m.diagnosis.verdict == "unknown" for m in included) > len(included)
+    if is_unexplained or 2 * sum(m.follows for m in included) <= len(included):
         return "unknown"
     if not best:
         return "no_gap"

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 
-from softcal.core.messages.reason import Reason, joined, unpacked
+from softcal.core.messages.reason import Reason, to_line, unpack_reasons
 
 
 class OrderKind(StrEnum):
@@ -145,11 +145,11 @@ class Progress:
 
     def __post_init__(self) -> None:
         if isinstance(self.message, str):
-            object.__setattr__(self, "message", unpacked(self.message))
+            object.__setattr__(self, "message", unpack_reasons(self.message))
 
     @property
     def text(self) -> str:
-        return joined(self.message)
+        return to_line(self.message)
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,10 @@ from typing import Generic, TypeVar, cast
 
 from softcal.core.errors import InputError
 
-Thing = TypeVar("Thing")
+Plugin = TypeVar("Plugin")
 
 
-def installed(group: str) -> list[EntryPoint]:
+def find_plugins(group: str) -> list[EntryPoint]:
     """Return the entry points of all installed packages in a group, by name."""
     entries = _in_folders(group, tuple((folder, _changed_ns(folder)) for folder in sys.path))
     return sorted(entries, key=lambda point: point.name)
@@ -37,7 +37,7 @@ def _changed_ns(folder: str) -> int:
         return 0
 
 
-def loaded(point: EntryPoint, kind: str) -> object:
+def load_plugin(point: EntryPoint, kind: str) -> object:
     """Load what an entry point names.
 
     Raises:
@@ -46,11 +46,13 @@ def loaded(point: EntryPoint, kind: str) -> object:
     try:
         return point.load()
     except Exception as error:
-        raise InputError(f"{who(point, kind)}: cannot be loaded ({error}); repair or uninstall the package") from error
+        raise InputError(
+            f"{name_point(point, kind)}: cannot be loaded ({error}); repair or uninstall the package"
+        ) from error
 
 
 @dataclass(frozen=True)
-class PluginKind(Generic[Thing]):
+class PluginKind(Generic[Plugin]):
     """One kind of thing that packages bring along: an entry point names one, or a list of them.
 
     Args:
@@ -62,34 +64,36 @@ class PluginKind(Generic[Thing]):
     kind: str
     expected: str
     is_kind: Callable[[object], bool]
-    name_of: Callable[[Thing], str]
+    name_of: Callable[[Plugin], str]
 
-    def beside(
-        self, own: Mapping[str, Thing], points: Iterable[EntryPoint] | None = None, taken: Collection[str] = ()
-    ) -> dict[str, Thing]:
+    def merge_plugins(
+        self, builtin: Mapping[str, Plugin], points: Iterable[EntryPoint] | None = None, reserved: Collection[str] = ()
+    ) -> dict[str, Plugin]:
         """Return softcal's own things and those of plug-ins, the plug-ins last, by name.
 
         Args:
-            taken: names that no plug-in may have, besides those of its own.
+            reserved: names that no plug-in may have, besides those of its own.
 
         Raises:
             InputError: one cannot be loaded, is something else, or takes a name that is taken.
         """
-        every = dict(own)
-        for point in installed(self.group) if points is None else points:
-            plugin = loaded(point, self.kind)
-            for thing in [plugin] if self.is_kind(plugin) or not isinstance(plugin, Iterable) else list(plugin):
-                if not self.is_kind(thing):
-                    wrong = f"is {type(thing).__name__}; {self.expected}, or a list of them, was expected"
-                    raise InputError(f"{who(point, self.kind)}: {wrong}")
-                name = self.name_of(cast(Thing, thing))
-                if name in every or name in taken:
-                    raise InputError(f"{who(point, self.kind)}: the name {name!r} is taken already; give it another")
-                every[name] = cast(Thing, thing)
+        every = dict(builtin)
+        for point in find_plugins(self.group) if points is None else points:
+            plugin = load_plugin(point, self.kind)
+            for entry in [plugin] if self.is_kind(plugin) or not isinstance(plugin, Iterable) else list(plugin):
+                if not self.is_kind(entry):
+                    problem = f"is {type(entry).__name__}; {self.expected}, or a list of them, was expected"
+                    raise InputError(f"{name_point(point, self.kind)}: {problem}")
+                name = self.name_of(cast(Plugin, entry))
+                if name in every or name in reserved:
+                    raise InputError(
+                        f"{name_point(point, self.kind)}: the name {name!r} is taken already; give it another"
+                    )
+                every[name] = cast(Plugin, entry)
         return every
 
 
-def who(point: EntryPoint, kind: str) -> str:
+def name_point(point: EntryPoint, kind: str) -> str:
     """Return how a message names a plug-in: kind, name, package and what it points to."""
     package = f" of {point.dist.name} {point.dist.version}" if point.dist is not None else ""
     return f"{kind} plug-in {point.name!r}{package} ({point.value})"

@@ -177,15 +177,15 @@ def source_profile(rng: Rng, duration_s: float = 170.0, depth_mm: float = 3.5) -
     opening = rate_sweep(depth_mm, (0.5, 1.5, 4.0)).then(
         steps_with_holds([0.4 * depth_mm, 0.7 * depth_mm, depth_mm, 0.5 * depth_mm], hold_s=3.0), "opening"
     )
-    left_s = max(10.0, duration_s - opening.duration_s)
-    return opening.then(random_presses(rng, left_s, depth_mm), "source")
+    remaining_s = max(10.0, duration_s - opening.duration_s)
+    return opening.then(random_presses(rng, remaining_s, depth_mm), "source")
 
 
 def unit_profile(rng: Rng, duration_s: float = 25.0, depth_mm: float = 3.5) -> Profile:
     """Return the short profile of a target unit: one full press, then random presses."""
     opening = ramps([depth_mm], 3.0, rest_s=1.0)
-    left_s = max(5.0, duration_s - opening.duration_s)
-    return opening.then(random_presses(rng, left_s, depth_mm), "unit")
+    remaining_s = max(5.0, duration_s - opening.duration_s)
+    return opening.then(random_presses(rng, remaining_s, depth_mm), "unit")
 
 
 BUILT_IN: Mapping[str, Callable[[Rng, float], Profile]] = {

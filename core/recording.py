@@ -73,7 +73,7 @@ class MaskedSamples:
         kinds, lines = (stored[name].astype(np.int64) for name in ("kinds", "lines"))
         return cls(stored["t_s"], kinds, stored["values"], lines)
 
-    def between(self, start_s: float, stop_s: float) -> "MaskedSamples":
+    def in_interval(self, start_s: float, stop_s: float) -> "MaskedSamples":
         """Return those of a stretch of time, its ends included."""
         return self._of_rows((self.t_s >= start_s) & (self.t_s <= stop_s))
 
@@ -120,10 +120,10 @@ class OutputRecording:
         if not (np.isfinite(self.sample_rate_Hz) and self.sample_rate_Hz > 0):
             raise InputError(f"sample rate is {self.sample_rate_Hz} Hz; a positive number was expected")
         check_times(self.t_s)
-        seen_Hz = 1.0 / float(np.median(np.diff(self.t_s)))
-        if abs(seen_Hz / self.sample_rate_Hz - 1) > RATE_TOLERANCE:
+        observed_Hz = 1.0 / float(np.median(np.diff(self.t_s)))
+        if abs(observed_Hz / self.sample_rate_Hz - 1) > RATE_TOLERANCE:
             raise InputError(
-                f"the time stamps show {seen_Hz:.4g} Hz, the declared sample rate is {self.sample_rate_Hz:.4g} Hz; "
+                f"the time stamps show {observed_Hz:.4g} Hz, the declared sample rate is {self.sample_rate_Hz:.4g} Hz; "
                 "correct the one that is wrong"
             )
 
@@ -192,7 +192,7 @@ class OutputRecording:
         rows = slice(start, stop)
         stage_mm = None if self.stage_mm is None else self.stage_mm[rows]
         t_s = self.t_s[rows]
-        masked = self.masked.between(t_s[0], t_s[-1]) if len(t_s) else MaskedSamples()
+        masked = self.masked.in_interval(t_s[0], t_s[-1]) if len(t_s) else MaskedSamples()
         return replace(self, t_s=t_s, output=self.output[rows], stage_mm=stage_mm, masked=masked)
 
 

@@ -39,14 +39,16 @@ def origins(config: object, prefix: str = "") -> Iterator[tuple[str, object, str
             yield name, value, str(one.metadata.get("origin", ""))
 
 
-def rebuilt(default: Config, kept: Mapping[str, Any]) -> Config:
+def rebuild_config(default: Config, stored: Mapping[str, Any]) -> Config:
     """Return a configuration like `default` with the numbers that were kept as JSON."""
     declared: tuple[Field[Any], ...] = fields(default)  # type: ignore[arg-type]
     values = {}
-    for one in declared:
-        own = getattr(default, one.name)
-        values[one.name] = (
-            rebuilt(own, kept.get(one.name, {})) if is_dataclass(own) else _tupled(kept.get(one.name, own))
+    for field_ in declared:
+        default_value = getattr(default, field_.name)
+        values[field_.name] = (
+            rebuild_config(default_value, stored.get(field_.name, {}))
+            if is_dataclass(default_value)
+            else _tupled(stored.get(field_.name, default_value))
         )
     return type(default)(**values)
 
@@ -71,22 +73,22 @@ class NumberedMethod:
         return _json(self)
 
     @classmethod
-    def of(cls, kept: Mapping[str, Any]) -> Self:
+    def from_json(cls, stored: Mapping[str, Any]) -> Self:
         """Read what `to_json` wrote; a number that came later has its default."""
-        method: Self = _of(cls, json.dumps(kept))  # type: ignore[arg-type]
+        method: Self = _from_json(cls, json.dumps(stored))  # type: ignore[arg-type]
         return method
 
 
-METHODS_KEPT = 32
+MAX_CACHED_METHODS = 32
 """Each unit of a lot carries a copy of one of a few methods: reading each costs more than a query."""
 
 
-@lru_cache(maxsize=METHODS_KEPT)
-def _of(kind: type[NumberedMethod], kept: str) -> Any:
-    return rebuilt(kind(), json.loads(kept))
+@lru_cache(maxsize=MAX_CACHED_METHODS)
+def _from_json(kind: type[NumberedMethod], stored: str) -> Any:
+    return rebuild_config(kind(), json.loads(stored))
 
 
-@lru_cache(maxsize=METHODS_KEPT)
+@lru_cache(maxsize=MAX_CACHED_METHODS)
 def _json(method: NumberedMethod) -> dict[str, object]:
     return asdict(method)
 

@@ -126,12 +126,12 @@ def simulate_lot(seed: int, design: LotDesign | None = None) -> SimulatedLot:
     source = audited(rng, twins[0], design.source_s, "S0")
     units = []
     for k, (twin, kind) in enumerate(zip(twins[1:], kinds, strict=True), start=1):
-        own, serial = kind.twin(rng, twin), f"U{k:03d}"
+        unit_twin, serial = kind.twin(rng, twin), f"U{k:03d}"
         profile = programme(rng, design.unit_s)
         profile = kind.profile(rng) if kind.profile else profile
-        pressed = design.line.pressed(rng, own)
+        pressed = design.line.pressed(rng, unit_twin)
         recording = _record(rng, pressed, profile, serial, design.has_stage)
-        audit = audited(rng, own, design.audit_s, serial)
+        audit = audited(rng, unit_twin, design.audit_s, serial)
         units.append((kind, kind.wired(recording).unlabelled, kind.wired(audit)))
     later = np.random.default_rng([seed, GOLDEN])
     golden = _record(later, twins[0], programme(later, design.unit_s), "S0", design.has_stage)
@@ -156,9 +156,9 @@ def draw_twins(rng: Rng, count: int, spread: LotSpread | None = None, twin: Twin
 
 def twin_of(seed: int, serial: str) -> Twin:
     """Return the twin of one serial of a simulated lot: the same for the same seed and serial."""
-    rng, own = np.random.default_rng(seed), np.random.default_rng([seed, crc32(serial.encode())])
-    (twin,) = draw_lot(own, 1, Twin(_nominal(rng), _mild_effects(rng)), LotDesign().spread)
-    return _jitter(own, twin)
+    rng, unit_rng = np.random.default_rng(seed), np.random.default_rng([seed, crc32(serial.encode())])
+    (twin,) = draw_lot(unit_rng, 1, Twin(_nominal(rng), _mild_effects(rng)), LotDesign().spread)
+    return _jitter(unit_rng, twin)
 
 
 def draw_lot(rng: Rng, count: int, nominal: Twin | None = None, spread: LotSpread | None = None) -> tuple[Twin, ...]:
@@ -172,7 +172,7 @@ def draw_lot(rng: Rng, count: int, nominal: Twin | None = None, spread: LotSprea
     def deviation() -> float:
         return float(np.clip(rng.normal(), -2.0, 2.0))
 
-    def drawn() -> BaseParameters:
+    def draw_parameters() -> BaseParameters:
         return BaseParameters(
             u0_mm=base.u0_mm + spread.u0_mm * deviation(),
             k1_N_mm=base.k1_N_mm * (1 + spread.k1 * deviation()),
@@ -183,7 +183,7 @@ def draw_lot(rng: Rng, count: int, nominal: Twin | None = None, spread: LotSprea
             sigma_force_N=base.sigma_force_N * (1 + spread.noise * deviation()),
         )
 
-    return tuple(Twin(drawn(), nominal.effects, nominal.metadata) for _ in range(count))
+    return tuple(Twin(draw_parameters(), nominal.effects, nominal.metadata) for _ in range(count))
 
 
 def _nominal(rng: Rng) -> BaseParameters:

@@ -94,29 +94,29 @@ _PLACES = ("rig", "base", "explained")
 
 
 def transfer(
-    rig: PressedLot, base: Twin, explained: Twin, seed: int = 0, say: Callable[[str], None] = lambda _: None
+    rig: PressedLot, base: Twin, explained: Twin, seed: int = 0, report: Callable[[str], None] = lambda _: None
 ) -> Transfer:
     """Calibrate the rig's lot and a simulated one per twin, of one seed, along the same positions."""
-    say("calibrating the rig's lot")
+    report("calibrating the rig's lot")
     on_rig = lot_errors(rig)
-    say("calibrating a lot of the base twin")
-    by_base = lot_errors(simulated_like(rig, base, seed))
-    say("calibrating a lot of the explained twin")
-    return Transfer(on_rig, by_base, lot_errors(simulated_like(rig, explained, seed)), units=len(rig.units))
+    report("calibrating a lot of the base twin")
+    by_base = lot_errors(simulate_alike(rig, base, seed))
+    report("calibrating a lot of the explained twin")
+    return Transfer(on_rig, by_base, lot_errors(simulate_alike(rig, explained, seed)), units=len(rig.units))
 
 
-def simulated_like(rig: PressedLot, twin: Twin, seed: int) -> PressedLot:
+def simulate_alike(rig: PressedLot, twin: Twin, seed: int) -> PressedLot:
     """Return a simulated lot around a twin, pressed along the stage positions of the rig's."""
     rng = np.random.default_rng(seed)
     twins = draw_lot(rng, len(rig.units) + 1, twin, LotDesign().spread)
     units = tuple(
-        LotUnit(pressed(own, u.recording, rng).unlabelled, pressed(own, u.audit.unlabelled, rng))
-        for own, u in zip(twins[1:], rig.units, strict=True)
+        LotUnit(press_twin(unit_twin, u.recording, rng).unlabelled, press_twin(unit_twin, u.audit.unlabelled, rng))
+        for unit_twin, u in zip(twins[1:], rig.units, strict=True)
     )
-    return PressedLot(pressed(twins[0], rig.source.unlabelled, rng), units)
+    return PressedLot(press_twin(twins[0], rig.source.unlabelled, rng), units)
 
 
-def pressed(
+def press_twin(
     twin: Twin, like: OutputRecording, rng: np.random.Generator, temperature_C: Array | None = None
 ) -> LabelledRecording:
     """Return what a twin records when it is pressed along the stage positions of a recording."""
@@ -136,7 +136,7 @@ def lot_errors(lot: PressedLot) -> LotErrors:
     for unit in lot.units:
         split = int(TWIN.method.worth.train_share * len(unit.audit))
         test = unit.audit.part(split, len(unit.audit))
-        own = fit_network(unit.audit.part(0, split), NETWORK).network
+        own_network = fit_network(unit.audit.part(0, split), NETWORK).network
         before = rmse(trained.network.evaluate(test.windows), test.window_reference)
         after = before
         try:
@@ -145,7 +145,7 @@ def lot_errors(lot: PressedLot) -> LotErrors:
         except UnitRefused:
             # A unit without a map goes on as it is.
             pass
-        rows.append((before, after, rmse(own.evaluate(test.windows), test.window_reference)))
+        rows.append((before, after, rmse(own_network.evaluate(test.windows), test.window_reference)))
     return LotErrors(*(float(np.median(column)) for column in zip(*rows, strict=True)))
 
 
@@ -186,11 +186,11 @@ class CalibrationWorth:
 
 
 def _fewest(rig: Sequence[float], error: float) -> int | None:
-    return next((k for k, own in enumerate(rig, start=1) if own <= TWIN.method.worth.alike * error), None)
+    return next((k for k, rig_error in enumerate(rig, start=1) if rig_error <= TWIN.method.worth.alike * error), None)
 
 
 def calibration_worth(
-    unit: str, case: Case, audit: Case, shared: Fit, say: Callable[[str], None] = lambda _: None
+    unit: str, case: Case, audit: Case, shared: Fit, report: Callable[[str], None] = lambda _: None
 ) -> CalibrationWorth:
     """Train f on a unit's nominal and explained twin and on rig recordings, and test all on its audit.
 
@@ -204,8 +204,8 @@ def calibration_worth(
         InputError: a run lacks stage position, force or output.
     """
     recorded = [_labelled(unit, run) for run in case.presses]
-    say(f"{unit}: training f on twins and on 1 to {len(recorded)} rig recordings")
-    test = _joined(unit, [_labelled(unit, run) for run in audit.presses])
+    report(f"{unit}: training f on twins and on 1 to {len(recorded)} rig recordings")
+    test = _join_recordings(unit, [_labelled(unit, run) for run in audit.presses])
     bare = TWIN.base_fit(Case(case.serial, case.presses[: TWIN.method.worth.fitted_on]))
     # Episodes belong to the recordings they were found in.
     hypothesis = shared.hypothesis.without_episodes()
@@ -213,11 +213,11 @@ def calibration_worth(
     full = fit(bare.problem, hypothesis, start, steps=40)
 
     nominal, explained = (_error_of_twin(explained_twin(one), recorded, case.presses, test) for one in (bare, full))
-    of_rig = tuple(_error(_joined(unit, recorded[:k]), test) for k in range(1, len(recorded) + 1))
+    of_rig = tuple(_error(_join_recordings(unit, recorded[:k]), test) for k in range(1, len(recorded) + 1))
     return CalibrationWorth(unit, nominal, explained, of_rig)
 
 
-def calibration_gap(diagnosis: Diagnosis[TwinModel], say: Callable[[str], None] = lambda _: None) -> CalibrationGap:
+def calibration_gap(diagnosis: Diagnosis[TwinModel], report: Callable[[str], None] = lambda _: None) -> CalibrationGap:
     """Train f on the base twin, on the repaired twin and on the rig, and test all on the last pressed run.
 
     Twins and f know the other runs alone: base parameters and sizes are fitted to them once more.
@@ -226,20 +226,20 @@ def calibration_gap(diagnosis: Diagnosis[TwinModel], say: Callable[[str], None] 
         InputError: fewer than two runs are pressed, or one lacks stage position, force or output.
     """
     case = diagnosis.case
-    *seen, last = case.presses
-    if not seen:
+    *training_runs, last = case.presses
+    if not training_runs:
         raise InputError(f"case {case.serial}: one run is pressed; a calibration is tested on another one")
-    recorded, test = [_labelled(case.serial, run) for run in seen], _labelled(case.serial, last)
-    say(f"training f on two twins and on the rig, to test it on {last.name}")
+    recorded, test = [_labelled(case.serial, run) for run in training_runs], _labelled(case.serial, last)
+    report(f"training f on two twins and on the rig, to test it on {last.name}")
     others = replace(case, runs=tuple(run for run in case.runs if run is not last))
 
-    def error_of(found: Fit) -> float:
-        problem = replace(found.problem, case=others, use=None, extra_variance=None)
+    def error_of(twin_fit: Fit) -> float:
+        problem = replace(twin_fit.problem, case=others, use=None, extra_variance=None)
         # Episodes belong to the recordings they were found in.
-        refitted = fit(problem, found.hypothesis.without_episodes(), found.coordinates, steps=40)
-        return _error_of_twin(explained_twin(refitted), recorded, seen, test)
+        refitted = fit(problem, twin_fit.hypothesis.without_episodes(), twin_fit.coordinates, steps=40)
+        return _error_of_twin(explained_twin(refitted), recorded, training_runs, test)
 
-    of_rig = _error(_joined(case.serial, recorded), test)
+    of_rig = _error(_join_recordings(case.serial, recorded), test)
     return CalibrationGap(last.name, error_of(diagnosis.base), error_of(diagnosis.best), of_rig)
 
 
@@ -248,8 +248,8 @@ def _error_of_twin(
 ) -> float:
     """Return the error of f that is trained on a twin, pressed along the stage positions of recordings."""
     rng, pairs = np.random.default_rng(0), zip(recorded, runs, strict=True)
-    simulated = [pressed(twin, one.unlabelled, rng, run.temperature_C) for one, run in pairs]
-    return _error(_joined(recorded[0].unlabelled.serial, simulated), test)
+    simulated = [press_twin(twin, one.unlabelled, rng, run.temperature_C) for one, run in pairs]
+    return _error(_join_recordings(recorded[0].unlabelled.serial, simulated), test)
 
 
 def _labelled(unit: str, run: Run) -> LabelledRecording:
@@ -263,7 +263,7 @@ def _labelled(unit: str, run: Run) -> LabelledRecording:
     return LabelledRecording(output, force_N)
 
 
-def _joined(unit: str, parts: Sequence[LabelledRecording]) -> LabelledRecording:
+def _join_recordings(unit: str, parts: Sequence[LabelledRecording]) -> LabelledRecording:
     """Return recordings one after the other, a second apart: no window spans two."""
     times, end_s = [], 0.0
     for part in parts:

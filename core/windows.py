@@ -30,11 +30,11 @@ def windows(signal: NDArray[np.float64]) -> NDArray[np.float64]:
     return sliding_window_view(signal, TAPS)
 
 
-def evenly(count: int, most: int) -> NDArray[np.int64]:
-    """Return at most `most` row numbers spread evenly over `count`."""
+def evenly(count: int, max_count: int) -> NDArray[np.int64]:
+    """Return at most `max_count` row numbers spread evenly over `count`."""
     import numpy as np
 
-    return np.linspace(0, count - 1, min(most, count)).astype(np.int64)
+    return np.linspace(0, count - 1, min(max_count, count)).astype(np.int64)
 
 
 def resting(levels: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -49,8 +49,8 @@ class Provenance:
     def rows(self) -> list[tuple[str, str]]:
         """Rows of (name, value) of the provenance, for people."""
         hashes = [(f"SHA-256 of the {name}", sha256) for name, sha256 in self.inputs.items()]
-        made = [("Made by", self.actor), ("Made at", self.made_at)]
-        return [("Program", self.software), ("Build", self.build), ("Method", self.method), *made, *hashes]
+        creation = [("Made by", self.actor), ("Made at", self.made_at)]
+        return [("Program", self.software), ("Build", self.build), ("Method", self.method), *creation, *hashes]
 
     def to_json(self) -> dict[str, object]:
         return asdict(self)

@@ -84,7 +84,7 @@ def unwrap_ms(previous_ms: int, reported_ms: int) -> int:
     return previous_ms + (step if step < WRAP_MS // 2 else step - WRAP_MS)
 
 
-def seen_rate_Hz(device_s: Array) -> float:
+def estimate_rate_Hz(device_s: Array) -> float:
     """Return the sample rate of a stream by the device's clock, not counting lost samples.
 
     A clock of whole milliseconds shows 80 Hz as steps of 12 and 13 ms: their mean is right, no single one is.
@@ -99,7 +99,7 @@ def seen_rate_Hz(device_s: Array) -> float:
 
 
 CHANGE_SAMPLES = 5
-REACH_S = 0.5
+MAX_OFFSET_S = 0.5
 """An offset is looked for up to so much, either way."""
 
 
@@ -121,15 +121,15 @@ def residual_offset_s(leading: Array, following: Array, rate_Hz: float) -> float
     scale = float(np.sqrt(np.sum(a**2) * np.sum(b**2)))
     if scale == 0.0:
         return float("nan")
-    reach = min(int(REACH_S * rate_Hz), len(a) - 1)
-    lags = range(-reach, reach + 1)
+    max_lag = min(int(MAX_OFFSET_S * rate_Hz), len(a) - 1)
+    lags = range(-max_lag, max_lag + 1)
     # The sum of a[k]·b[k + lag] over all k where both exist.
     pairs = ((a[max(0, -lag) : len(a) - max(0, lag)], b[max(0, lag) : len(b) - max(0, -lag)]) for lag in lags)
     correlation = np.array([abs(float(np.dot(one, other))) for one, other in pairs]) / scale
     k = int(np.argmax(correlation))
     shift = 0.0
     if 0 < k < len(lags) - 1:
-        left, peak, right = correlation[k - 1 : k + 2]
-        bend = left - 2 * peak + right
-        shift = 0.5 * float((left - right) / bend) if bend else 0.0
+        before, peak, after = correlation[k - 1 : k + 2]
+        curvature = before - 2 * peak + after
+        shift = 0.5 * float((before - after) / curvature) if curvature else 0.0
     return float((lags[k] + shift) / rate_Hz)

@@ -14,7 +14,7 @@ _NAMES = {
 }
 
 
-def named(name: str, port: str = "") -> Reason:
+def device_label(name: str, port: str = "") -> Reason:
     """Return the name of a device for a sentence, with its port where two devices have one name."""
     if not name:
         return plain(port)

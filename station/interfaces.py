@@ -9,7 +9,7 @@ from softcal.core.errors import DeviceError
 from softcal.core.messages.reason import Reason
 
 
-class Held(DeviceError):
+class StageOnHold(DeviceError):
     """The stage is on hold by the button at the machine: no move may begin by itself."""
 
 
@@ -111,7 +111,7 @@ class Stage(Protocol):
         """Stop at once without any queue; the position stays valid if the device allows it.
 
         Raises:
-            Held: the stage is at rest, on hold by the button at the machine.
+            StageOnHold: the stage is at rest, on hold by the button at the machine.
             DeviceError: the stage does not answer; the stop was sent.
         """
 
@@ -119,7 +119,7 @@ class Stage(Protocol):
 
 
 @runtime_checkable
-class RoughLift(Protocol):
+class RoughLiftStage(Protocol):
     """A stage that can go away from the unit though a stop cut its motion and lost its position."""
 
     @property
@@ -131,7 +131,7 @@ class RoughLift(Protocol):
 
 
 @runtime_checkable
-class RunsOn(Protocol):
+class SelfStoppingStage(Protocol):
     """A stage that gets moves in pieces, so that it stops by itself after a loss of the host."""
 
     def runs_on_s(self, speed_mm_s: float) -> float:
@@ -142,7 +142,7 @@ class RunsOn(Protocol):
 
 
 @runtime_checkable
-class Advises(Protocol):
+class SettingsAudit(Protocol):
     """A stage whose settings can be looked at."""
 
     def unsafe_settings(self) -> Sequence[tuple[str, Reason]]:

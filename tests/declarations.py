@@ -6,11 +6,11 @@ import numpy as np
 
 from softcal.app.calibration.audit import draw_plan
 from softcal.app.calibration.lot_context import declare_family, declare_line_spread, declare_sources
-from softcal.app.export.certificates.laboratory import Laboratory, Person, store_laboratory
-from softcal.app.registry.given_files import remember_files
-from softcal.app.registry.golden import store_golden_of
+from softcal.app.export.laboratory import Laboratory, Person, store_laboratory
+from softcal.app.registry.exported_files import record_exported_files
+from softcal.app.registry.golden import store_golden_runs
 from softcal.app.registry.known_loads import store_loads
-from softcal.app.registry.reference import state_reference
+from softcal.app.registry.reference import declare_reference
 from softcal.core.lot import UnitKey
 from softcal.core.maps.interface import Anchors
 from softcal.core.quality.audit_plan import AuditConfig
@@ -29,9 +29,9 @@ def declare_all(factory, labelled) -> None:
     declare_family(registry, lot_id, "affine")
     declare_line_spread(registry, lot_id, LineSpread(0.05, 0.01))
     declare_sources(registry, lot_id, [factory.network_id])
-    state_reference(registry, lot_id, CELL, labelled)
+    declare_reference(registry, lot_id, CELL, labelled)
     store_loads(registry, lot_id, {"b" * 64: ("U1", LOADS)}, "file", actor="Erin")
-    store_golden_of(registry, lot_id, {"b" * 64: ("U1", "c" * 64)}, actor="Erin")
+    store_golden_runs(registry, lot_id, {"b" * 64: ("U1", "c" * 64)}, actor="Erin")
     draw_plan(registry, lot_id, AuditConfig(random=1, doubtful=1))
     confirmed = {"lot_id": lot_id, "serial": "U1", "output_sha256": "d" * 64, "doubt": {"code": "plain"}}
     registry.declarations.declare("confirmed_audits", confirmed, action="confirm", reason="pressed again")
@@ -45,7 +45,7 @@ def declare_all(factory, labelled) -> None:
     }
     registry.declarations.declare("lot_statements", statement, action="judge")
     alert = {"kind": "yield", "lot_id": lot_id, "about": "", "is_open": True, "content": {"kind": "yield"}}
-    remember_files(
+    record_exported_files(
         registry, {UnitKey(lot_id, "U1"): {"revision": 1, "map_sha256": "a" * 64, "verdict": "pass"}}, "/out"
     )
     store_laboratory(registry, Laboratory(person=Person("Kim")))

@@ -18,7 +18,7 @@ from softcal.app.calibration.audit import draw_plan, update_lot
 from softcal.app.calibration.changes import carry_out, change_limit, preview
 from softcal.app.calibration.lot_context import store_result
 from softcal.app.calibration.redecision import confirm, redecide, redecide_stale
-from softcal.app.calibration.release import decide_lot, lot_standing, roll_back
+from softcal.app.calibration.release import decide_lot, read_lot_status, roll_back
 from softcal.app.calibration.unit_calibration import Calibrated
 from softcal.app.export.certificates.lot_statement import build_lot_statement
 from softcal.app.registry.listing import unit_json
@@ -31,7 +31,7 @@ from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.interface import Anchors, map_sha256
 from softcal.core.network.network import Network
 from softcal.core.quality.audit_plan import AuditConfig
-from softcal.core.quality.lot_standing import Way
+from softcal.core.quality.lot_status import Disposition
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.fit import FittedMap
 from softcal.core.unit.health import OutputLimits
@@ -114,7 +114,7 @@ def make_registries(folder: Path) -> None:
         redecide(first, [LOT.id])
         decide_lot(first, LOT.id)
         update_lot(first, LOT.id)
-        assert lot_standing(first, LOT.id).on(Way.SAMPLED), "units are released by sample"
+        assert read_lot_status(first, LOT.id).on(Disposition.SAMPLED), "units are released by sample"
         synchronise(first, second)
 
 
@@ -225,23 +225,25 @@ class UnitHistories(RuleBasedStateMachine):
         for side in sorted(getattr(self, "touched", ())):
             registry = self.registries[side]
             units = [unit for unit in registry.lots.units(LOT.id) if unit.role == "target"]
-            standings = registry.pages.standings(LOT.id, SERIALS)
-            words = {serial: one.verdict for serial, one in standings.items()}
+            unit_statuses = registry.pages.unit_statuses(LOT.id, SERIALS)
+            words = {serial: one.verdict for serial, one in unit_statuses.items()}
             core = {
-                s: str(one.calibration.state.verdict) for s, one in standings.items() if one.calibration is not None
+                s: str(one.calibration.state.verdict) for s, one in unit_statuses.items() if one.calibration is not None
             }
             assert core == {serial: words[serial] for serial in core}
             listed = {unit.serial: unit_json(unit) for unit in units}
             assert {serial: row["verdict"] for serial, row in listed.items()} == words
             assert {serial: UnitAnswer.model_validate(row).verdict for serial, row in listed.items()} == words
             passing = {serial for serial, word in words.items() if word == "pass"}
-            standing = lot_standing(registry, LOT.id)
+            standing = read_lot_status(registry, LOT.id)
             assert set(standing.to_json()["released"]) == passing
-            assert {one.serial for way in (Way.MEASURED, Way.SAMPLED) for one in standing.on(way)} == passing
+            assert {
+                one.serial for way in (Disposition.MEASURED, Disposition.SAMPLED) for one in standing.on(way)
+            } == passing
             if standing.decided is not None:
                 facts = build_lot_statement(registry, standing, standing.decided)
                 by_sample = {
-                    serial for serial in passing if not standings[serial].calibration.state.decision.is_audited
+                    serial for serial in passing if not unit_statuses[serial].calibration.state.decision.is_audited
                 }
                 assert by_sample <= set(facts.decided.released)
         self.touched = set()

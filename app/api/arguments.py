@@ -24,7 +24,7 @@ def number(name: str, value: Any, expected: str) -> float:
     """
     result = _float(value)
     if result is None or not np.isfinite(result):
-        raise InputError(f"{name} is {shown(value)}; {expected} was expected")
+        raise InputError(f"{name} is {show_value(value)}; {expected} was expected")
     return result
 
 
@@ -32,7 +32,7 @@ def whole_number(name: str, value: Any, minimum: int) -> int:
     """Return a whole number as an int, `InputError` where it is none or below the minimum."""
     scalar = _scalar(value)
     if not isinstance(scalar, Integral) or isinstance(scalar, bool) or not minimum <= int(scalar) < 2**63:
-        raise InputError(f"{name} is {shown(value)}; a whole number of at least {minimum} was expected")
+        raise InputError(f"{name} is {show_value(value)}; a whole number of at least {minimum} was expected")
     return int(scalar)
 
 
@@ -50,17 +50,17 @@ def file_path(name: str, value: Any) -> Path:
     """
     path = os.fspath(value) if isinstance(value, str | os.PathLike) else None
     if not isinstance(path, str) or not path or "\0" in path:
-        raise InputError(f"{name} is {shown(value)}; a path: text or a pathlib.Path was expected")
+        raise InputError(f"{name} is {show_value(value)}; a path: text or a pathlib.Path was expected")
     return Path(path)
 
 
 def expect(name: str, value: Any, kind: Any, expected: str) -> None:
     """Refuse an argument of another type with `InputError`."""
     if not isinstance(value, kind):
-        raise InputError(f"{name} is {shown(value)}; {expected} was expected")
+        raise InputError(f"{name} is {show_value(value)}; {expected} was expected")
 
 
-def shown(value: Any) -> str:
+def show_value(value: Any) -> str:
     """Return a value with its type, in few letters on one line."""
     line = " ".join(repr(value).split())
     return f"{line if len(line) <= 60 else line[:57] + '...'} ({type(value).__name__})"
@@ -80,8 +80,8 @@ def column(name: str, values: Any) -> Array:
         array = np.array([_element(name, k, value) for k, value in enumerate(array)], dtype=np.float64)
     if array.dtype.kind not in "iuf":
         first = array[:1].tolist()
-        what = shown(first[0]) if first else array.dtype.name
-        raise InputError(f"{name} holds {what}; real numbers were expected")
+        content = show_value(first[0]) if first else array.dtype.name
+        raise InputError(f"{name} holds {content}; real numbers were expected")
     # A copy in any case; and -0.0 becomes 0.0, so that equal columns have one hash.
     copied: Array = array.astype(np.float64, order="C") + 0.0
     return copied
@@ -176,9 +176,9 @@ def frame_column(frame: Any, option: str, name: Hashable) -> Any:
     """Return the column of a table by its name; `option` is the argument that names another."""
     count = list(frame.columns).count(name)
     if count != 1:
-        there = ", ".join(map(str, list(frame.columns)[:12]))
+        names = ", ".join(map(str, list(frame.columns)[:12]))
         problem = "there is no column" if count == 0 else f"{count} columns are named"
-        raise InputError(f"{problem} {name!r}; the table has {there}; name the one that is meant: {option}=")
+        raise InputError(f"{problem} {name!r}; the table has {names}; name the one that is meant: {option}=")
     return frame[name]
 
 
@@ -193,7 +193,7 @@ def _check_sequence(name: str, values: Any) -> None:
     if hasattr(values, "columns"):
         raise InputError(f"{name} is a table; one column was expected: Recording.from_frame takes a table")
     if isinstance(values, str | bytes | dict | set | frozenset) or not hasattr(values, "__len__"):
-        raise InputError(f"{name} is {shown(values)}; one column of numbers was expected")
+        raise InputError(f"{name} is {show_value(values)}; one column of numbers was expected")
 
 
 def _array(name: str, values: Any) -> Any:
@@ -255,7 +255,7 @@ def _refuse_text(name: str, values: Any) -> None:
     if getattr(values, "ndim", 1) == 1 and pd.api.types.infer_dtype(values) in ("string", "bytes"):
         first = pd.Index(values)[0]
         raise InputError(
-            f"{name} holds the text {shown(first)}; seconds or times were expected: pandas.to_datetime or "
+            f"{name} holds the text {show_value(first)}; seconds or times were expected: pandas.to_datetime or "
             "pandas.to_timedelta makes times of text"
         )
 
@@ -267,7 +267,7 @@ def _element(name: str, sample: int, value: Any) -> float:
         return float("nan")
     result = _float(value)
     if result is None:
-        raise InputError(f"{name} holds {shown(value)} at sample {sample}; real numbers were expected")
+        raise InputError(f"{name} holds {show_value(value)} at sample {sample}; real numbers were expected")
     return result
 
 

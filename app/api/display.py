@@ -9,8 +9,8 @@ from softcal.app.extras import missing_extra
 
 def html_table(title: str, rows: Iterable[tuple[str, str]]) -> str:
     """Return a small table of names and values as HTML, for `_repr_html_`."""
-    left = "style='text-align:left'"
-    cells = [f"<th {left}>{escape(name)}</th><td {left}>{escape(value)}</td>" for name, value in rows]
+    alignment = "style='text-align:left'"
+    cells = [f"<th {alignment}>{escape(name)}</th><td {alignment}>{escape(value)}</td>" for name, value in rows]
     lines = "".join(f"<tr>{pair}</tr>" for pair in cells)
     return f"<table><caption><b>{escape(title)}</b></caption><tbody>{lines}</tbody></table>"
 

@@ -139,15 +139,15 @@ class MapTransformer(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         output = self._output(X, reset=True)
         if self.source is None:
             raise InputError("MapTransformer has no source; give what softcal.fit_network returned")
-        known = self.source.model.source
-        rate_Hz = self.sample_rate_Hz or known.unlabelled.sample_rate_Hz
-        target = Recording(output, sample_rate_Hz=rate_Hz, output_unit=known.unlabelled.output_unit).unlabelled
-        problem = FitProblem(known, self.source.network, target, None, MapConfig(family=self.family))
+        source = self.source.model.source
+        rate_Hz = self.sample_rate_Hz or source.unlabelled.sample_rate_Hz
+        target = Recording(output, sample_rate_Hz=rate_Hz, output_unit=source.unlabelled.output_unit).unlabelled
+        problem = FitProblem(source, self.source.network, target, None, MapConfig(family=self.family))
         method = self.source.model.method
-        check_alive(target, known.unlabelled, method.health)
+        check_alive(target, source.unlabelled, method.health)
         is_rising = self.source.model.interval.slope_limit > 0
-        limits = output_limits(target, known.unlabelled, is_rising, method)
-        for contradiction in contradictions(known.unlabelled, target, limits, method, problem.synchrony):
+        limits = output_limits(target, source.unlabelled, is_rising, method)
+        for contradiction in contradictions(source.unlabelled, target, limits, method, problem.synchrony):
             raise UnitRefused(contradiction.reason)
         chosen = choose_map(problem).unit_map if self.family == DEFAULT else family(self.family).fit(problem)
         self.map_, self.family_ = chosen, chosen.family  # noqa: V101

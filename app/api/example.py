@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from softcal.app.api.arguments import number, shown, whole_number
+from softcal.app.api.arguments import number, show_value, whole_number
 from softcal.app.api.recording import Recording
 from softcal.core.errors import InputError
 
@@ -31,7 +31,7 @@ def simulate_recordings(units: int = 1, *, duration_s: float = 12.0, seed: int =
 
     time_s = number("duration_s", duration_s, "a number of seconds")
     if not 1 <= time_s <= 3600:
-        raise InputError(f"duration_s is {shown(duration_s)}; 1 to 3600 s was expected")
+        raise InputError(f"duration_s is {show_value(duration_s)}; 1 to 3600 s was expected")
     rng = np.random.default_rng(whole_number("seed", seed, 0))
     recordings = []
     for k, twin in enumerate(draw_twins(rng, 1 + whole_number("units", units, 0)), 1):

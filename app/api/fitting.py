@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from softcal.app.api.arguments import column, expect, number, shown, text
-from softcal.app.api.given import labelled_of, recording_of, recording_with
+from softcal.app.api.arguments import column, expect, number, show_value, text
 from softcal.app.api.network import SourceNetwork
 from softcal.app.api.recording import COLUMNS, Recording, check_rate
+from softcal.app.api.recording_input import labelled_of, recording_of, recording_with
 from softcal.app.api.unit import Unit, unit_frame, unit_row
 from softcal.app.calibration.unit_calibration import LotContext, UnitInputs
 from softcal.core.errors import InputError, UnitRefused
@@ -156,18 +156,18 @@ def fit_map(
         UnitRefused: the one recording allows no map; the message says why and what to do.
         InputError: the family is unknown, or units do not agree.
     """
-    facts = {"sample_rate_Hz": sample_rate_Hz, **recording}
+    options = {"sample_rate_Hz": sample_rate_Hz, **recording}
     fit = _MapFit.prepare(network, family, limit_rmse)
     if not _is_many(target):
-        return fit.fit_unit(recording_with(target, "target", facts, fit.rate_Hz, **fit.units), anchors, audit)
+        return fit.fit_unit(recording_with(target, "target", options, fit.rate_Hz, **fit.units), anchors, audit)
     if "serial" in recording:
         raise InputError("serial= belongs to one unit; a dict {serial: recording} names many")
-    serials, given = _named(target, facts)
+    serials, entries = _name_units(target, options)
     loads, audits = _by_serial("anchors", anchors, serials), _by_serial("audit", audit, serials)
     rows: list[Unit | RefusedUnit] = []
-    for serial, (name, one) in zip(serials, given, strict=True):
+    for serial, (name, one) in zip(serials, entries, strict=True):
         try:
-            unit = _recording_of_unit(one, name, serial, serials.count(serial), fit, facts)
+            unit = _recording_of_unit(one, name, serial, serials.count(serial), fit, options)
             rows.append(fit.fit_unit(unit, loads.get(serial), audits.get(serial)))
         except UnitRefused as error:
             rows.append(RefusedUnit(serial, str(Verdict.FAIL), str(error)))
@@ -176,19 +176,21 @@ def fit_map(
     return UnitTable(tuple(rows))
 
 
-def named_recordings(network: SourceNetwork, units: Any, facts: Mapping[str, Any]) -> list[Recording]:
+def read_recordings(network: SourceNetwork, units: Any, options: Mapping[str, Any]) -> list[Recording]:
     """Return the recordings of many units, each with its own serial.
 
     Raises:
         InputError: it is one recording or none, a serial stands twice, or an output is unusable.
     """
     if not _is_many(units):
-        raise InputError(f"units is {shown(units)}; a dict {{serial: recording}} or a list of recordings was expected")
+        raise InputError(
+            f"units is {show_value(units)}; a dict {{serial: recording}} or a list of recordings was expected"
+        )
     fit = _MapFit.prepare(network, DEFAULT, None)
-    serials, given = _named(units, facts)
+    serials, entries = _name_units(units, options)
     return [
-        _recording_of_unit(one, name, serial, serials.count(serial), fit, facts)
-        for serial, (name, one) in zip(serials, given, strict=True)
+        _recording_of_unit(one, name, serial, serials.count(serial), fit, options)
+        for serial, (name, one) in zip(serials, entries, strict=True)
     ]
 
 
@@ -220,9 +222,9 @@ class _MapFit:
     def fit_unit(self, recording: Recording, anchors: Any, audit: Any) -> Unit:
         measured, measured_at = None, None
         if audit is not None:
-            given = recording_of(audit, "audit", self.rate_Hz, serial=recording.serial, **self.units)
-            measured = labelled_of(replace(given, serial=recording.serial), "audit", "fit_map")
-            measured_at = given.measured_at
+            audit_recording = recording_of(audit, "audit", self.rate_Hz, serial=recording.serial, **self.units)
+            measured = labelled_of(replace(audit_recording, serial=recording.serial), "audit", "fit_map")
+            measured_at = audit_recording.measured_at
         loads = None if anchors is None else _anchors(anchors)
         (problem,) = self.lot.problems(recording.unlabelled, UnitInputs(loads, audit=measured))
         model = self.lot.source
@@ -246,32 +248,32 @@ def _is_many(target: Any) -> bool:
         )
         is_empty = is_sequence and not target
     if is_empty:
-        raise InputError(f"target is {shown(target)}; it holds no unit and no sample")
+        raise InputError(f"target is {show_value(target)}; it holds no unit and no sample")
     return is_many
 
 
-def _named(units: Any, facts: Mapping[str, Any]) -> tuple[list[str], list[tuple[Any, Any]]]:
+def _name_units(units: Any, options: Mapping[str, Any]) -> tuple[list[str], list[tuple[Any, Any]]]:
     """Return the serials of many units, and each with the name that a dict gives it.
 
     Raises:
         InputError: an option of the call that no unit can have, or that one which is a `Recording` takes no more.
     """
-    if facts.get("sample_rate_Hz") is not None:
-        check_rate(facts["sample_rate_Hz"])
+    if options.get("sample_rate_Hz") is not None:
+        check_rate(options["sample_rate_Hz"])
     for name in ("output_unit", "reference_unit"):
-        if facts.get(name) is not None:
-            text(name, facts[name])
-    given = [*units.items()] if isinstance(units, dict) else [(None, one) for one in units]
-    usual = [one.serial if isinstance(one, Recording) else f"unit-{k}" for k, (_, one) in enumerate(given, 1)]
-    serials = [other if name is None else str(name) for (name, _), other in zip(given, usual, strict=True)]
-    for serial, (_, one) in zip(serials, given, strict=True):
+        if options.get(name) is not None:
+            text(name, options[name])
+    entries = [*units.items()] if isinstance(units, dict) else [(None, one) for one in units]
+    usual = [one.serial if isinstance(one, Recording) else f"unit-{k}" for k, (_, one) in enumerate(entries, 1)]
+    serials = [other if name is None else str(name) for (name, _), other in zip(entries, usual, strict=True)]
+    for serial, (_, one) in zip(serials, entries, strict=True):
         if isinstance(one, Recording):
-            recording_with(one, serial, facts)
-    return serials, given
+            recording_with(one, serial, options)
+    return serials, entries
 
 
 def _recording_of_unit(
-    given: Any, name: Any, serial: str, count: int, fit: _MapFit, facts: Mapping[str, Any]
+    unit: Any, name: Any, serial: str, count: int, fit: _MapFit, options: Mapping[str, Any]
 ) -> Recording:
     """Return the recording of one unit of many under its serial; `InputError` where another has that serial too."""
     if count > 1:
@@ -281,32 +283,32 @@ def _recording_of_unit(
         )
     if name is not None:
         expect("serial", name, str, "text")
-    if isinstance(given, Recording):
-        given = replace(given, serial=serial)
-    return recording_with(given, "target", facts, fit.rate_Hz, serial=serial, **fit.units)
+    if isinstance(unit, Recording):
+        unit = replace(unit, serial=serial)
+    return recording_with(unit, "target", options, fit.rate_Hz, serial=serial, **fit.units)
 
 
-def _by_serial(name: str, given: Any, serials: Sequence[str]) -> Mapping[str, Any]:
+def _by_serial(name: str, values: Any, serials: Sequence[str]) -> Mapping[str, Any]:
     """Return what stands beside units of many by their serial; what belongs to none of them is refused."""
-    if given is None:
+    if values is None:
         return {}
-    expect(name, given, dict, "a dict by serial, as there are many units,")
-    if unknown := [str(serial) for serial in given if serial not in serials]:
+    expect(name, values, dict, "a dict by serial, as there are many units,")
+    if unknown := [str(serial) for serial in values if serial not in serials]:
         raise InputError(f"{name} of {', '.join(unknown[:12])}: there is no unit of that serial among the targets")
-    return dict(given)
+    return dict(values)
 
 
-def _anchors(given: Any) -> Anchors:
-    pair: Any = given
-    if hasattr(given, "columns"):
-        if missing := [name for name in ("output", "reference") if name not in given.columns]:
+def _anchors(data: Any) -> Anchors:
+    pair: Any = data
+    if hasattr(data, "columns"):
+        if missing := [name for name in ("output", "reference") if name not in data.columns]:
             raise InputError(
                 f"anchors is a table without {', '.join(missing)}; columns output, reference were expected"
             )
-        pair = (given["output"], given["reference"])
+        pair = (data["output"], data["reference"])
     if not isinstance(pair, tuple | list) or len(pair) != 2:
         raise InputError(
-            f"anchors is {shown(given)}; (outputs, references), or a DataFrame with columns output, reference, was "
+            f"anchors is {show_value(data)}; (outputs, references), or a DataFrame with columns output, reference, was "
             "expected"
         )
     output, reference = column("anchors, outputs,", pair[0]), column("anchors, references,", pair[1])

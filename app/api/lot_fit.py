@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from softcal.app.api.fitting import named_recordings
-from softcal.app.api.given import recording_of
+from softcal.app.api.fitting import read_recordings
 from softcal.app.api.network import SourceNetwork
+from softcal.app.api.recording_input import recording_of
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps import shared_load, source_bias
 from softcal.core.maps.config import SharedLoadConfig
@@ -73,7 +73,7 @@ class LotMaps:
             }
             for serial, unit in self.fit.units.items()
         ]
-        rows += [{"serial": serial, "reason": str(why)} for serial, why in self.fit.refused.items()]
+        rows += [{"serial": serial, "reason": str(reason)} for serial, reason in self.fit.refused.items()]
         return pd.DataFrame(rows).astype({"group": "Int64"})
 
     def estimate(self, serial: str, recording: Any) -> Array:
@@ -98,9 +98,9 @@ class LotMaps:
         if serial not in self.fit.units:
             raise InputError(f"there is no unit {serial!r}; the lot has {', '.join(list(self)[:12])}")
         source = self.network.model.source.unlabelled
-        typed = recording_of(recording, "recording", source.sample_rate_Hz, output_unit=source.output_unit)
-        estimates = np.full(len(typed.unlabelled), np.nan)
-        for rows, windows in mapped_segments(self.fit.units[serial].unit_map, typed.unlabelled):
+        target = recording_of(recording, "recording", source.sample_rate_Hz, output_unit=source.output_unit)
+        estimates = np.full(len(target.unlabelled), np.nan)
+        for rows, windows in mapped_segments(self.fit.units[serial].unit_map, target.unlabelled):
             estimates[rows] = self.network.network.evaluate(windows)
         return estimates
 
@@ -131,8 +131,8 @@ def fit_lot(network: SourceNetwork, units: Any, *, sample_rate_Hz: Any = None, *
     Raises:
         InputError: the units are none, a serial stands twice, or an output is unusable.
     """
-    facts = {"sample_rate_Hz": sample_rate_Hz, **recording}
-    targets = [one.unlabelled for one in named_recordings(network, units, facts)]
+    options = {"sample_rate_Hz": sample_rate_Hz, **recording}
+    targets = [one.unlabelled for one in read_recordings(network, units, options)]
     model = network.model
     return LotMaps(network, shared_load.fit_lot(model.source, model.network, targets, model.method.map))
 

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from softcal.app.api.arguments import shown, whole_number
+from softcal.app.api.arguments import show_value, whole_number
 from softcal.app.api.display import html_table
-from softcal.app.api.given import labelled_of, recording_with
+from softcal.app.api.recording_input import labelled_of, recording_with
 from softcal.core.errors import InputError
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
@@ -77,7 +77,7 @@ class SourceNetwork:
         try:
             table = np.asarray(windows, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise InputError(f"windows is {shown(windows)}; (n, {TAPS}) numbers were expected") from error
+            raise InputError(f"windows is {show_value(windows)}; (n, {TAPS}) numbers were expected") from error
         if table.ndim != 2 or table.shape[1] != TAPS or not np.isfinite(table).all():
             raise InputError(f"windows has the shape {table.shape}; (n, {TAPS}) finite numbers were expected")
         return self.network.evaluate(table)
@@ -120,15 +120,15 @@ def fit_network(
     """
     if not isinstance(hidden, tuple | list | np.ndarray) or np.ndim(hidden) != 1:
         raise InputError(
-            f"hidden is {shown(hidden)}; widths of the hidden layers, for example (120, 70, 35), were expected"
+            f"hidden is {show_value(hidden)}; widths of the hidden layers, for example (120, 70, 35), were expected"
         )
     config = NetworkConfig(
         hidden=tuple(whole_number("hidden", width, 1) for width in hidden),
         seed=whole_number("seed", seed, 0),
         members=whole_number("members", members, 1),
     )
-    facts = {"reference": reference, "sample_rate_Hz": sample_rate_Hz, **recording}
-    labelled = labelled_of(recording_with(source, "source", facts), "source", "fit_network")
-    trained = train_network(labelled, config)
-    model = make_source_model(labelled, trained.network, trained.validation_rows, method=Method())
-    return SourceNetwork(model, trained.validation_rows, trained.validation_rmse)
+    options = {"reference": reference, "sample_rate_Hz": sample_rate_Hz, **recording}
+    labelled = labelled_of(recording_with(source, "source", options), "source", "fit_network")
+    training = train_network(labelled, config)
+    model = make_source_model(labelled, training.network, training.validation_rows, method=Method())
+    return SourceNetwork(model, training.validation_rows, training.validation_rmse)

@@ -18,19 +18,19 @@ from softcal.app.api.arguments import (
     frame_column,
     has_dates,
     number,
-    shown,
+    show_value,
     text,
     times,
     times_of_index,
 )
 from softcal.app.api.display import html_table, plotting
 from softcal.app.files.measured_at import parse_instant
-from softcal.app.tables.time_unit import doubt_seconds
+from softcal.app.tables.time_unit import find_seconds_problem
 from softcal.app.tables.timestamps import median_rate_Hz
 from softcal.core.errors import InputError
 from softcal.core.inspection.build import InspectedRecording, build_recording
 from softcal.core.inspection.inspection import Inspection
-from softcal.core.inspection.words import summarise
+from softcal.core.inspection.reasons import summarise
 from softcal.core.lot import check_serial
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.method import Method
@@ -47,7 +47,7 @@ def check_rate(sample_rate_Hz: Any) -> float:
     """Return a sample rate as a float, `InputError` where it is no positive number."""
     rate_Hz = number("sample_rate_Hz", sample_rate_Hz, RATE)
     if rate_Hz <= 0:
-        raise InputError(f"sample_rate_Hz is {shown(sample_rate_Hz)}; {RATE} was expected")
+        raise InputError(f"sample_rate_Hz is {show_value(sample_rate_Hz)}; {RATE} was expected")
     return rate_Hz
 
 
@@ -56,8 +56,8 @@ def _rate_of(stamps: Any, t_s: Array) -> float:
     steps = np.diff(t_s)
     if not np.any(steps > 0) or np.median(steps) < 0:
         raise InputError("t_s goes back or stands still; sort the rows by it, or leave it out and give sample_rate_Hz")
-    if not has_dates("t_s", stamps) and (doubt := doubt_seconds(t_s, float(np.median(steps[steps > 0])))):
-        raise InputError(f"t_s {doubt}? give it in s, or confirm it with sample_rate_Hz={median_rate_Hz(t_s):g}")
+    if not has_dates("t_s", stamps) and (problem := find_seconds_problem(t_s, float(np.median(steps[steps > 0])))):
+        raise InputError(f"t_s {problem}? give it in s, or confirm it with sample_rate_Hz={median_rate_Hz(t_s):g}")
     return median_rate_Hz(t_s)
 
 
@@ -107,34 +107,34 @@ class Recording:
 
     def __post_init__(self) -> None:
         # Whatever is wrong with it is reported here, not at the first use.
-        typed: dict[str, Any] = {name: text(name, getattr(self, name)) for name in _TEXTS}
-        check_serial(typed["serial"])
-        check_indexes({name: getattr(self, name) for name in ("output", *_BESIDE)})
-        typed["output"] = column("output", self.output)
-        for name in _BESIDE:
+        attributes: dict[str, Any] = {name: text(name, getattr(self, name)) for name in _TEXTS}
+        check_serial(attributes["serial"])
+        check_indexes({name: getattr(self, name) for name in ("output", *_OPTIONAL_COLUMNS)})
+        attributes["output"] = column("output", self.output)
+        for name in _OPTIONAL_COLUMNS:
             if (values := getattr(self, name)) is not None:
-                typed[name] = column(name, values)
+                attributes[name] = column(name, values)
         rate_Hz = None if self.sample_rate_Hz is None else check_rate(self.sample_rate_Hz)
         stamps = self.t_s if self.t_s is not None else times_of_index(self.output)
         if stamps is not None:
-            typed["t_s"] = times("t_s", stamps)
+            attributes["t_s"] = times("t_s", stamps)
             if rate_Hz is None:
-                rate_Hz = _rate_of(stamps, typed["t_s"])
+                rate_Hz = _rate_of(stamps, attributes["t_s"])
         elif rate_Hz is not None:
-            typed["t_s"] = np.arange(len(typed["output"])) / rate_Hz
+            attributes["t_s"] = np.arange(len(attributes["output"])) / rate_Hz
         if isinstance(self.measured_at, str):
-            typed["measured_at"] = parse_instant("measured_at", self.measured_at)
+            attributes["measured_at"] = parse_instant("measured_at", self.measured_at)
         elif self.measured_at is not None:
             expect("measured_at", self.measured_at, datetime, "an ISO date or date and time, or a datetime,")
-            typed["measured_at"] = self.measured_at.astimezone(UTC)
+            attributes["measured_at"] = self.measured_at.astimezone(UTC)
         elif stamps is not None:
-            typed["measured_at"] = first_instant("t_s", stamps)
+            attributes["measured_at"] = first_instant("t_s", stamps)
         if rate_Hz is None:
             raise InputError("neither sample_rate_Hz nor t_s says when samples were taken; give one of them")
-        typed["sample_rate_Hz"] = rate_Hz
+        attributes["sample_rate_Hz"] = rate_Hz
         if self.lines is not None:
-            typed["lines"] = column("lines", self.lines).astype(np.int64)
-        for name, value in typed.items():
+            attributes["lines"] = column("lines", self.lines).astype(np.int64)
+        for name, value in attributes.items():
             object.__setattr__(self, name, value)
         _ = self.labelled if self.reference is not None else self.unlabelled
 
@@ -145,13 +145,13 @@ class Recording:
     __iter__ = None
 
     def __repr__(self) -> str:
-        facts = [f"{len(self)} samples at {self.sample_rate_Hz:g} Hz ({self.duration_s:.4g} s)"]
-        facts.append(f"output in {self.output_unit}")
+        parts = [f"{len(self)} samples at {self.sample_rate_Hz:g} Hz ({self.duration_s:.4g} s)"]
+        parts.append(f"output in {self.output_unit}")
         if self.reference is not None:
-            facts.append(f"reference in {self.reference_unit}")
+            parts.append(f"reference in {self.reference_unit}")
         if masked := len(self.inspection.masked):
-            facts.append(f"{masked} masked")
-        return f"<Recording {self.serial}: {', '.join(facts)}>"
+            parts.append(f"{masked} masked")
+        return f"<Recording {self.serial}: {', '.join(parts)}>"
 
     def _repr_html_(self) -> str:
         columns = {"output": (self.output, self.output_unit), "reference": (self.reference, self.reference_unit)}
@@ -171,12 +171,14 @@ class Recording:
             InputError: it is no slice, leaves samples out, or is too short for a window.
         """
         if not isinstance(rows, slice):
-            raise InputError(f"recording[{shown(rows)}]: a slice was expected, recording[0:800], or between(2.0, 10.0)")
+            raise InputError(
+                f"recording[{show_value(rows)}]: a slice was expected, recording[0:800], or between(2.0, 10.0)"
+            )
         try:
             start, stop, step = rows.indices(len(self))
         except TypeError as error:
             raise InputError(
-                f"recording[...] with {shown(rows)}: samples are whole numbers; between(2.0, 10.0) takes seconds"
+                f"recording[...] with {show_value(rows)}: samples are whole numbers; between(2.0, 10.0) takes seconds"
             ) from error
         if step != 1:
             raise InputError(f"a step of {step} would change the sample rate or the direction of time; leave it out")
@@ -291,7 +293,7 @@ class Recording:
         reference: Hashable | None = None,
         time_s: Hashable | None = None,
         stage_mm: Hashable | None = None,
-        **facts: Any,
+        **extra: Any,
     ) -> "Recording":
         """Take columns of a table.
 
@@ -305,19 +307,19 @@ class Recording:
             output, reference, time_s, stage_mm: names of the columns; None takes `reference`, `t_s` and `stage_mm`
                 where there are such. Time is in seconds, or of dates or durations; without such a column it is that of
                 a DatetimeIndex or TimedeltaIndex, or made from `sample_rate_Hz`.
-            facts: the other arguments of `Recording`.
+            extra: the other arguments of `Recording`.
 
         Raises:
             InputError: there is no column of that name, or several; the message lists those there are.
         """
         if not hasattr(frame, "columns"):
-            raise InputError(f"frame is {shown(frame)}; a pandas DataFrame was expected")
+            raise InputError(f"frame is {show_value(frame)}; a pandas DataFrame was expected")
         columns: dict[str, Any] = {}
         for option, name in (("output", output), ("reference", reference), ("time_s", time_s), ("stage_mm", stage_mm)):
             argument = "t_s" if option == "time_s" else option
             if name is not None or argument in frame.columns:
                 columns[argument] = frame_column(frame, option, argument if name is None else name)
-        return cls(**columns, **facts)
+        return cls(**columns, **extra)
 
     @classmethod
     def read(
@@ -327,7 +329,7 @@ class Recording:
         reference: str | None = None,
         time_s: str | None = None,
         stage_mm: str | None = None,
-        **facts: Any,
+        **extra: Any,
     ) -> "Recording":
         """Read a file with a table; its name without suffix is the serial unless `serial` is given.
 
@@ -340,28 +342,28 @@ class Recording:
         Args:
             path: a table as loggers and laboratories write it.
             output, reference, time_s, stage_mm: as of `from_frame`; without a name the time is found by its heading.
-            facts: the other arguments of `Recording`, and of the table's layout where it is not detected: `delimiter`,
+            extra: the other arguments of `Recording`, and of the table's layout where it is not detected: `delimiter`,
                 `decimal`, `encoding`, `header_row`, `sheet`, `time_format`, `missing`.
 
         Raises:
             InputError: the file is no table, or lacks a column.
         """
-        from softcal.app.files.recording_file import STAGE, ColumnNames, naming, read_columns
+        from softcal.app.files.recording_file import STAGE, ColumnNames, prefix_errors, read_columns
         from softcal.app.tables.options import TableOptions
         from softcal.app.tables.read import column_names
 
         file = file_path("path", path)
-        layout = {name: facts.pop(name) for name in TableOptions.__dataclass_fields__ if name in facts}
+        layout = {name: extra.pop(name) for name in TableOptions.__dataclass_fields__ if name in extra}
         table = TableOptions(**layout)
         # Without a name it is read where there is one.
         has_reference = reference is not None or "reference" in column_names(file, table)
-        rate_Hz = facts.get("sample_rate_Hz")
+        rate_Hz = extra.get("sample_rate_Hz")
         rate_Hz = None if rate_Hz is None else number("sample_rate_Hz", rate_Hz, RATE)
         names = ColumnNames(output, time_s, reference or "reference", stage_mm or STAGE, rate_Hz, table)
         columns, start = read_columns(file, names, with_reference=has_reference)
-        facts = {"measured_at": None if start is None else start.at, **facts}
-        with naming(file):
-            return cls(**{"serial": file.stem, **facts, **columns})
+        extra = {"measured_at": None if start is None else start.at, **extra}
+        with prefix_errors(file):
+            return cls(**{"serial": file.stem, **extra, **columns})
 
     def to_frame(self) -> "pd.DataFrame":
         """Return `t_s`, `output` and, where they are there, `stage_mm` and `reference`; NaN where a value is missing.
@@ -397,4 +399,4 @@ class Recording:
 
 
 _TEXTS = ("serial", "output_unit", "reference_unit")
-_BESIDE = ("reference", "stage_mm")
+_OPTIONAL_COLUMNS = ("reference", "stage_mm")

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from softcal.app.api.arguments import file_path, shown, text
+from softcal.app.api.arguments import file_path, show_value, text
 from softcal.app.api.display import html_table, plotting
-from softcal.app.api.given import labelled_of, recording_of
 from softcal.app.api.recording import Recording
+from softcal.app.api.recording_input import labelled_of, recording_of
 from softcal.app.api.registry import open_registry
 from softcal.app.files.atomic import write_bytes
 from softcal.app.registry.lot_recordings import audit_of
@@ -52,7 +52,7 @@ class Unit:
         recording: the one the unit was calibrated from.
         audit: recording that measured its error; None without one.
         audited_at: when that was measured, UTC; None where nobody says.
-        kept: what the registry knows of it; None for a unit that was calibrated here.
+        stored_unit: what the registry knows of it; None for a unit that was calibrated here.
     """
 
     network: Network
@@ -61,7 +61,7 @@ class Unit:
     recording: OutputRecording
     audit: LabelledRecording | None = None
     audited_at: datetime | None = None
-    kept: "CalibratedUnit | None" = None
+    stored_unit: "CalibratedUnit | None" = None
 
     def __repr__(self) -> str:
         return f"<Unit {self.serial}: {self.verdict}, {self.family}{self._error(', predicted RMSE ')}>"
@@ -131,8 +131,8 @@ class Unit:
         """
         import pandas as pd
 
-        typed = self._recording(recording)
-        estimates = estimate(self.network, self.state, typed.unlabelled).spread(typed.t_s, typed.rows)
+        target = self._recording(recording)
+        estimates = estimate(self.network, self.state, target.unlabelled).spread(target.t_s, target.rows)
         columns = {name: getattr(estimates, name) for name in ("t_s", "estimate", "lower", "upper", "flag")}
         return pd.DataFrame(columns, index=recording.index if hasattr(recording, "iloc") else None)
 
@@ -155,9 +155,9 @@ class Unit:
         )
         return rmse(estimates.estimate[rows], labelled.reference[rows])
 
-    def _recording(self, given: Any) -> Recording:
+    def _recording(self, data: Any) -> Recording:
         units = {"output_unit": self.network.output_unit, "reference_unit": self.network.reference_unit}
-        return recording_of(given, "recording", self.sample_rate_Hz, serial=self.serial, **units)
+        return recording_of(data, "recording", self.sample_rate_Hz, serial=self.serial, **units)
 
     def to_frame(self) -> "pd.DataFrame":
         """Return one row: serial, verdict, map family, predicted and measured RMSE, and the reasons.
@@ -190,11 +190,11 @@ class Unit:
             from softcal.app.api.figures import draw_unit
         from softcal.app.views.unit import UnitSignals
 
-        typed = None if recording is None else self._recording(recording)
-        raw = self.recording if typed is None else typed.unlabelled
+        target = None if recording is None else self._recording(recording)
+        raw = self.recording if target is None else target.unlabelled
         estimates = estimate(self.network, self.state, raw)
         signals = UnitSignals(self.state, self._lot, self.source, raw, estimates)
-        reference = None if typed is None or typed.reference is None else typed.reference[typed.rows]
+        reference = None if target is None or target.reference is None else target.reference[target.rows]
         return draw_unit(signals, reference, f"Unit {self.serial}: {self.verdict}{self._error(', predicted RMSE ')}")
 
     def save(self, path: str | Path) -> None:
@@ -274,15 +274,15 @@ class Unit:
         folder = file_path("out", out)
         names = [text("format", name) for name in formats] or ["json"]
         if release not in tuple(Release):
-            raise InputError(f"release is {shown(release)}; pass or conditional was expected")
-        if self.kept is not None:
-            self.kept.check_not_withdrawn()
+            raise InputError(f"release is {show_value(release)}; pass or conditional was expected")
+        if self.stored_unit is not None:
+            self.stored_unit.check_not_withdrawn()
         options = ExportOptions(release=Release(release))
         with TemporaryDirectory(prefix="softcal-") as scratch, self._registry(Path(scratch)) as registry:
-            (done,) = export_units(registry, [self.serial], names, folder, options)
-        if done.refusal is not None:
-            raise UnitRefused(done.refusal)
-        return [folder / name for name in done.files]
+            (exported,) = export_units(registry, [self.serial], names, folder, options)
+        if exported.refusal is not None:
+            raise UnitRefused(exported.refusal)
+        return [folder / name for name in exported.files]
 
     @property
     def _stored_source(self) -> LabelledRecording:
@@ -294,8 +294,8 @@ class Unit:
 
     @property
     def _lot(self) -> Lot:
-        if self.kept is not None:
-            return self.kept.lot
+        if self.stored_unit is not None:
+            return self.stored_unit.lot
         source = self._stored_source
         units = {"reference_unit": source.reference_unit, "output_unit": source.unlabelled.output_unit}
         # One that nobody stated follows from the source again.
@@ -335,12 +335,22 @@ class Unit:
         """
         from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 
-        kept = UnitLoader(registry, ExportOptions(revision=revision, lot_id=lot)).load(serial)
-        scored = kept.state.audit
-        entries = registry.recordings.of_lot(kept.lot.id, serial, "audit")
-        entry = next((one for one in entries if scored is not None and one.sha256 == scored.recording_sha256), None)
-        audit, at = audit_of(registry, entry), None if entry is None else entry.observed_at
-        return cls(kept.network, kept.state, kept.shared.source, kept.recording, audit, at, kept)
+        stored_unit = UnitLoader(registry, ExportOptions(revision=revision, lot_id=lot)).load(serial)
+        audit_record = stored_unit.state.audit
+        entries = registry.recordings.of_lot(stored_unit.lot.id, serial, "audit")
+        entry = next(
+            (one for one in entries if audit_record is not None and one.sha256 == audit_record.recording_sha256), None
+        )
+        audit, measured_at = audit_of(registry, entry), None if entry is None else entry.observed_at
+        return cls(
+            stored_unit.network,
+            stored_unit.state,
+            stored_unit.shared.source,
+            stored_unit.recording,
+            audit,
+            measured_at,
+            stored_unit,
+        )
 
 
 def unit_row(unit: Unit) -> dict[str, Any]:

@@ -24,18 +24,18 @@ class Claims:
         self.queue = registry.work_queue
         self.owner = f"{socket.gethostname()}:{os.getpid()}:{uuid.uuid4().hex[:8]}"
         self._ended = threading.Event()
-        self._keeper = threading.Thread(target=self._keep, daemon=True)
+        self._lease_thread = threading.Thread(target=self._extend_leases, daemon=True)
 
     def __enter__(self) -> "Claims":
         # An SQLite registry in memory has one connection, which no thread can share.
         if not self._registry.database.is_in_memory:
-            self._keeper.start()
+            self._lease_thread.start()
         return self
 
     def __exit__(self, *exception: object) -> None:
         self._ended.set()
-        if self._keeper.is_alive():
-            self._keeper.join()
+        if self._lease_thread.is_alive():
+            self._lease_thread.join()
         self.queue.give_back(self.owner)
 
     def take(self, count: int) -> list[WorkItem]:
@@ -52,7 +52,7 @@ class Claims:
         owners = self.queue.owners(self.work)
         return sum(self.queue.take_back(owner) for owner in owners if is_alive(owner.rpartition(":")[0]) is False)
 
-    def _keep(self) -> None:
+    def _extend_leases(self) -> None:
         while not self._ended.wait(EXTEND_EVERY_S):
             try:
                 self.queue.extend(self.owner, LEASE_S)

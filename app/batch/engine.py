@@ -191,7 +191,7 @@ def _end_with_parent() -> None:
 @contextmanager
 def _process_pool(choice: EngineChoice, shared: Any) -> Iterator[Pool]:
     # Workers read the limits when they import libraries: two must not start four threads.
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    environment = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(ONE_THREAD)
     executor = ProcessPoolExecutor(
         choice.jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker, initargs=(shared,)
@@ -204,7 +204,7 @@ def _process_pool(choice: EngineChoice, shared: Any) -> Iterator[Pool]:
         )
     finally:
         executor.shutdown(wait=True, cancel_futures=True)
-        for name, value in before.items():
+        for name, value in environment.items():
             if value is None:
                 os.environ.pop(name, None)
             else:
@@ -241,9 +241,9 @@ def _dask_pool(choice: EngineChoice, shared: Any) -> Iterator[Pool]:
         raise InputError(f"no Dask scheduler with workers answers at {choice.scheduler}: {error}") from error
     try:
         # A task and no scattered data: when all that hold it die, it is made again.
-        held = client.submit(_hold, shared, pure=False)
+        shared_future = client.submit(_return_shared, shared, pure=False)
         yield Pool(
-            lambda work, item: client.submit(work, held, item, pure=False),
+            lambda work, item: client.submit(work, shared_future, item, pure=False),
             lambda: max(1, int(sum(client.nthreads().values()))),
             error_of,
         )
@@ -253,5 +253,5 @@ def _dask_pool(choice: EngineChoice, shared: Any) -> Iterator[Pool]:
             local.close()
 
 
-def _hold(shared: Any) -> Any:
+def _return_shared(shared: Any) -> Any:
     return shared

@@ -16,7 +16,7 @@ from softcal.core.unit.verdict import Verdict
 Work = Callable[[SharedWork, Chunk], ChunkOutcome]
 
 
-class TooLong(BaseException):
+class UnitTimeout(BaseException):
     """The work on a unit exceeded its time; no `except Exception` inside it may catch this."""
 
 
@@ -27,29 +27,29 @@ class PassingRefusal(Refusal):
     trace: str = ""
 
 
-def each_alone(work: Work, limit_s: float, shared: SharedWork, chunk: Chunk) -> ChunkOutcome:
+def isolate_units(work: Work, limit_s: float, shared: SharedWork, chunk: Chunk) -> ChunkOutcome:
     """Process the units of a chunk one by one; an error of one unit is its result."""
     start_s = time.process_time()
     units: list[UnitOutcome] = []
     for task in chunk.tasks:
         try:
             with time_limit(limit_s):
-                done = work(shared, Chunk((task,))).units
-            units += done
+                outcomes = work(shared, Chunk((task,))).units
+            units += outcomes
             continue
-        except TooLong:
-            why, trace = f"its work was broken off after {limit_s:g} s; look at its recording", ""
+        except UnitTimeout:
+            message, trace = f"its work was broken off after {limit_s:g} s; look at its recording", ""
         except Exception as error:
-            what = " ".join(str(error).split())[:200]
-            why, trace = (
-                f"its work failed: {type(error).__name__}: {what}; the log has the details",
+            summary = " ".join(str(error).split())[:200]
+            message, trace = (
+                f"its work failed: {type(error).__name__}: {summary}; the log has the details",
                 traceback.format_exc(),
             )
-        units.append(UnitOutcome(task.item_id, task.serial, PassingRefusal(Verdict.RETEST, plain(why), trace)))
+        units.append(UnitOutcome(task.item_id, task.serial, PassingRefusal(Verdict.RETEST, plain(message), trace)))
     return ChunkOutcome(tuple(units), time.process_time() - start_s)
 
 
-def lost(chunk: Chunk) -> ChunkOutcome:
+def lost_outcome(chunk: Chunk) -> ChunkOutcome:
     """Return the outcome of units that killed their worker each time."""
     refusal = PassingRefusal(Verdict.RETEST, reason("worker_died"))
     return ChunkOutcome(tuple(UnitOutcome(task.item_id, task.serial, refusal) for task in chunk.tasks), 0.0)
@@ -57,7 +57,7 @@ def lost(chunk: Chunk) -> ChunkOutcome:
 
 @contextmanager
 def time_limit(limit_s: float) -> Iterator[None]:
-    """Raise `TooLong` in this thread when the block takes longer.
+    """Raise `UnitTimeout` in this thread when the block takes longer.
 
     The exception comes between two steps of Python: a single call into a compiled library is not broken off. An alarm
     signal would reach the main thread only, and workers of a cluster compute in others.
@@ -68,14 +68,14 @@ def time_limit(limit_s: float) -> Iterator[None]:
         with lock:
             if not state["is_over"]:
                 state["is_sent"] = True
-                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread_id), ctypes.py_object(TooLong))
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread_id), ctypes.py_object(UnitTimeout))
 
     timer = threading.Timer(limit_s, fire)
     timer.daemon = True
     timer.start()
     try:
         yield
-    except TooLong:
+    except UnitTimeout:
         state["is_sent"] = False
         raise
     finally:

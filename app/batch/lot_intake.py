@@ -11,18 +11,18 @@ from pathlib import Path
 from softcal.app.bootstrap import data_folder
 from softcal.app.calibration.lot_context import config_of, declared_sources
 from softcal.app.files.import_plan import ImportPlan
-from softcal.app.files.importing import LookedAt, compare_audits, import_lot, look_through
+from softcal.app.files.importing import ImportPreview, compare_audits, import_lot, preview_import
 from softcal.app.files.lot_folder import FOLDER_OF, LotFolder, open_lot_folder
 from softcal.app.files.lot_toml import write_lot_toml
-from softcal.app.files.not_used import NotUsed
 from softcal.app.files.recording_file import replace_table, write_recording
+from softcal.app.files.unused_input import UnusedInput
 from softcal.app.files.unused_parts import unused_of_import
 from softcal.app.registry.lot_recordings import newest_audits, source_recording
 from softcal.app.registry.same_recordings import same_recordings_with
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.messages.reason import Reason
 from softcal.core.network.config import NetworkConfig
-from softcal.core.quality.same_recording import Pressed
+from softcal.core.quality.duplicate_recordings import RecordedOutput
 from softcal.core.unit.findings import contradictions
 from softcal.core.unit.health import check_alive, health_findings, output_limits
 from softcal.core.unit.method import Method
@@ -30,7 +30,7 @@ from softcal.db.registry import Registry
 
 
 @dataclass(frozen=True)
-class Expected:
+class UnitPreview:
     """Preview of one unit of a new lot.
 
     `problem` is the reason of a refusal before any fit, `findings` are those of its output alone: with these it will
@@ -46,7 +46,7 @@ class Expected:
 
 
 @dataclass(frozen=True)
-class ExpectedLot:
+class LotPreview:
     """Preview of the tables of a new lot.
 
     Args:
@@ -55,44 +55,44 @@ class ExpectedLot:
         remarks: what is odd and no error, here and against the registry.
     """
 
-    units: tuple[Expected, ...]
+    units: tuple[UnitPreview, ...]
     audits: tuple[str, ...]
-    not_used: tuple[NotUsed, ...]
+    not_used: tuple[UnusedInput, ...]
     remarks: tuple[Reason, ...]
 
 
-def expect(plan: ImportPlan, registry: Registry) -> ExpectedLot:
+def preview_lot(plan: ImportPlan, registry: Registry) -> LotPreview:
     """Return the preview of every unit of a plan, without writing or fitting."""
-    looks = look_through(plan)
-    source = next((look for look in looks if look.serial == plan.lot.source), None)
-    units = tuple(_expected(look, source, plan) for look in looks)
-    tables = [(look.path, look.serial, look.unit) for look in looks if look.unit is not None]
+    previews = preview_import(plan)
+    source = next((preview for preview in previews if preview.serial == plan.lot.source), None)
+    units = tuple(_preview_unit(preview, source, plan) for preview in previews)
+    tables = [(preview.path, preview.serial, preview.unit) for preview in previews if preview.unit is not None]
     audits, not_used = unused_of_import(plan, tables)
-    pressed = [Pressed(serial, plan.lot.id, unit.recording.output_sha256) for _, serial, unit in tables]
-    compared = compare_audits(plan, {serial: unit for _, serial, unit in tables})
-    return ExpectedLot(units, tuple(audits), not_used, (*compared, *same_recordings_with(registry, pressed)))
+    pressed = [RecordedOutput(serial, plan.lot.id, unit.recording.output_sha256) for _, serial, unit in tables]
+    comparisons = compare_audits(plan, {serial: unit for _, serial, unit in tables})
+    return LotPreview(units, tuple(audits), not_used, (*comparisons, *same_recordings_with(registry, pressed)))
 
 
-def _expected(look: LookedAt, source: LookedAt | None, plan: ImportPlan) -> Expected:
-    if look.unit is None:
-        return Expected(look.file, look.serial, problem=look.problem)
-    recording, reference = look.unit.recording, look.unit.reference
-    facts = (look.file, look.serial, len(recording), len(recording) / plan.lot.sample_rate_Hz)
-    if source is look and reference is None:
-        return Expected(*facts, problem=f"the source {look.serial} has no reference")
-    if source is None or source is look or source.unit is None or source.unit.reference is None:
-        return Expected(*facts)
-    method, known = Method(), source.unit.recording
+def _preview_unit(preview: ImportPreview, source: ImportPreview | None, plan: ImportPlan) -> UnitPreview:
+    if preview.unit is None:
+        return UnitPreview(preview.file, preview.serial, problem=preview.problem)
+    recording, reference = preview.unit.recording, preview.unit.reference
+    details = (preview.file, preview.serial, len(recording), len(recording) / plan.lot.sample_rate_Hz)
+    if source is preview and reference is None:
+        return UnitPreview(*details, problem=f"the source {preview.serial} has no reference")
+    if source is None or source is preview or source.unit is None or source.unit.reference is None:
+        return UnitPreview(*details)
+    method, source_output = Method(), source.unit.recording
     try:
-        check_alive(recording, known, method.health)
+        check_alive(recording, source_output, method.health)
     except UnitRefused as error:
-        return Expected(*facts, findings=(error.reason,))
+        return UnitPreview(*details, findings=(error.reason,))
     is_rising = source.unit.labelled(plan.lot.reference_unit).direction > 0
-    limits = output_limits(recording, known, is_rising, method)
-    against = contradictions(known, recording, limits, method) or health_findings(
-        recording, known, limits, method.health
+    limits = output_limits(recording, source_output, is_rising, method)
+    findings = contradictions(source_output, recording, limits, method) or health_findings(
+        recording, source_output, limits, method.health
     )
-    return Expected(*facts, findings=tuple(finding.reason for finding in against))
+    return UnitPreview(*details, findings=tuple(finding.reason for finding in findings))
 
 
 def lots_folder() -> Path:
@@ -119,7 +119,7 @@ def store_lot(registry: Registry, plan: ImportPlan, actor: str) -> Path:
 
 
 @contextmanager
-def lot_files(registry: Registry, lot_id: str, tell: Callable[[int, int], None]) -> Iterator[LotFolder]:
+def lot_files(registry: Registry, lot_id: str, on_progress: Callable[[int, int], None]) -> Iterator[LotFolder]:
     """Yield a lot as a folder: the registry's newest recordings, and files not read before.
 
     Raises:
@@ -128,8 +128,8 @@ def lot_files(registry: Registry, lot_id: str, tell: Callable[[int, int], None])
     lot, stored = registry.lots.get(lot_id), lots_folder() / lot_id
     newest = {(one.kind, one.serial): one for one in registry.recordings.of_lot(lot_id) if one.kind != "audit"}
     newest |= {("audit", serial): entry for serial, entry in newest_audits(registry, lot_id).items()}
-    with tempfile.TemporaryDirectory(prefix="softcal-lot-") as place:
-        folder = Path(place) / "lot"
+    with tempfile.TemporaryDirectory(prefix="softcal-lot-") as scratch:
+        folder = Path(scratch) / "lot"
         if stored.is_dir():
             shutil.copytree(stored, folder)
         folder.mkdir(exist_ok=True)
@@ -139,7 +139,7 @@ def lot_files(registry: Registry, lot_id: str, tell: Callable[[int, int], None])
         write_lot_toml(folder, lot, more_sources=others, measured_at={**measured_at, **audits})
         # Parquet keeps every bit, so that the same recording is known again.
         for number, ((kind, serial), entry) in enumerate(newest.items()):
-            tell(number, len(newest))
+            on_progress(number, len(newest))
             recording = registry.recordings.get(entry.sha256)
             replace_table(folder / FOLDER_OF[kind] / f"{serial}.parquet", partial(write_recording, recording=recording))
         yield open_lot_folder(folder)

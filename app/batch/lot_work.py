@@ -19,7 +19,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from softcal.app.batch.claims import Claims
 from softcal.app.batch.engine import EngineChoice, WorkerLost, run_all
-from softcal.app.batch.guard import PassingRefusal, each_alone, lost
+from softcal.app.batch.guard import PassingRefusal, isolate_units, lost_outcome
 from softcal.app.batch.unit_work import (
     Chunk,
     ChunkOutcome,
@@ -57,7 +57,7 @@ FIRST_CHUNK, LARGEST_CHUNK = 4, 128
 HELD_BYTES = 64_000_000
 """Files are read ahead up to so many bytes: each is read once, a large lot needs no more."""
 
-LOOK_EVERY_S = 1.0
+POLL_S = 1.0
 """How often a batch that waits for units of others looks whether they are done."""
 
 
@@ -90,22 +90,22 @@ Files = tuple[FileContent, FileContent | None]
 """Recording of a unit, and its audit."""
 
 
-def _silent(*_: object) -> None:
+def _ignore(*_: object) -> None:
     return None
 
 
 @dataclass(frozen=True)
-class Watch:
+class Callbacks:
     """Callbacks of a batch; the defaults do nothing.
 
     `on_done` gets how many units are done, by this batch and others, of how many. `on_wait` gets how many others have
     leased while there is nothing else to do.
     """
 
-    on_epoch: Callable[[EpochReport], None] = _silent
-    on_unit: Callable[[UnitResult], None] = _silent
-    on_done: Callable[[int, int], None] = _silent
-    on_wait: Callable[[int], None] = _silent
+    on_epoch: Callable[[EpochReport], None] = _ignore
+    on_unit: Callable[[UnitResult], None] = _ignore
+    on_done: Callable[[int, int], None] = _ignore
+    on_wait: Callable[[int], None] = _ignore
 
 
 class LotWork:
@@ -115,21 +115,21 @@ class LotWork:
         self,
         folder: LotFolder,
         registry: Registry,
-        facts: LotContext,
-        kept: StoredInputs,
+        context: LotContext,
+        stored: StoredInputs,
         config: BatchConfig,
-        watch: Watch,
+        callbacks: Callbacks,
     ) -> None:
-        self._folder, self._registry, self._facts, self._known = folder, registry, facts, kept
-        self._config, self._watch = config, watch
+        self._folder, self._registry, self._context, self._stored = folder, registry, context, stored
+        self._config, self._callbacks = config, callbacks
         self._lot_id = folder.lot.id
-        self._work = WorkSet(self._lot_id, _settings_sha256(folder.lot, facts, config.refit))
+        self._work = WorkSet(self._lot_id, _settings_sha256(folder.lot, context, config.refit))
         self._unread = deque(folder.unit_paths)
-        self._held: dict[str, Files] = {}
-        self._works: dict[str, str] = {}
+        self._files_ahead: dict[str, Files] = {}
+        self._work_hashes: dict[str, str] = {}
         self._recordings: dict[str, str] = {}
         self._new: set[str] = set()
-        self._ended: set[str] = set()
+        self._decided: set[str] = set()
         self._unit_s: float | None = None
         self.files: list[ReadFile] = []
 
@@ -137,30 +137,30 @@ class LotWork:
         """Work until every unit has a result of any process."""
         with Claims(self._registry, self._work) as claims:
             claims.take_back_from_dead()
-            self._tell_done(claims)
+            self._report_progress(claims)
             while not self._is_done(claims):
                 chunks = self._chunks(claims)
                 first = next(chunks, None)
                 if first is None:
                     # Nothing is free; others may hold the rest.
-                    if held := claims.queue.counts(work=self._work)["claimed"]:
-                        self._watch.on_wait(held)
-                        time.sleep(LOOK_EVERY_S)
+                    if claimed := claims.queue.counts(work=self._work)["claimed"]:
+                        self._callbacks.on_wait(claimed)
+                        time.sleep(POLL_S)
                     continue
-                work = partial(each_alone, work_on, self._config.unit_limit_s)
-                shared = SharedWork(self._folder.lot, self._facts, self._folder.names)
+                work = partial(isolate_units, work_on, self._config.unit_limit_s)
+                shared = SharedWork(self._folder.lot, self._context, self._folder.names)
                 for answer in run_all(self._config.engine, work, shared, chain([first], chunks), Chunk.split):
-                    outcome = lost(answer.item) if isinstance(answer, WorkerLost) else answer
-                    for result in self._keep(claims, outcome):
-                        self._watch.on_unit(result)
-                    self._tell_done(claims)
+                    outcome = lost_outcome(answer.item) if isinstance(answer, WorkerLost) else answer
+                    for result in self._store_outcome(claims, outcome):
+                        self._callbacks.on_unit(result)
+                    self._report_progress(claims)
 
-    def _look_further(self, claims: Claims) -> None:
-        self._held.clear()
+    def _read_ahead(self, claims: Claims) -> None:
+        self._files_ahead.clear()
         works, size = dict[str, str](), 0
         while self._unread and size < HELD_BYTES:
             serial = self._unread.popleft()
-            if serial in self._works:
+            if serial in self._work_hashes:
                 continue
             if problem := self._folder.problems.get(serial):
                 self._refuse(serial, problem)
@@ -170,45 +170,49 @@ class LotWork:
             except InputError as error:
                 self._refuse(serial, f"recording not readable: {error}")
                 continue
-            self._held[serial] = files
+            self._files_ahead[serial] = files
             works[serial] = self._work_sha256(serial, *files)
             size += sum(len(file.content) for file in files if file is not None)
-        self._works |= works
+        self._work_hashes |= works
         undecided = self._undecided(list(works))
-        self._held = {serial: self._held[serial] for serial in undecided}
+        self._files_ahead = {serial: self._files_ahead[serial] for serial in undecided}
         claims.queue.enqueue(self._work, undecided)
-        self._tell_done(claims)
+        self._report_progress(claims)
 
     def _undecided(self, serials: Sequence[str]) -> dict[str, str]:
         """Return the work of the units whose newest result answers something else. Where the same
         work was calibrated before, that calibration is put into use again.
         """
-        asked = {serial: self._works[serial] for serial in serials if serial not in self._ended}
-        decided = self._registry.calibrations.decided_works(self._lot_id, list(asked))
-        left = {serial: work for serial, work in asked.items() if decided.get(serial) != work}
-        for serial, input_sha256 in self._registry.calibrations.inputs_of_works(self._lot_id, left).items():
+        requested = {serial: self._work_hashes[serial] for serial in serials if serial not in self._decided}
+        decided = self._registry.calibrations.decided_works(self._lot_id, list(requested))
+        undecided = {serial: work for serial, work in requested.items() if decided.get(serial) != work}
+        for serial, input_sha256 in self._registry.calibrations.inputs_of_works(self._lot_id, undecided).items():
             unit, actor = (self._registry, self._lot_id, serial), self._config.actor
-            if put_back(*unit, input_sha256, "batch", actor=actor, work_sha256=left[serial]):
-                del left[serial]
-                self._ended.add(serial)
-        return left
+            if put_back(*unit, input_sha256, "batch", actor=actor, work_sha256=undecided[serial]):
+                del undecided[serial]
+                self._decided.add(serial)
+        return undecided
 
     def _refuse(self, serial: str, reason: Reason | str, work_sha256: str | None = None) -> None:
-        asked = {"actor": self._config.actor, "work_sha256": work_sha256}
-        self._registry.calibrations.refuse(self._lot_id, serial, str(Verdict.RETEST), (Reason.parse(reason),), **asked)
-        self._ended.add(serial)
+        details = {"actor": self._config.actor, "work_sha256": work_sha256}
+        self._registry.calibrations.refuse(
+            self._lot_id, serial, str(Verdict.RETEST), (Reason.parse(reason),), **details
+        )
+        self._decided.add(serial)
 
-    def told(self, serials: Sequence[str]) -> dict[str, UnitResult]:
-        results, lost = self._registry.pages.standings(self._lot_id, serials), (plain(NO_RESULT),)
+    def unit_results(self, serials: Sequence[str]) -> dict[str, UnitResult]:
+        results, lost_outcome = self._registry.pages.unit_statuses(self._lot_id, serials), (plain(NO_RESULT),)
         return {
-            serial: replace(results.get(serial) or UnitResult(serial, Verdict.RETEST, lost), is_new=serial in self._new)
+            serial: replace(
+                results.get(serial) or UnitResult(serial, Verdict.RETEST, lost_outcome), is_new=serial in self._new
+            )
             for serial in serials
         }
 
     def recordings(self, serials: Sequence[str]) -> dict[str, str]:
         """Return the hash of the recording that each calibrated unit was calibrated from."""
-        left = [serial for serial in serials if serial not in self._recordings]
-        states = {serial: result.state for serial, result in self.told(left).items()}
+        missing = [serial for serial in serials if serial not in self._recordings]
+        states = {serial: result.state for serial, result in self.unit_results(missing).items()}
         stored = {serial: state.fit.recording_sha256 for serial, state in states.items() if state is not None}
         return stored | {serial: self._recordings[serial] for serial in serials if serial in self._recordings}
 
@@ -217,17 +221,17 @@ class LotWork:
         if self._unread or counts["queued"] + counts["claimed"] > 0:
             return False
         # A batch with other settings forgets what nobody worked at; rows can be lost.
-        undecided = self._undecided(list(self._works))
-        for item in claims.queue.given_up(self._work):
+        undecided = self._undecided(list(self._work_hashes))
+        for item in claims.queue.exhausted_items(self._work):
             if undecided.pop(item.serial, None) is not None:
                 self._refuse(item.serial, "not calibrated: the programs that worked on it died; run the batch again")
         return claims.queue.enqueue(self._work, undecided) == 0 and not undecided
 
-    def _tell_done(self, claims: Claims) -> None:
+    def _report_progress(self, claims: Claims) -> None:
         counts = claims.queue.counts(work=self._work)
-        left = len(self._unread) + counts["queued"] + counts["claimed"]
+        remaining = len(self._unread) + counts["queued"] + counts["claimed"]
         units = len(self._folder.unit_paths)
-        self._watch.on_done(max(0, units - left), units)
+        self._callbacks.on_done(max(0, units - remaining), units)
 
     def _contents(self, serial: str) -> Files:
         folder = self._folder
@@ -237,19 +241,19 @@ class LotWork:
         return FileContent(path, read_regular(path, folder.root)), audit
 
     def _work_sha256(self, serial: str, recording: FileContent, audit: FileContent | None) -> str:
-        anchors, kept = self._config.anchors.get(serial), self._known
+        anchors, stored = self._config.anchors.get(serial), self._stored
         loads: object = None if anchors is None else [anchors.output.tolist(), anchors.reference.tolist()]
-        if anchors is None and serial in kept.loads:
-            loads = {sha256: values(one) for sha256, one in kept.loads[serial].items()}
+        if anchors is None and serial in stored.loads:
+            loads = {sha256: values(one) for sha256, one in stored.loads[serial].items()}
         files = [file and [file.path.suffix, hashlib.sha256(file.content).hexdigest()] for file in (recording, audit)]
-        beside_it = self._facts.bridge
-        golden = None if beside_it and beside_it.is_measured else kept.golden.get(serial)
-        beside: dict[str, object] = {} if golden is None else {"golden": golden}
-        if audit is None and serial in kept.audits:
-            beside["audit"] = kept.audits[serial].sha256
+        day_correction = self._context.bridge
+        golden = None if day_correction and day_correction.is_measured else stored.golden.get(serial)
+        extra: dict[str, object] = {} if golden is None else {"golden": golden}
+        if audit is None and serial in stored.audits:
+            extra["audit"] = stored.audits[serial].sha256
         if audit is not None and serial in self._folder.measured_at:
-            beside["measured_at"] = self._folder.measured_at[serial].isoformat()
-        return content_sha256({}, {"set": self._work.name, "files": files, "anchors": loads, **beside})
+            extra["measured_at"] = self._folder.measured_at[serial].isoformat()
+        return content_sha256({}, {"set": self._work.name, "files": files, "anchors": loads, **extra})
 
     def _chunks(self, claims: Claims) -> Iterator[Chunk]:
         while True:
@@ -260,58 +264,60 @@ class LotWork:
             if not items and not self._unread:
                 return
             if not items:
-                self._look_further(claims)
+                self._read_ahead(claims)
                 continue
-            mine = [item for item in items if item.serial in self._folder.unit_paths]
+            lot_items = [item for item in items if item.serial in self._folder.unit_paths]
             for item in items:
-                if item not in mine:
+                if item not in lot_items:
                     # Asked for by a program with other files: it asks again.
                     claims.queue.finish(claims.owner, [item.id])
-            if mine:
-                yield Chunk(tuple(self._tasks(mine)))
+            if lot_items:
+                yield Chunk(tuple(self._tasks(lot_items)))
 
     def _tasks(self, items: list[WorkItem]) -> Iterator[UnitTask]:
         serials = [item.serial for item in items]
-        known = {} if self._config.refit else self._registry.calibrations.known_inputs(self._lot_id, serials)
+        inputs_by_serial = (
+            {} if self._config.refit else self._registry.calibrations.stored_inputs(self._lot_id, serials)
+        )
         for item in items:
             try:
-                held = self._held.pop(item.serial, None)
-                recording, audit = held or self._contents(item.serial)
+                files = self._files_ahead.pop(item.serial, None)
+                recording, audit = files or self._contents(item.serial)
             except InputError as error:
-                self._works.pop(item.serial, None)
+                self._work_hashes.pop(item.serial, None)
                 yield UnitTask(item.id, item.serial, None, problem=str(error))
                 continue
-            if held is None:
+            if files is None:
                 # Asked for by another batch, or tried again: the file may be another by now.
-                self._works[item.serial] = self._work_sha256(item.serial, recording, audit)
-            facts = self._known.unit(item.serial, self._config.anchors.get(item.serial))
-            given, at = known.get(item.serial, frozenset()), self._folder.measured_at.get(item.serial)
-            yield UnitTask(item.id, item.serial, recording, audit, facts, given, stated=at)
+                self._work_hashes[item.serial] = self._work_sha256(item.serial, recording, audit)
+            inputs = self._stored.unit(item.serial, self._config.anchors.get(item.serial))
+            existing, at = inputs_by_serial.get(item.serial, frozenset()), self._folder.measured_at.get(item.serial)
+            yield UnitTask(item.id, item.serial, recording, audit, inputs, existing, declared_at=at)
 
-    def _keep(self, claims: Claims, outcome: ChunkOutcome) -> list[UnitResult]:
+    def _store_outcome(self, claims: Claims, outcome: ChunkOutcome) -> list[UnitResult]:
         if outcome.work_s and outcome.units:
             self._unit_s = outcome.work_s / len(outcome.units)
         self.files += [file for unit in outcome.units for file in unit.files]
 
-        def kept() -> dict[str, UnitResult]:
+        def store() -> dict[str, UnitResult]:
             with self._registry.transaction():
-                mine = claims.queue.held(claims.owner, [unit.task_id for unit in outcome.units])
-                own = [unit for unit in outcome.units if unit.task_id in mine]
-                for unit in own:
+                leased_ids = claims.queue.held(claims.owner, [unit.task_id for unit in outcome.units])
+                leased = [unit for unit in outcome.units if unit.task_id in leased_ids]
+                for unit in leased:
                     self._register(unit)
-                claims.queue.finish(claims.owner, [unit.task_id for unit in own])
-                return self.told([unit.serial for unit in own])
+                claims.queue.finish(claims.owner, [unit.task_id for unit in leased])
+                return self.unit_results([unit.serial for unit in leased])
 
         # What was kept although the connection broke is not this batch's own any more.
-        results = self._registry.database.once_more(kept, is_repeatable=True)
+        results = self._registry.database.once_more(store, is_repeatable=True)
         for result in results.values():
             revision = result.calibration and result.calibration.revision
             note("unit", lot=self._lot_id, serial=result.serial, verdict=result.verdict, revision=revision)
         return list(results.values())
 
     def _register(self, unit: UnitOutcome) -> None:
-        registry, result, work = self._registry, unit.result, self._works.get(unit.serial)
-        self._ended.add(unit.serial)
+        registry, result, work = self._registry, unit.result, self._work_hashes.get(unit.serial)
+        self._decided.add(unit.serial)
         try:
             with registry.part():
                 for recording, kind, at in ((unit.recording, "unit", None), (unit.audit, "audit", unit.measured_at)):
@@ -319,11 +325,11 @@ class LotWork:
                         actor = self._config.actor
                         registry.recordings.add(self._lot_id, recording, kind, actor=actor, measured_at=at)
                 if isinstance(result, PassingRefusal):
-                    facts = {"lot": self._lot_id, "serial": unit.serial, "reason": str(result.reason)}
-                    note("unit_failed", trace=result.trace, **facts)
+                    details = {"lot": self._lot_id, "serial": unit.serial, "reason": str(result.reason)}
+                    note("unit_failed", trace=result.trace, **details)
                 statement = registry, self._lot_id, unit.serial, result, "batch"
-                asked = None if isinstance(result, PassingRefusal) else work
-                store_result(*statement, actor=self._config.actor, reason="batch", work_sha256=asked)
+                work_sha256 = None if isinstance(result, PassingRefusal) else work
+                store_result(*statement, actor=self._config.actor, reason="batch", work_sha256=work_sha256)
             if unit.recording is not None and not isinstance(result, Refusal):
                 self._recordings[unit.serial] = unit.recording.sha256
             if not isinstance(result, ExistingCalibration):
@@ -335,19 +341,19 @@ class LotWork:
             self._new.add(unit.serial)
 
 
-def _settings_sha256(lot: Lot, facts: LotContext, is_refit: bool) -> str:
+def _settings_sha256(lot: Lot, context: LotContext, is_refit: bool) -> str:
     """Return the hash of all inputs of a result besides the unit's own files."""
-    networks = [model.network.id for model in facts.sources]
+    networks = [model.network.id for model in context.sources]
     settings = {
         "lot": {name: value for name, value in lot.settings().items() if name != "limit_rmse"},
         "network": networks if len(networks) > 1 else networks[0],
-        "method": facts.source.method.id,
-        "own": None if facts.own is None else asdict(facts.own),
-        "limit": None if facts.limit is None else facts.limit.to_json(),
-        "line": None if facts.line is None else vars(facts.line),
-        **({} if facts.reference is None else {"reference": facts.reference.to_json()}),
-        **({} if facts.bridge is None else {"golden": facts.bridge.sha256}),
-        **({"rules": sorted(facts.rules)} if facts.rules else {}),
+        "method": context.source.method.id,
+        "own": None if context.own is None else asdict(context.own),
+        "limit": None if context.limit is None else context.limit.to_json(),
+        "line": None if context.line is None else vars(context.line),
+        **({} if context.reference is None else {"reference": context.reference.to_json()}),
+        **({} if context.bridge is None else {"golden": context.bridge.sha256}),
+        **({"rules": sorted(context.rules)} if context.rules else {}),
         # A newer version may read what an older one refused.
         "version": version("softcal"),
         # To fit again is work of its own, once with each build; interrupted, it goes on.

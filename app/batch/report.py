@@ -8,7 +8,7 @@ from softcal.app.batch.train import LotNetwork
 from softcal.app.calibration.audit import LotAudit, audit_json, audit_line
 from softcal.app.calibration.changes import Changes
 from softcal.app.calibration.lot_fit import LotFitPlan
-from softcal.app.files.not_used import NotUsed
+from softcal.app.files.unused_input import UnusedInput
 from softcal.app.texts.reason_groups import MAX_NAMES, name_serials
 from softcal.core.messages.reason import DOUBT, Reason
 from softcal.core.quality.lot_release import LotRelease
@@ -38,7 +38,7 @@ class BatchReport:
     audit: LotAudit | None = None
     release: Release = Release.PASS
     decided: LotRelease | None = None
-    not_used: tuple[NotUsed, ...] = ()
+    not_used: tuple[UnusedInput, ...] = ()
     remarks: tuple[Reason | str, ...] = ()
     layouts: Mapping[str, str] = field(default_factory=dict)
     changes: Changes = Changes((), {})  # noqa: RUF009 - frozen
@@ -46,8 +46,8 @@ class BatchReport:
 
     @property
     def counts(self) -> dict[str, int]:
-        words = [unit.verdict for unit in self.units]
-        return {str(word): words.count(word) for word in VERDICTS}
+        verdicts = [unit.verdict for unit in self.units]
+        return {str(word): verdicts.count(word) for word in VERDICTS}
 
     @property
     def has_passed(self) -> bool:
@@ -59,15 +59,17 @@ class BatchReport:
         return unit.calibration is not None and self.release.releases(unit.verdict)
 
 
-def unused_audits(audit_paths: Mapping[str, Path], units: Sequence[UnitResult]) -> list[NotUsed]:
+def unused_audits(audit_paths: Mapping[str, Path], units: Sequence[UnitResult]) -> list[UnusedInput]:
     """Return the audits in a lot folder that decide about no unit, each with why."""
     items = []
     for unit in units:
         path = audit_paths.get(unit.serial)
-        if path is None or (unit.is_audited and not any(why.code.startswith(DOUBT) for why in unit.reasons)):
+        if path is None or (unit.is_audited and not any(cause.code.startswith(DOUBT) for cause in unit.reasons)):
             continue
-        why = next((one for one in unit.reasons if one.code == "audit.unreadable" or one.code.startswith(DOUBT)), None)
-        items.append(NotUsed("audit", unit.serial, why or unit.reasons[0], f"audit/{path.name}"))
+        cause = next(
+            (one for one in unit.reasons if one.code == "audit.unreadable" or one.code.startswith(DOUBT)), None
+        )
+        items.append(UnusedInput("audit", unit.serial, cause or unit.reasons[0], f"audit/{path.name}"))
     return items
 
 
@@ -76,7 +78,7 @@ def report_json(report: BatchReport) -> dict[str, object]:
     units = []
     for unit in report.units:
         stored, state = unit.calibration, unit.state
-        made_by = stored and {
+        map_json = stored and {
             "family": stored.state.fit.family,
             "revision": stored.revision,
             "sha256": stored.map_sha256,
@@ -85,7 +87,7 @@ def report_json(report: BatchReport) -> dict[str, object]:
         units.append(
             {
                 **unit.to_json(),
-                "map": made_by,
+                "map": map_json,
                 "audit_scores": None if state is None or state.scores is None else asdict(state.scores),
                 "predicted_verdict": state and str(state.decision.predicted.verdict),
                 "missing": None if state is None or state.fit.missing is None else state.fit.missing.numbers(),

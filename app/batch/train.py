@@ -15,7 +15,7 @@ from softcal.core.recording import LabelledRecording
 from softcal.db.queues.work_queue import WorkSet
 from softcal.db.registry import Registry
 
-LOOK_EVERY_S = 1.0
+POLL_S = 1.0
 """How often a process that waits for another one's network looks whether it is there."""
 
 
@@ -48,32 +48,32 @@ def provide_network(
     input_sha256 = content_sha256({}, {"source": recording_sha256, "config": asdict(config)})
     stored = registry.networks.find(input_sha256)
     if stored is not None:
-        return _registered(registry, stored, False)
+        return _read_network(registry, stored, False)
     with Claims(registry, WorkSet(lot.id, input_sha256, "train")) as claims:
         claims.queue.enqueue(claims.work, {source.serial: input_sha256})
         # Claim the training, or wait for the process that has it; nothing is claimed where that one has
         # finished it
-        while not (mine := claims.take(1)) and claims.queue.counts(work=claims.work)["claimed"]:
-            time.sleep(LOOK_EVERY_S)
+        while not (claimed := claims.take(1)) and claims.queue.counts(work=claims.work)["claimed"]:
+            time.sleep(POLL_S)
         stored = registry.networks.find(input_sha256)
         if stored is not None:
-            return _registered(registry, stored, False)
+            return _read_network(registry, stored, False)
         start_s = time.perf_counter()
-        trained = fit_network(source, config, on_epoch)
+        result = fit_network(source, config, on_epoch)
         metrics = {
-            "validation_rmse": trained.validation_rmse,
-            "epochs": float(max(trained.epochs)),
+            "validation_rmse": result.validation_rmse,
+            "epochs": float(max(result.epochs)),
             "train_s": time.perf_counter() - start_s,
         }
         training = {"config": asdict(config), "source_recording_sha256": recording_sha256}
         # Who loses its lease finds the other one's network: go on with the id that comes back.
-        id_ = registry.networks.add(lot.id, trained.network, metrics, training, input_sha256, actor=actor)
-        for item in mine:
+        id_ = registry.networks.add(lot.id, result.network, metrics, training, input_sha256, actor=actor)
+        for item in claimed:
             claims.queue.finish(claims.owner, [item.id])
     note("network", lot=lot.id, network=id_, **metrics)
-    return _registered(registry, id_, True)
+    return _read_network(registry, id_, True)
 
 
-def _registered(registry: Registry, network_id: str, is_new: bool) -> LotNetwork:
+def _read_network(registry: Registry, network_id: str, is_new: bool) -> LotNetwork:
     metrics = {name: float(str(value)) for name, value in registry.networks.entry(network_id).metrics.items()}
     return LotNetwork(registry.networks.get(network_id), is_new, metrics)

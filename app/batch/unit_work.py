@@ -29,18 +29,18 @@ class FileContent:
 class UnitTask:
     """One unit on its way to a worker: its file, or its error.
 
-    A file of its audit has precedence over the audit among `facts`; `stated` is the stated time of the audit, UTC.
-    Calibrations of `known` inputs are not computed again.
+    A file of its audit has precedence over the audit among `inputs`; `declared_at` is the time of the audit, UTC.
+    Calibrations of `existing` inputs are not computed again.
     """
 
     item_id: int
     serial: str
     recording: FileContent | None
     audit: FileContent | None = None
-    facts: UnitInputs = UnitInputs()
-    known: frozenset[str] = frozenset()
+    inputs: UnitInputs = UnitInputs()
+    existing: frozenset[str] = frozenset()
     problem: str = ""
-    stated: datetime | None = None
+    declared_at: datetime | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class SharedWork:
     """Data that every worker loads once: layout of the lot's files, settings of the fit."""
 
     lot: Lot
-    facts: LotContext
+    inputs: LotContext
     names: ColumnNames = PLAIN
 
 
@@ -110,26 +110,28 @@ def work_on(shared: SharedWork, chunk: Chunk) -> ChunkOutcome:
 
 def _work_on_unit(shared: SharedWork, task: UnitTask) -> UnitOutcome:
     lot, names, file, audit = shared.lot, shared.names, task.recording, task.audit
-    stated = (task.serial, lot.sample_rate_Hz, lot.output_unit)
-    config = shared.facts.source.method.inspection
+    recording_options = (task.serial, lot.sample_rate_Hz, lot.output_unit)
+    config = shared.inputs.source.method.inspection
     try:
         if file is None:
             raise InputError(task.problem)
-        unit = inspect_recording(file.path, *stated, file.content, names, config=config)
+        unit = inspect_recording(file.path, *recording_options, file.content, names, config=config)
     except InputError as error:
         refusal = Refusal(Verdict.RETEST, reason("unreadable", error=str(error)))
         return UnitOutcome(task.item_id, task.serial, refusal)
-    facts, recording, files, at = task.facts, unit.recording, [ReadFile.from_recording(unit)], None
+    inputs, recording, files, at = task.inputs, unit.recording, [ReadFile.from_recording(unit)], None
     if audit is not None:
         try:
-            read = inspect_recording(audit.path, *stated, audit.content, names, with_reference=True, config=config)
-            at = measured_at(read, task.stated)
-            facts = replace(facts, audit=read.labelled(lot.reference_unit))
-            beside = compare_recordings(shared.facts.source.source, read.labelled(lot.reference_unit))
-            files.append(ReadFile.from_recording(read, (*read.reading_remarks, *map(str, beside)), read.start))
+            read = inspect_recording(
+                audit.path, *recording_options, audit.content, names, with_reference=True, config=config
+            )
+            at = measured_at(read, task.declared_at)
+            inputs = replace(inputs, audit=read.labelled(lot.reference_unit))
+            comparisons = compare_recordings(shared.inputs.source.source, read.labelled(lot.reference_unit))
+            files.append(ReadFile.from_recording(read, (*read.reading_remarks, *map(str, comparisons)), read.start))
         except InputError as error:
-            facts = replace(facts, unread_audit=str(error))
-    result = calibrate_unit(shared.facts, recording, facts, task.known)
+            inputs = replace(inputs, unread_audit=str(error))
+    result = calibrate_unit(shared.inputs, recording, inputs, task.existing)
     # Only what came as a file is new to the registry.
-    new_audit = None if audit is None or facts.unread_audit else facts.audit
+    new_audit = None if audit is None or inputs.unread_audit else inputs.audit
     return UnitOutcome(task.item_id, task.serial, result, recording, new_audit, tuple(files), at)

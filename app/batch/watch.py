@@ -7,19 +7,19 @@ from dataclasses import replace
 from pathlib import Path
 
 from softcal.app.batch.batch import run_batch
-from softcal.app.batch.lot_work import BatchConfig, Watch
+from softcal.app.batch.lot_work import BatchConfig, Callbacks
 from softcal.app.batch.report import BatchReport
 from softcal.app.files.lot_folder import open_lot_folder
 from softcal.db.registry import Registry
 
-Seen = dict[str, tuple[int, int]]
+FileStates = dict[str, tuple[int, int]]
 
 
 def watch_lot(
     path: Path,
     registry: Registry,
     batch: BatchConfig,
-    progress: Watch,
+    progress: Callbacks,
     every_s: float = 2.0,
     idle_s: float | None = None,
     sleep: Callable[[float], None] = time.sleep,
@@ -32,12 +32,12 @@ def watch_lot(
     Raises:
         InputError: the folder is no lot, or its source cannot be used.
     """
-    before: Seen = {}
-    done: Seen = {}
+    before: FileStates = {}
+    done: FileStates = {}
     still_s = 0.0
     while True:
         folder = open_lot_folder(path)
-        now: Seen = {}
+        now: FileStates = {}
         for serial, file in folder.unit_paths.items():
             with suppress(FileNotFoundError):
                 stat = file.stat()

@@ -6,10 +6,10 @@ from datetime import datetime
 
 from softcal.app.registry.limit import lot_limit
 from softcal.app.registry.lot_recordings import newest_audits
-from softcal.app.texts.reasons import Words
+from softcal.app.texts.reasons import Translator
 from softcal.core.errors import InputError
 from softcal.core.messages.reason import DOUBT
-from softcal.core.quality.audit_plan import AuditConfig, AuditPlan, LotStatement, judge_lot, plan_audit
+from softcal.core.quality.audit_plan import AuditConfig, AuditPlan, LotStatement, evaluate_audit, plan_audit
 from softcal.core.unit.verdict import Limit, Verdict
 from softcal.db.entries import Draw, UnitEntry
 from softcal.db.registry import Registry
@@ -37,37 +37,37 @@ class Sample:
         """Return the sample as JSON values."""
         return vars(self) | {"drawn_at": None if self.drawn_at is None else self.drawn_at.isoformat()}
 
-    def render(self, words: Words) -> str:
+    def render(self, translate: Translator) -> str:
         """Return in one sentence how the audits stand to the draw."""
         if self.drawn_at is None:
-            return words("paper.drawn.not", others=self.without_draw)
+            return translate("paper.drawn.not", others=self.without_draw)
         numbers = {"since": self.since, "before": self.before, "others": self.without_draw}
         day = self.drawn_at.date().isoformat()
-        return words("paper.drawn.is", drawn=self.drawn, population=self.population, day=day, **numbers)
+        return translate("paper.drawn.is", drawn=self.drawn, population=self.population, day=day, **numbers)
 
 
-def _drawn_at(draws: Sequence[Draw]) -> dict[str, datetime]:
+def _draw_instants(draws: Sequence[Draw]) -> dict[str, datetime]:
     """Return when each unit was first drawn at random, UTC."""
     return {serial: one.made_at for one in reversed(draws) if one.made_at for serial in one.plan.random}
 
 
-def drawn_first(registry: Registry, lot_id: str) -> frozenset[str]:
+def find_random_audits(registry: Registry, lot_id: str) -> frozenset[str]:
     """Return the audited units of a lot that were drawn at random before they were measured: they alone are a sample.
 
     A recording counts as measured by its own stamps or as stated, else when the registry first saw it.
     """
-    audits, drawn = newest_audits(registry, lot_id), _drawn_at(registry.declarations.draws(lot_id))
-    return frozenset(serial for serial, at in drawn.items() if serial in audits and audits[serial].observed_at > at)
+    audits, instants = newest_audits(registry, lot_id), _draw_instants(registry.declarations.draws(lot_id))
+    return frozenset(serial for serial, at in instants.items() if serial in audits and audits[serial].observed_at > at)
 
 
 def audited_sample(registry: Registry, lot_id: str) -> Sample:
     """Return how the audits of a lot stand to its draws."""
     audits, draws = newest_audits(registry, lot_id), registry.declarations.draws(lot_id)
-    drawn = _drawn_at(draws)
-    since, of_drawn = len(drawn_first(registry, lot_id)), len(audits.keys() & drawn.keys())
+    instants = _draw_instants(draws)
+    since, drawn_count = len(find_random_audits(registry, lot_id)), len(audits.keys() & instants.keys())
     population = draws[-1].plan.population if draws else 0
-    at = max(drawn.values(), default=None)
-    return Sample(len(drawn), population, at, since, of_drawn - since, len(audits) - of_drawn)
+    at = max(instants.values(), default=None)
+    return Sample(len(instants), population, at, since, drawn_count - since, len(audits) - drawn_count)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,9 +92,9 @@ class LotAudit:
         """Each unit of the plan: serial, why it was drawn, forecast, measured, what that says."""
         for serial in self.plan.serials:
             measured = self.measured.get(serial)
-            held = "within" if measured is None or measured <= self.limit.maximum_rmse else "beyond"
-            why = "doubtful" if serial in self.plan.doubtful else "random"
-            yield serial, why, self.forecasts[serial], measured, "open" if measured is None else held
+            result = "within" if measured is None or measured <= self.limit.maximum_rmse else "beyond"
+            cause = "doubtful" if serial in self.plan.doubtful else "random"
+            yield serial, cause, self.forecasts[serial], measured, "open" if measured is None else result
 
 
 def draw_plan(
@@ -110,11 +110,11 @@ def draw_plan(
         raise InputError(f"lot {lot_id!r} has an audit plan; a new draw needs a reason")
     # Forecasts of the units that audits can speak for; their forecast alone may speak against them
     units = {unit.serial: unit for unit in _targets(registry, lot_id) if unit.predicted_rmse is not None}
-    standings = registry.pages.standings(lot_id, list(units))
+    unit_statuses = registry.pages.unit_statuses(lot_id, list(units))
     unchecked = {
         serial
-        for serial, standing in standings.items()
-        if (one := standing.calibration) is not None and one.state.fit.is_open and one.state.decision.measured is None
+        for serial, status in unit_statuses.items()
+        if (one := status.calibration) is not None and one.state.fit.is_open and one.state.decision.measured is None
     }
     accepted = {
         serial: float(unit.predicted_rmse or 0.0)
@@ -127,13 +127,13 @@ def draw_plan(
     limit, forecasts = lot_limit(registry, lot_id), {serial: accepted[serial] for serial in plan.serials}
     draw = Draw(lot_id, plan, forecasts, limit.maximum_rmse, limit.unit)
     registry.declarations.add_draw(draw, config, actor=actor, reason=reason)
-    return _standing(registry, draw)
+    return _read_audit(registry, draw)
 
 
 def lot_audit(registry: Registry, lot_id: str) -> LotAudit | None:
     """Return the newest audit plan of a lot with what was measured since; None without one."""
     draws = registry.declarations.draws(lot_id)
-    return _standing(registry, draws[-1]) if draws else None
+    return _read_audit(registry, draws[-1]) if draws else None
 
 
 def update_lot(registry: Registry, lot_id: str, actor: str | None = None) -> LotAudit | None:
@@ -141,12 +141,12 @@ def update_lot(registry: Registry, lot_id: str, actor: str | None = None) -> Lot
     audit = lot_audit(registry, lot_id)
     if audit is not None and audit.statement is not None:
         failed = set(audit.statement.failed)
-        facts = {name: value for name, value in vars(audit.statement).items() if name != "failed"} | {"lot_id": lot_id}
-        facts["listed"] = [
+        values = {name: value for name, value in vars(audit.statement).items() if name != "failed"} | {"lot_id": lot_id}
+        values["listed"] = [
             {"serial": serial, "measured_rmse": error, "is_failed": serial in failed}
             for serial, error in sorted(audit.measured.items())
         ]
-        registry.declarations.declare("lot_statements", facts, action="judge", actor=actor)
+        registry.declarations.declare("lot_statements", values, action="judge", actor=actor)
     return audit
 
 
@@ -166,7 +166,7 @@ def audit_json(audit: LotAudit) -> dict[str, object]:
 
 
 AUDIT_HEADER = ("serial", "why", "predicted", "measured", "result")
-IN_WORDS = {
+LABELS = {
     "random": "random",
     "doubtful": "largest predicted error",
     "open": "to be measured",
@@ -177,7 +177,7 @@ IN_WORDS = {
 
 def audit_rows(audit: LotAudit) -> list[list[object]]:
     """Return one row per unit of the plan under `AUDIT_HEADER`."""
-    return [[serial, IN_WORDS[why], *errors, IN_WORDS[result]] for serial, why, *errors, result in audit.rows]
+    return [[serial, LABELS[cause], *errors, LABELS[result]] for serial, cause, *errors, result in audit.rows]
 
 
 def audit_line(audit: LotAudit) -> str:
@@ -188,16 +188,16 @@ def audit_line(audit: LotAudit) -> str:
     return f"audit: lot {audit.statement.word}: {audit.statement.text}"
 
 
-def _standing(registry: Registry, draw: Draw) -> LotAudit:
+def _read_audit(registry: Registry, draw: Draw) -> LotAudit:
     plan, limit = draw.plan, Limit(draw.limit_unit, draw.limit_rmse)
     errors = {
         unit.serial: unit.after_rmse
         for unit in _targets(registry, draw.lot_id)
-        if not any(why.code.startswith(DOUBT) for why in unit.reasons)
+        if not any(reason.code.startswith(DOUBT) for reason in unit.reasons)
     }
     measured = {s: float(e) for s in plan.serials if (e := errors.get(s)) is not None}
     is_complete = len(measured) == len(plan.serials)
-    statement = judge_lot(plan, draw.forecasts, measured, limit) if is_complete else None
+    statement = evaluate_audit(plan, draw.forecasts, measured, limit) if is_complete else None
     return LotAudit(plan, draw.forecasts, limit, measured, statement)
 
 

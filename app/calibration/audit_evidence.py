@@ -7,16 +7,16 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from softcal.app.calibration.audit import confirmed_audits, drawn_first
+from softcal.app.calibration.audit import confirmed_audits, find_random_audits
 from softcal.app.registry.limit import lot_limit
 from softcal.app.registry.lot_recordings import newest_audits
 from softcal.core.lot import Lot
 from softcal.core.messages.reason import Reason
 from softcal.core.quality.acceptance import min_units, tolerance_factor
-from softcal.core.quality.audit_check import doubtful_audits
+from softcal.core.quality.audit_check import find_suspect_audits
+from softcal.core.quality.interval_inflation import AuditedSamples, fit_interval_inflation
 from softcal.core.quality.qualification import PastAudit, Qualification, qualify
 from softcal.core.quality.release import AuditedUnit
-from softcal.core.quality.widening import AuditedSamples, fit_widening
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.line_spread import SeenGains, seen_gains
@@ -55,7 +55,9 @@ class AuditEvidence:
     @cached_property
     def widening(self) -> Widening:
         """What becomes of the intervals of unmeasured units."""
-        return fit_widening(self.samples(), CONFIDENCE, self.config) if self.qualification.audits else Widening()
+        return (
+            fit_interval_inflation(self.samples(), CONFIDENCE, self.config) if self.qualification.audits else Widening()
+        )
 
     def day_rmse(self, load_rms: float | None) -> float:
         """Return the error that another day adds to a unit with this RMS load, in the same unit.
@@ -85,21 +87,21 @@ class AuditReader:
         registry, lot = self._registry, self._registry.lots.get(lot_id)
         audited = self._audited(lot)
         # A random draw speaks for the other units; the rest speak of their own, and of what all misread alike.
-        drawn = drawn_first(registry, lot_id)
+        random_serials = find_random_audits(registry, lot_id)
         suspects = self._suspects(lot_id, audited)
-        audited = {serial: known for serial, known in audited.items() if serial not in suspects}
-        own = {serial: known for serial, known in audited.items() if known[2].fit.method.id == self._method.id}
+        audited = {serial: entry for serial, entry in audited.items() if serial not in suspects}
+        same_method = {serial: entry for serial, entry in audited.items() if entry[2].fit.method.id == self._method.id}
         # The error of another map than the one in force is nobody's: it counts where it is a fail that stays. Nor does
         # one count that was decided on by another limit, before the unit is decided on again.
         limit = lot_limit(registry, lot_id)
         measured = {
-            serial: known
-            for serial, known in own.items()
-            if known[2].decision.measured is not None and known[2].limit.stated_rmse == limit.stated_rmse
+            serial: entry
+            for serial, entry in same_method.items()
+            if entry[2].decision.measured is not None and entry[2].limit.stated_rmse == limit.stated_rmse
         }
-        here = [audit for serial, (audit, _, _) in measured.items() if serial in drawn]
+        lot_audits = [audit for serial, (audit, _, _) in measured.items() if serial in random_serials]
         past: list[PastAudit] = []
-        if len(here) < min_units(self._config.risk) and lot.sensor_model:
+        if len(lot_audits) < min_units(self._config.risk) and lot.sensor_model:
             # The drawn audits of all other lots of the sensor model
             past = [
                 PastAudit(
@@ -112,28 +114,28 @@ class AuditReader:
                 for other in registry.lots.all()
                 if other.id != lot.id and other.sensor_model == lot.sensor_model
                 for audit, at, state in self._audited(other).values()
-                if state.decision.is_audited and audit.serial in drawn_first(registry, other.id)
+                if state.decision.is_audited and audit.serial in find_random_audits(registry, other.id)
             ]
         # Audits of this lot under another method say as much as those of another lot: nothing.
         past += [
             PastAudit(audit, lot.sensor_model, state.fit.method.id, at)
             for serial, (audit, at, state) in audited.items()
-            if serial not in own
+            if serial not in same_method
         ]
         # How many units the lot has, or is planned to have where a line was told so
         planned = registry.lots.line_rules(lot).target or 0
         units = max(planned, sum(registry.pages.verdict_counts(lot.id).values()))
         golden_failed_at = self._golden_failed_at(lot)
-        qualification = qualify(here, past, now, lot.sensor_model, self._method, golden_failed_at, units)
+        qualification = qualify(lot_audits, past, now, lot.sensor_model, self._method, golden_failed_at, units)
         gains = [state.audit.line.gain for _, _, state in measured.values() if state.audit is not None]
         lines = {
             serial: AuditedLine(state.audit.fitted_line, state.fit.output_level)
-            for serial, (_, _, state) in own.items()
+            for serial, (_, _, state) in same_method.items()
             if state.audit is not None and not state.fit.knowledge.is_anchored
         }
         samples = partial(self._samples, qualification, lot_id)
-        seen, days = seen_gains(gains, self._config.min_others), self._days(lot, now)
-        return AuditEvidence(self._config, qualification, limit, samples, seen, days, suspects, lines)
+        observed, days = seen_gains(gains, self._config.min_others), self._days(lot, now)
+        return AuditEvidence(self._config, qualification, limit, samples, observed, days, suspects, lines)
 
     def suspects(self, lot_id: str) -> Mapping[str, Reason]:
         """Return the audits of a lot that are set aside, by serial, and why."""
@@ -146,18 +148,18 @@ class AuditReader:
             for serial, (_, _, state) in audited.items()
             if state.audit is not None and confirmed.get(serial) != state.audit.output_sha256
         }
-        return doubtful_audits(unconfirmed, self._method)
+        return find_suspect_audits(unconfirmed, self._method)
 
     def _days(self, lot: Lot, now: datetime) -> SeenGains | None:
         """Return gains of golden units of this sensor model, one a day, each about its mean."""
         gains: list[float] = []
         since = now - timedelta(days=self._config.lasts_days)
         models = {one.id: one.sensor_model for one in self._registry.lots.all()}
-        for known, serial in sorted(
+        for lot_id, serial in sorted(
             {(run.lot_id, run.serial) for run in self._registry.stations.golden_runs(since=since)}
         ):
-            if lot.sensor_model and models.get(known) == lot.sensor_model:
-                by_day = self._gains_by_day(known, serial, now)
+            if lot.sensor_model and models.get(lot_id) == lot.sensor_model:
+                by_day = self._gains_by_day(lot_id, serial, now)
                 gains += [gain / float(np.mean(by_day)) for gain in by_day]
         return seen_gains(gains, self._config.min_others)
 
@@ -197,15 +199,15 @@ class AuditReader:
         registry = self._registry
         models = {one.id: one.sensor_model for one in registry.lots.all()}
         failed = [run for run in registry.stations.golden_runs() if not run.passed]
-        mine = (run.made_at for run in failed if models.get(run.lot_id, lot.sensor_model) == lot.sensor_model)
-        return max(mine, default=None)
+        instants = (run.made_at for run in failed if models.get(run.lot_id, lot.sensor_model) == lot.sensor_model)
+        return max(instants, default=None)
 
     def _audited(self, lot: Lot) -> Audited:
         """Return the audited units of a lot that nothing was found against, when each was measured."""
         at = {serial: entry.observed_at for serial, entry in newest_audits(self._registry, lot.id).items()}
         audited = {}
-        for serial, standing in self._registry.pages.standings(lot.id, sorted(at), has_stale=True).items():
-            state = standing.state
+        for serial, status in self._registry.pages.unit_statuses(lot.id, sorted(at), has_stale=True).items():
+            state = status.state
             if state is None or state.audit is None or not state.fit.is_open:
                 continue
             if state.trim_in_force is not None and state.audit.map_id == state.map_id:
@@ -222,8 +224,8 @@ class AuditReader:
         for audit in qualification.audits:
             serials.setdefault(audit.lot_id or lot_id, []).append(audit.serial)
         for lot, audited in serials.items():
-            standings = self._registry.pages.standings(lot, audited[: self._config.max_audits], has_stale=True)
+            unit_statuses = self._registry.pages.unit_statuses(lot, audited[: self._config.max_audits], has_stale=True)
             for serial in audited:
-                state = standings[serial].state if serial in standings else None
+                state = unit_statuses[serial].state if serial in unit_statuses else None
                 if state is not None and (result := state.audit) is not None:
                     yield AuditedSamples(np.array(result.residual), np.array(result.half))

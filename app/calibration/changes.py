@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from softcal.app.calibration.redecision import redecide
-from softcal.app.registry.given_files import Recall, list_recalls
+from softcal.app.registry.exported_files import Recall, list_recalls
 from softcal.core.messages.reason import Reason
 from softcal.core.unit.verdict import VERDICTS, Verdict
 from softcal.db.registry import Registry
@@ -57,7 +57,7 @@ class Changes:
         }
 
 
-class _NotKept(Exception):  # noqa: N818 - no error: it ends a transaction
+class _PreviewRollback(Exception):  # noqa: N818 - no error: it ends a transaction
     pass
 
 
@@ -71,8 +71,8 @@ def preview(registry: Registry, lot_id: str, act: Callable[[], object]) -> Chang
     try:
         with registry.transaction():
             changes = carry_out(registry, lot_id, act)
-            raise _NotKept
-    except _NotKept:
+            raise _PreviewRollback
+    except _PreviewRollback:
         return changes
 
 
@@ -82,7 +82,7 @@ def carry_out(registry: Registry, lot_id: str, act: Callable[[], object]) -> Cha
     Raises:
         InputError: the act is refused, for its own reason.
     """
-    before, lots = read_verdicts(registry, lot_id), reached_lots(registry, lot_id)
+    before, lots = read_verdicts(registry, lot_id), list_affected_lots(registry, lot_id)
     old = set(list_recalls(registry, lots))
     act()
     changes = compare_verdicts(lot_id, before, read_verdicts(registry, lot_id))
@@ -118,7 +118,7 @@ Verdicts = dict[tuple[str, str], tuple[str, Reason]]
 
 def read_verdicts(registry: Registry, lot_id: str) -> Verdicts:
     """Return the verdict and its first reason of every unit that an act on the lot may reach, by lot and serial."""
-    units = [unit for lot in reached_lots(registry, lot_id) for unit in registry.lots.units(lot)]
+    units = [unit for lot in list_affected_lots(registry, lot_id) for unit in registry.lots.units(lot)]
     return {
         (unit.lot_id, unit.serial): (unit.verdict, unit.reasons[0])
         for unit in units
@@ -126,7 +126,7 @@ def read_verdicts(registry: Registry, lot_id: str) -> Verdicts:
     }
 
 
-def reached_lots(registry: Registry, lot_id: str) -> list[str]:
+def list_affected_lots(registry: Registry, lot_id: str) -> list[str]:
     """Return the lots that an act on one of them may reach: those of its sensor model."""
     model = registry.lots.get(lot_id).sensor_model
     return sorted({lot_id, *(lot.id for lot in registry.lots.all() if model and lot.sensor_model == model)})
@@ -135,10 +135,10 @@ def reached_lots(registry: Registry, lot_id: str) -> list[str]:
 def compare_verdicts(lot_id: str, before: Verdicts, after: Verdicts) -> Changes:
     """Return what changed of units that had a verdict before."""
     changed = [
-        VerdictChange(*key, before[key][0], verdict, why)
-        for key, (verdict, why) in after.items()
+        VerdictChange(*key, before[key][0], verdict, reason)
+        for key, (verdict, reason) in after.items()
         if key in before and before[key][0] != verdict
     ]
-    here: Sequence[str] = [verdict for (lot, _), (verdict, _) in after.items() if lot == lot_id]
+    verdicts: Sequence[str] = [verdict for (lot, _), (verdict, _) in after.items() if lot == lot_id]
     ordered = sorted(changed, key=lambda one: (one.verdict != Verdict.PASS, one.lot_id, one.serial))
-    return Changes(tuple(ordered), {str(word): here.count(word) for word in VERDICTS})
+    return Changes(tuple(ordered), {str(word): verdicts.count(word) for word in VERDICTS})

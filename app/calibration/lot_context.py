@@ -12,7 +12,7 @@ from softcal.app.calibration.unit_calibration import (
     Result,
     UnitInputs,
 )
-from softcal.app.registry.golden import bridge_over, golden_of
+from softcal.app.registry.golden import find_golden_runs, load_day_correction
 from softcal.app.registry.known_loads import known_loads
 from softcal.app.registry.lot_recordings import audit_of, newest_audits
 from softcal.app.registry.reference import lot_reference
@@ -35,14 +35,14 @@ WITH_LOT = "stated with the lot"
 def declare_line_spread(registry: Registry, lot_id: str, line: LineSpread | None, actor: str | None = None) -> None:
     """Keep how differently a line presses units, where a lot folder states it anew."""
     if line is not None:
-        facts = {"lot_id": lot_id, **vars(line)}
-        registry.declarations.declare("line_spreads", facts, actor=actor, reason=WITH_LOT)
+        values = {"lot_id": lot_id, **vars(line)}
+        registry.declarations.declare("line_spreads", values, actor=actor, reason=WITH_LOT)
 
 
 def declared_line_spread(registry: Registry, lot_id: str) -> LineSpread | None:
     """Return what was stated last for a lot; None where nothing was."""
-    facts = registry.declarations.newest("line_spreads", lot_id)
-    return None if facts is None else LineSpread(facts["load"], facts["day"])
+    values = registry.declarations.newest("line_spreads", lot_id)
+    return None if values is None else LineSpread(values["load"], values["day"])
 
 
 def declare_sources(registry: Registry, lot_id: str, networks: Sequence[str], actor: str | None = None) -> None:
@@ -54,21 +54,21 @@ def declare_sources(registry: Registry, lot_id: str, networks: Sequence[str], ac
 
 def declared_sources(registry: Registry, lot_id: str) -> list[str]:
     """Return the networks of a lot's further sources, in its order."""
-    facts = registry.declarations.newest("lot_sources", lot_id)
-    return [] if facts is None else [one["network_id"] for one in facts["listed"]]
+    values = registry.declarations.newest("lot_sources", lot_id)
+    return [] if values is None else [one["network_id"] for one in values["listed"]]
 
 
 def declare_family(registry: Registry, lot_id: str, family: str | None, actor: str | None = None) -> None:
     """Store the family of a lot's maps where somebody states it anew."""
     if family is not None and family != lot_method(registry, lot_id).map.family:
-        facts = {"lot_id": lot_id, "family": family}
-        registry.declarations.declare("map_families", facts, actor=actor, reason=WITH_LOT)
+        values = {"lot_id": lot_id, "family": family}
+        registry.declarations.declare("map_families", values, actor=actor, reason=WITH_LOT)
 
 
 def lot_method(registry: Registry, lot_id: str) -> Method:
     """Return this version's method with the map family that was stated last for a lot."""
-    facts = registry.declarations.newest("map_families", lot_id)
-    return Method() if facts is None else Method.with_family(facts["family"])
+    values = registry.declarations.newest("map_families", lot_id)
+    return Method() if values is None else Method.with_family(values["family"])
 
 
 def config_of(network: NetworkEntry) -> NetworkConfig:
@@ -76,9 +76,11 @@ def config_of(network: NetworkEntry) -> NetworkConfig:
     config = network.training.get("config")
     if not isinstance(config, dict):
         return NetworkConfig()
-    given: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in config.items()}
+    settings: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in config.items()
+    }
     try:
-        return NetworkConfig(**given)
+        return NetworkConfig(**settings)
     except TypeError:
         return NetworkConfig()
 
@@ -91,16 +93,16 @@ def read_lot_context(
     registry: Registry,
     lot: Lot,
     sources: Sequence[SourceModel],
-    own: NetworkConfig | None = None,
+    own_config: NetworkConfig | None = None,
     golden: Iterable[str] = (),
-    beside: Bridge | None = None,
+    day_correction: Bridge | None = None,
     cross: Cross | None = None,
 ) -> LotContext:
     """Return what a lot's units are calibrated with, as these sources see them.
 
     Args:
         golden: hashes of the golden runs that the registry knows their recordings to belong to.
-        beside: the golden run that lies in the lot folder.
+        day_correction: the golden run that lies in the lot folder.
         cross: makes bridges; one that remembers those it made, where units come one by one.
     """
     limit = stated_limit(lot.reference_unit, lot.limit_rmse)
@@ -109,9 +111,9 @@ def read_lot_context(
         first = sources[0]
         limit = default_limit(lot.reference_unit, first.held_out_rmse, first.full_range, first.method.decision)
     line, reference = declared_line_spread(registry, lot.id), lot_reference(registry, lot.id)
-    cross = cross or partial(bridge_over, registry)
-    bridges = {sha256: cross(sources[0], sha256) for sha256 in dict.fromkeys(golden)}
-    return LotContext(tuple(sources), limit, own, line, reference, beside, bridges)
+    cross = cross or partial(load_day_correction, registry)
+    day_corrections = {sha256: cross(sources[0], sha256) for sha256 in dict.fromkeys(golden)}
+    return LotContext(tuple(sources), limit, own_config, line, reference, day_correction, day_corrections)
 
 
 class StoredInputs:
@@ -125,7 +127,7 @@ class StoredInputs:
         self.golden: dict[str, dict[str, str]] = {}
         for sha256, loads in known_loads(registry, lot_id, serials).items():
             self.loads.setdefault(loads.serial, {})[sha256] = loads.loads
-        for sha256, (serial, golden) in golden_of(registry, lot_id, serials).items():
+        for sha256, (serial, golden) in find_golden_runs(registry, lot_id, serials).items():
             self.golden.setdefault(serial, {})[sha256] = golden
         only = next(iter(serials)) if len(serials) == 1 else None
         self.audits = newest_audits(registry, lot_id, only)
@@ -162,16 +164,16 @@ def store_result(
     ):
         result = ExistingCalibration(result.input_sha256)
     if isinstance(result, Refusal):
-        why = (result.reason,)
-        registry.calibrations.refuse(lot_id, serial, str(result.verdict), why, actor=actor, work_sha256=work_sha256)
+        reasons = (result.reason,)
+        registry.calibrations.refuse(lot_id, serial, str(result.verdict), reasons, actor=actor, work_sha256=work_sha256)
     elif isinstance(result, ExistingCalibration):
         if not put_back(registry, lot_id, serial, result.input_sha256, by, actor=actor, work_sha256=work_sha256):
             raise InputError(f"{serial}: its calibration vanished from the registry; run `registry verify`")
     else:
         with trim_stored(registry, lot_id, serial, actor):
             add = registry.calibrations.add
-            asked = result.input_sha256
-            add(lot_id, result.state, actor, reason, input_sha256=asked, decided_by=by, work_sha256=work_sha256)
+            input_hash = result.input_sha256
+            add(lot_id, result.state, actor, reason, input_sha256=input_hash, decided_by=by, work_sha256=work_sha256)
 
 
 def put_back(

@@ -31,7 +31,7 @@ from softcal.core.unit.state import UnitState
 from softcal.db.registry import Registry
 
 DECIDED_BY = "lot fit"
-NAMED = ("lot_fit.outlier", "lot_fit.noisy", "lot_fit.spread", "lot_fit.few", "lot_fit.alone")
+OUTLIER_CODES = ("lot_fit.outlier", "lot_fit.noisy", "lot_fit.spread", "lot_fit.few", "lot_fit.alone")
 """Why a unit stands alone that others of the lot disagree with; the last where most share a load."""
 
 
@@ -66,17 +66,17 @@ class LotFitPlan:
     def batch_messages(self) -> list[Reason]:
         """What a batch changed and what it left to a person, and who stands alone."""
         done = len(self.states) - len(self.open)
-        said = [reason("lot_fit.changes", number=self.number, count=done)] if done else []
+        messages = [reason("lot_fit.changes", number=self.number, count=done)] if done else []
         if self.open:
-            said.append(reason("lot_fit.open", number=self.number + bool(done), count=len(self.open)))
-        return said + self.named
+            messages.append(reason("lot_fit.open", number=self.number + bool(done), count=len(self.open)))
+        return messages + self.outlier_messages
 
     @property
-    def named(self) -> list[Reason]:
+    def outlier_messages(self) -> list[Reason]:
         """Who shares a load and stands alone, and why, and which source reads the lot otherwise than the others."""
         by_reason: dict[str, list[str]] = {}
-        for serial, why in self.alone.items():
-            by_reason.setdefault(str(why), []).append(serial)
+        for serial, cause in self.alone.items():
+            by_reason.setdefault(str(cause), []).append(serial)
         return [
             reason("lot_fit.named", serial=", ".join(serials), why=self.alone[serials[0]])
             for serials in by_reason.values()
@@ -85,8 +85,8 @@ class LotFitPlan:
     def to_json(self) -> dict[str, object]:
         """Return the plan as JSON values."""
         parts = {serial: one.fit.lot_fit and vars(one.fit.lot_fit) for serial, one in self.states.items()}
-        alone = {serial: str(why) for serial, why in self.alone.items()}
-        sources = [str(why) for why in self.sources]
+        alone = {serial: str(cause) for serial, cause in self.alone.items()}
+        sources = [str(cause) for cause in self.sources]
         return {"number": self.number, "units": parts, "open": sorted(self.open), "alone": alone, "sources": sources}
 
 
@@ -116,22 +116,24 @@ def plan_lot_fit(registry: Registry, lot_id: str, *, is_withdrawal: bool = False
             }
             changed = [serial for serial, one in maps.items() if lot.is_changed(serial, one)]
             states |= {serial: lot.fitted(serial, maps[serial]) for serial in changed}
-            if any(lot.is_held(serial) for serial in changed):
+            if any(lot.is_for_person(serial) for serial in changed):
                 is_open.update(changed)
     members = {serial for fit in fits.values() for serial in fit.members}
     # Where few share a load, the others are the rule, and no outliers.
-    named = NAMED if 2 * len(members) > len(lot.states) else NAMED[:-1]
-    alone |= {s: why for fit in fits.values() for s, why in fit.outliers.items() if why.code in named}
+    codes = OUTLIER_CODES if 2 * len(members) > len(lot.states) else OUTLIER_CODES[:-1]
+    alone |= {s: cause for fit in fits.values() for s, cause in fit.outliers.items() if cause.code in codes}
     for serial, state in lot.states.items():
         if state.fit.lot_fit is not None and serial not in members:
             states[serial] = lot.alone(serial)
             is_open.add(serial)
     if in_force.is_withdrawn:
         is_open.update(states)
-    return LotFitPlan(lot_id, number, states, frozenset(is_open), alone, lot.revisions, sources=lot.said_of(biases))
+    return LotFitPlan(
+        lot_id, number, states, frozenset(is_open), alone, lot.revisions, sources=lot.describe_biases(biases)
+    )
 
 
-def store_lot_fit(registry: Registry, plan: LotFitPlan, actor: str | None = None, why: str = "") -> None:
+def store_lot_fit(registry: Registry, plan: LotFitPlan, actor: str | None = None, reason: str = "") -> None:
     """Put the units of a plan into use, and write the decision down; nothing where the plan changes nothing.
 
     Raises:
@@ -141,20 +143,20 @@ def store_lot_fit(registry: Registry, plan: LotFitPlan, actor: str | None = None
         return
     with registry.transaction():
         before = decision_in_force(registry, plan.lot_id)
-        what = None if before.fit.number + 1 == plan.number else f"lot {plan.lot_id}: somebody else fitted it"
-        for serial, one in registry.pages.standings(plan.lot_id, list(plan.states), has_stale=True).items():
+        conflict = None if before.fit.number + 1 == plan.number else f"lot {plan.lot_id}: somebody else fitted it"
+        for serial, one in registry.pages.unit_statuses(plan.lot_id, list(plan.states), has_stale=True).items():
             if one.calibration is None or one.calibration.revision != plan.before[serial]:
-                what = what or f"unit {serial} of lot {plan.lot_id}: somebody else changed it"
-        if what:
-            raise ChangedMeanwhile(f"{what} meanwhile; nothing was changed; fit the lot again")
+                conflict = conflict or f"unit {serial} of lot {plan.lot_id}: somebody else changed it"
+        if conflict:
+            raise ChangedMeanwhile(f"{conflict} meanwhile; nothing was changed; fit the lot again")
         for serial, state in plan.states.items():
             with trim_stored(registry, plan.lot_id, serial, actor):
-                said = f"lot fit {plan.number}"
-                registry.calibrations.put_state(plan.lot_id, state, DECIDED_BY, actor=actor, reason=said)
+                note = f"lot fit {plan.number}"
+                registry.calibrations.put_state(plan.lot_id, state, DECIDED_BY, actor=actor, reason=note)
         sittings = _sittings(registry, plan.lot_id)
         fit = LotFitDecision(plan.number, sittings, plan.alone, plan.is_withdrawal, plan.sources)
         registry.decisions.add(
-            plan.lot_id, msgspec.to_builtins(replace(before, fit=fit)), action="fit", actor=actor, reason=why
+            plan.lot_id, msgspec.to_builtins(replace(before, fit=fit)), action="fit", actor=actor, reason=reason
         )
 
 
@@ -169,10 +171,10 @@ def make_batch_fit(registry: Registry, lot_id: str, actor: str | None) -> LotFit
         return plan
 
 
-def make_lot_fit(registry: Registry, plan: LotFitPlan, actor: str | None = None, why: str = "") -> None:
+def make_lot_fit(registry: Registry, plan: LotFitPlan, actor: str | None = None, reason: str = "") -> None:
     """Carry a plan out as a person's act, and decide on the lot with the maps of then."""
     with registry.transaction():
-        store_lot_fit(registry, plan, actor, why)
+        store_lot_fit(registry, plan, actor, reason)
         decide_lot(registry, plan.lot_id, actor)
 
 
@@ -184,23 +186,23 @@ def open_lot_fit(registry: Registry, lot_id: str, recording: OutputRecording) ->
     in_force, config, count = decision_in_force(registry, lot_id).fit, lot_method(registry, lot_id).map, 0
     for sitting in in_force.sittings:
         others = [serial for serial in sitting if serial != recording.serial]
-        standing = registry.pages.standings(lot_id, others[:1]).get(others[0])
-        if standing is None or standing.calibration is None:
+        status = registry.pages.unit_statuses(lot_id, others[:1]).get(others[0])
+        if status is None or status.calibration is None:
             continue
-        first = unlabelled(registry.recordings.get(standing.calibration.state.fit.recording_sha256))
+        first = unlabelled(registry.recordings.get(status.calibration.state.fit.recording_sha256))
         joins = find_synchrony(first, recording, config).is_synchronous
         count += len(others) * (joins or recording.serial in sitting) + joins
     return reason("lot_fit.open", number=in_force.number + 1, count=count) if count else None
 
 
 def _sittings(registry: Registry, lot_id: str) -> tuple[tuple[str, ...], ...]:
-    found: dict[str, list[str]] = {}
-    standings = registry.pages.standings(lot_id, target_serials(registry, lot_id), has_stale=True)
-    for serial, standing in standings.items():
-        part = None if standing.calibration is None else standing.calibration.state.fit.lot_fit
+    by_sitting: dict[str, list[str]] = {}
+    unit_statuses = registry.pages.unit_statuses(lot_id, target_serials(registry, lot_id), has_stale=True)
+    for serial, status in unit_statuses.items():
+        part = None if status.calibration is None else status.calibration.state.fit.lot_fit
         if part is not None:
-            found.setdefault(part.sitting, []).append(serial)
-    return tuple(map(tuple, found.values()))
+            by_sitting.setdefault(part.sitting, []).append(serial)
+    return tuple(map(tuple, by_sitting.values()))
 
 
 class _Lot:
@@ -211,11 +213,11 @@ class _Lot:
         self._method = lot_method(registry, lot_id)
         self.config = self._method.map.shared_load
         serials = target_serials(registry, lot_id)
-        standings = registry.pages.standings(lot_id, serials, has_stale=True)
-        found = {serial: one.calibration for serial, one in standings.items() if one.calibration is not None}
-        self.states = {serial: one.state for serial, one in found.items() if self._may_share(one.state)}
-        self.revisions = {serial: found[serial].revision for serial in self.states}
-        self._kept = StoredInputs(registry, lot_id, serials)
+        unit_statuses = registry.pages.unit_statuses(lot_id, serials, has_stale=True)
+        summaries = {serial: one.calibration for serial, one in unit_statuses.items() if one.calibration is not None}
+        self.states = {serial: one.state for serial, one in summaries.items() if self._may_share(one.state)}
+        self.revisions = {serial: summaries[serial].revision for serial in self.states}
+        self._stored = StoredInputs(registry, lot_id, serials)
         released = registry.networks.released(lot_id)
         first = [] if released is None else [released.network.id]
         self.sources = list(dict.fromkeys([*first, *declared_sources(registry, lot_id)]))
@@ -229,28 +231,28 @@ class _Lot:
 
     def fits(self) -> dict[str, LotFit]:
         """Return the fit of the lot by each network: all units show the common load, those it reads are mapped."""
-        targets, own = [self._recording(serial) for serial in self.states], dict[str, list[str]]()
+        targets, by_network = [self._recording(serial) for serial in self.states], dict[str, list[str]]()
         for serial, state in self.states.items():
-            own.setdefault(state.fit.network_id, []).append(serial)
+            by_network.setdefault(state.fit.network_id, []).append(serial)
         if not any(find_groups(targets, self._method.map)):
-            return {network: LotFit((), {}, {}) for network in own}
-        networks = dict.fromkeys([*self.sources, *own]) if own else ()
+            return {network: LotFit((), {}, {}) for network in by_network}
+        networks = dict.fromkeys([*self.sources, *by_network]) if by_network else ()
         return {
             network: fit_lot(
                 self._model(network).source,
                 self._model(network).network,
                 targets,
                 self._method.map,
-                paired=own.get(network, []),
+                paired=by_network.get(network, []),
             )
             for network in networks
         }
 
-    def said_of(self, biases: Mapping[str, SourceBias]) -> tuple[Reason, ...]:
+    def describe_biases(self, biases: Mapping[str, SourceBias]) -> tuple[Reason, ...]:
         """Return which sources read the lot otherwise than the others; of two it takes one to say so."""
-        known = {network: self._model(network).source for network in biases}
-        said = [bias.to_reason(known[one].serial, known[one].reference_unit) for one, bias in biases.items()]
-        return tuple(why for why in said if why is not None)[: None if len(biases) > 2 else 1]
+        sources = {network: self._model(network).source for network in biases}
+        messages = [bias.to_reason(sources[one].serial, sources[one].reference_unit) for one, bias in biases.items()]
+        return tuple(message for message in messages if message is not None)[: None if len(biases) > 2 else 1]
 
     def is_changed(self, serial: str, new: LotMap) -> bool:
         fit = self.states[serial].fit
@@ -259,7 +261,7 @@ class _Lot:
             replace(new.part, number=fit.lot_fit.number),
         )
 
-    def is_held(self, serial: str) -> bool:
+    def is_for_person(self, serial: str) -> bool:
         """Whether only a person may change it: it rests on a lot fit already, or a person rolled it back."""
         is_fitted = self.states[serial].fit.lot_fit is not None
         return is_fitted or self._registry.calibrations.was_decided_by("rollback", self._lot_id, serial)
@@ -271,9 +273,13 @@ class _Lot:
         """Return a unit by a map of the lot fit, or by its own; its audit is scored by that map."""
         state, start_s = self.states[serial], time.perf_counter()
         networks = self.sources if state.fit.network_id in self.sources else [state.fit.network_id]
-        lot, kept, models = self._registry.lots.get(self._lot_id), self._kept, [self._model(one) for one in networks]
-        facts = read_lot_context(self._registry, lot, models, None, kept.golden.get(serial, {}).values())
-        problems = facts.problems(self._recording(serial), kept.unit(serial))
+        lot, stored, models = (
+            self._registry.lots.get(self._lot_id),
+            self._stored,
+            [self._model(one) for one in networks],
+        )
+        context = read_lot_context(self._registry, lot, models, None, stored.golden.get(serial, {}).values())
+        problems = context.problems(self._recording(serial), stored.unit(serial))
         problem = problems[networks.index(state.fit.network_id)]
         scores = None if state.audit is None else state.audit.scores.own
         unread = str(state.unreadable_audit.values["error"]) if state.unreadable_audit else ""

@@ -20,15 +20,15 @@ def confirm(registry: Registry, lot_id: str, serial: str, *, reason: str, actor:
     Raises:
         InputError: nobody suspects it, or no reason was given.
     """
-    standing = registry.pages.standings(lot_id, [serial]).get(serial)
-    state = None if standing is None else standing.state
+    status = registry.pages.unit_statuses(lot_id, [serial]).get(serial)
+    state = None if status is None else status.state
     if state is None or state.audit is None or state.suspect_audit is None:
         raise InputError(f"the audit of {serial} in lot {lot_id!r} is not in doubt; there is nothing to confirm")
     if not reason.strip():
         raise InputError(f"say why the audit of {serial} is right in spite of the doubt; a reason was expected")
-    facts = {"lot_id": lot_id, "serial": serial, "doubt": state.suspect_audit.to_json()}
-    facts |= {"output_sha256": state.audit.output_sha256}
-    registry.declarations.declare("confirmed_audits", facts, action="confirm", reason=reason, actor=actor)
+    values = {"lot_id": lot_id, "serial": serial, "doubt": state.suspect_audit.to_json()}
+    values |= {"output_sha256": state.audit.output_sha256}
+    registry.declarations.declare("confirmed_audits", values, action="confirm", reason=reason, actor=actor)
     redecide(registry, [lot_id], actor)
 
 

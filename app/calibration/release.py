@@ -18,7 +18,7 @@ from softcal.app.registry.limit import limit_or_none, lot_limit
 from softcal.app.registry.lot_recordings import audit_of, measure_unit, newest_audits, source_recording, target_serials
 from softcal.core.messages.reason import reason
 from softcal.core.quality.lot_release import LotRelease, release_lot
-from softcal.core.quality.lot_standing import LotStanding, UnitInLot
+from softcal.core.quality.lot_status import LotStatus, UnitInLot
 from softcal.core.quality.qualification import NONE
 from softcal.core.quality.release import min_passing
 from softcal.core.unit.adjustments import SampleRelease
@@ -28,7 +28,7 @@ from softcal.db.entries import UnitResult
 from softcal.db.provenance import Provenance, record_provenance
 from softcal.db.registry import Registry
 
-WHY = "decided on the audits of the lot"
+AUDIT_REASON = "decided on the audits of the lot"
 FEW = 20
 """So many units are read to learn the method of a lot."""
 
@@ -49,17 +49,22 @@ def decide_lot(
         if correction.lines == before.correction.lines:
             correction = before.correction
         lot.correct(correction)
-        decided = lot.decided(lot.evidence(), correction)
-        following = decided.next_unit(number)
-        said = lot.following(before, decided, next_unit=following, released=decided.released)
-        said = replace(said, correction=correction)
-        if said.is_as(before):
+        release = lot.decided(lot.evidence(), correction)
+        following = release.next_unit(number)
+        decision = lot.following(before, release, next_unit=following, released=release.released)
+        decision = replace(decision, correction=correction)
+        if decision.is_as(before):
             number = before.next_unit.number if before.next_unit else number
-        elif said.next_unit or before.next_unit or correction is not before.correction:
-            action = "release" if decided.released else "withhold"
-            registry.decisions.add(lot_id, msgspec.to_builtins(said), action=action, actor=actor, reason=WHY)
-        lot.put_all({s: replace(one, release=_says(decided, one, number)) for s, one in lot.open().items()}, WHY)
-        return decided
+        elif decision.next_unit or before.next_unit or correction is not before.correction:
+            action = "release" if release.released else "withhold"
+            registry.decisions.add(
+                lot_id, msgspec.to_builtins(decision), action=action, actor=actor, reason=AUDIT_REASON
+            )
+        lot.put_all(
+            {s: replace(one, release=_unit_release(release, one, number)) for s, one in lot.open().items()},
+            AUDIT_REASON,
+        )
+        return release
 
 
 def redecide_lot(registry: Registry, lot_id: str, actor: str | None = None) -> None:
@@ -84,10 +89,14 @@ def redecide_lot(registry: Registry, lot_id: str, actor: str | None = None) -> N
             return
         number = next_number(registry, lot_id)
         following = decided.next_unit(number)
-        said = lot.following(in_force, decided, next_unit=following, released=decided.released)
-        registry.decisions.add(lot_id, msgspec.to_builtins(said), action="withhold", actor=actor, reason=WHY)
+        decision = lot.following(in_force, decided, next_unit=following, released=decided.released)
+        registry.decisions.add(
+            lot_id, msgspec.to_builtins(decision), action="withhold", actor=actor, reason=AUDIT_REASON
+        )
         units = {s: one for s, one in lot.open().items() if is_new_limit or s in spoken_of}
-        lot.put_all({s: replace(one, release=_says(decided, one, number)) for s, one in units.items()}, WHY)
+        lot.put_all(
+            {s: replace(one, release=_unit_release(decided, one, number)) for s, one in units.items()}, AUDIT_REASON
+        )
 
 
 def decide_unit(registry: Registry, lot_id: str, serial: str, actor: str | None = None) -> None:
@@ -101,14 +110,16 @@ def decide_unit(registry: Registry, lot_id: str, serial: str, actor: str | None 
         state = lot.open().get(serial)
         if state is None or in_force.next_unit is None:
             return
-        says, limit, part = in_force.next_unit, state.limit, state.fit.lot_fit
-        if says.sitting not in ("", part and part.sitting):
+        release, limit, part = in_force.next_unit, state.limit, state.fit.lot_fit
+        if release.sitting not in ("", part and part.sitting):
             return
         evidence = AuditReader(registry, state.fit.method).evidence(lot_id, datetime.now(UTC))
         day = evidence.day_rmse(state.fit.load_rms)
-        error = float("inf") if says.factor is None else float(np.hypot(state.fit.forecast.rmse * says.factor, day))
-        says = replace(says, day_rmse=day, is_released=error <= limit.acceptance_rmse)
-        lot.put(serial, replace(state, release=says), WHY)
+        error = (
+            float("inf") if release.factor is None else float(np.hypot(state.fit.forecast.rmse * release.factor, day))
+        )
+        release = replace(release, day_rmse=day, is_released=error <= limit.acceptance_rmse)
+        lot.put(serial, replace(state, release=release), AUDIT_REASON)
 
 
 def roll_back(
@@ -133,7 +144,7 @@ def roll_back(
         return revision
 
 
-def lot_standing(registry: Registry, lot_id: str) -> LotStanding:
+def read_lot_status(registry: Registry, lot_id: str) -> LotStatus:
     """Return where a lot stands, and what a release would be decided on now; nothing is written.
 
     Raises:
@@ -141,30 +152,30 @@ def lot_standing(registry: Registry, lot_id: str) -> LotStanding:
     """
     registry.lots.get(lot_id)
     serials = target_serials(registry, lot_id)
-    units, limit = registry.pages.standings(lot_id, serials), limit_or_none(registry, lot_id)
+    units, limit = registry.pages.unit_statuses(lot_id, serials), limit_or_none(registry, lot_id)
     lot = _Lot(registry, lot_id, _states(units), len(units))
     decided = lot.decided(lot.evidence(), decision_in_force(registry, lot_id).correction) if lot.states else None
-    return LotStanding(lot_id, _rows(registry, lot_id, serials, units), limit, decided)
+    return LotStatus(lot_id, _rows(registry, lot_id, serials, units), limit, decided)
 
 
-def outline_lot(registry: Registry, lot_id: str) -> LotStanding:
+def outline_lot(registry: Registry, lot_id: str) -> LotStatus:
     """Return where a lot stands without what a release would be decided on: forecasts of audited units alone are read.
 
-    Where the audits of a lot may release other units, those are decided on: then as `lot_standing`.
+    Where the audits of a lot may release other units, those are decided on: then as `read_lot_status`.
     """
     targets = [unit for unit in registry.lots.units(lot_id) if unit.role == "target"]
     serials = [unit.serial for unit in targets]
-    some = _states(registry.pages.standings(lot_id, [unit.serial for unit in targets if unit.revision][:FEW]))
+    some = _states(registry.pages.unit_statuses(lot_id, [unit.serial for unit in targets if unit.revision][:FEW]))
     lot = _Lot(registry, lot_id, some, len(targets))
     if some and lot.evidence().qualification.is_given:
-        return lot_standing(registry, lot_id)
+        return read_lot_status(registry, lot_id)
     units = {
         unit.serial: UnitResult(unit.serial, unit.verdict, unit.reasons, unit.made_at)
         for unit in targets
         if unit.verdict is not None and unit.made_at is not None
     }
-    units |= registry.pages.standings(lot_id, sorted(newest_audits(registry, lot_id)))
-    return LotStanding(lot_id, _rows(registry, lot_id, serials, units), limit_or_none(registry, lot_id), None)
+    units |= registry.pages.unit_statuses(lot_id, sorted(newest_audits(registry, lot_id)))
+    return LotStatus(lot_id, _rows(registry, lot_id, serials, units), limit_or_none(registry, lot_id), None)
 
 
 def _rows(registry: Registry, lot_id: str, serials: Sequence[str], units: Mapping[str, UnitResult]) -> list[UnitInLot]:
@@ -184,20 +195,20 @@ def _rows(registry: Registry, lot_id: str, serials: Sequence[str], units: Mappin
     return rows
 
 
-def statement_provenance(registry: Registry, standing: LotStanding) -> Provenance:
+def statement_provenance(registry: Registry, status: LotStatus) -> Provenance:
     """Return what the statement on a lot with calibrated units rests on: the stored one, else one that is made now."""
-    stored = decision_in_force(registry, standing.lot_id).provenance
-    if stored is not None and is_decided(registry, standing):
+    stored = decision_in_force(registry, status.lot_id).provenance
+    if stored is not None and is_decided(registry, status):
         return stored
     states = _states(
-        registry.pages.standings(standing.lot_id, [unit.serial for unit in standing.units], has_stale=True)
+        registry.pages.unit_statuses(status.lot_id, [unit.serial for unit in status.units], has_stale=True)
     )
-    return _Lot(registry, standing.lot_id, states, len(states), current_user()).provenance()
+    return _Lot(registry, status.lot_id, states, len(states), current_user()).provenance()
 
 
-def is_decided(registry: Registry, standing: LotStanding) -> bool:
+def is_decided(registry: Registry, status: LotStatus) -> bool:
     """Return whether the decision in force on a lot says what would be decided now; nothing is written."""
-    in_force, decided = decision_in_force(registry, standing.lot_id), standing.decided
+    in_force, decided = decision_in_force(registry, status.lot_id), status.decided
     return decided is None or (in_force.released, in_force.statement) == (decided.released, decided.statement)
 
 
@@ -218,8 +229,8 @@ class _Lot:
     ) -> "_Lot":
         """Read the units of a lot, held against the limit in force and the newest audits."""
         serials = target_serials(registry, lot_id) if only is None else [only]
-        standings = registry.pages.standings(lot_id, serials, has_stale=True)
-        lot = cls(registry, lot_id, _states(standings), len(standings), actor, now or datetime.now(UTC))
+        unit_statuses = registry.pages.unit_statuses(lot_id, serials, has_stale=True)
+        lot = cls(registry, lot_id, _states(unit_statuses), len(unit_statuses), actor, now or datetime.now(UTC))
         if lot.states:
             lot._update(only)
         return lot
@@ -235,8 +246,8 @@ class _Lot:
     ) -> LotDecision:
         """Return the decision that follows one, with the statement that is made now."""
         limit, source = decided.limit.stated_rmse, decided.qualification.source
-        said = replace(before, limit_rmse=limit, source=source, statement=decided.statement)
-        return replace(said, next_unit=next_unit, released=released, provenance=self.provenance())
+        decision = replace(before, limit_rmse=limit, source=source, statement=decided.statement)
+        return replace(decision, next_unit=next_unit, released=released, provenance=self.provenance())
 
     def provenance(self) -> Provenance:
         """Return what a statement that is made now rests on."""
@@ -263,14 +274,14 @@ class _Lot:
         candidates: Collection[str] | None = None,
     ) -> LotRelease:
         """Return what is decided on unmeasured units: on all, or among some on those that may be released."""
-        open_units, stated_rmse = self.open(), evidence.limit.stated_rmse
+        open_units, limit_rmse = self.open(), evidence.limit.stated_rmse
         # Rules of other packages hold a unit to the limit of its fit: by another one nothing is decided on it.
         units = {
             serial: one
             for serial, one in open_units.items()
-            if one.limit.stated_rmse == stated_rmse and (among is None or serial in among)
+            if one.limit.stated_rmse == limit_rmse and (among is None or serial in among)
         }
-        held = [s for s in self.states.values() if s.decision.is_audited and s.verdict.is_open]
+        audited = [s for s in self.states.values() if s.decision.is_audited and s.verdict.is_open]
         days = {} if evidence.days is None else {s: evidence.day_rmse(one.fit.load_rms) for s, one in units.items()}
         return release_lot(
             {serial: state.fit.forecast.rmse for serial, state in units.items()},
@@ -278,10 +289,10 @@ class _Lot:
             evidence.limit,
             evidence.config,
             widening=evidence.widening,
-            least=min_passing(self.units - len(open_units) + len(units), len(held), evidence.config),
-            seen=evidence.seen,
+            min_count=min_passing(self.units - len(open_units) + len(units), len(audited), evidence.config),
+            gains=evidence.seen,
             days=days,
-            doubts=evidence.suspects,
+            suspects=evidence.suspects,
             sittings={serial: one.fit.lot_fit.sitting for serial, one in units.items() if one.fit.lot_fit is not None},
             corrected_by=len(correction.lines) if any(one.correction for one in self.states.values()) else 0,
             candidates=candidates,
@@ -303,15 +314,15 @@ class _Lot:
                 if audit is None or audit.sha256 != corrected.audit.recording_sha256:
                     continue
                 corrected = measure_unit(self.registry, corrected, audit)
-            self.put(serial, corrected, WHY)
+            self.put(serial, corrected, AUDIT_REASON)
 
-    def put_all(self, states: Mapping[str, UnitState], why: str) -> None:
+    def put_all(self, states: Mapping[str, UnitState], reason: str) -> None:
         """Put states into use where they are not, after one look at what is there of all."""
         self.registry.calibrations.read_ahead(self.lot_id, list(states))
         for serial, state in states.items():
-            self.put(serial, state, why)
+            self.put(serial, state, reason)
 
-    def put(self, serial: str, state: UnitState, why: str) -> None:
+    def put(self, serial: str, state: UnitState, reason: str) -> None:
         """Put a state into use where it is not."""
         before = self.states[serial]
         if all(getattr(before, one.name) == getattr(state, one.name) for one in fields(state) if one.name != "fit"):
@@ -319,7 +330,7 @@ class _Lot:
         if state.fit.fitted is None and state.line_behind is not None:
             state = replace(state, fit=self._with_arrays(serial).fit)
         self.states[serial] = state
-        self.registry.calibrations.put_state(self.lot_id, state, "release", actor=self.actor, reason=why)
+        self.registry.calibrations.put_state(self.lot_id, state, "release", actor=self.actor, reason=reason)
 
     def _update(self, only: str | None) -> None:
         registry, limit = self.registry, lot_limit(self.registry, self.lot_id)
@@ -329,18 +340,18 @@ class _Lot:
         stale = {serial: replace(state, limit=limit) for serial, state in free.items() if state.limit != limit}
         self.put_all(stale, "held against another limit")
         for serial in free:
-            entry, known = audits.get(serial), self.states[serial].audit
-            if entry is None or (known is not None and known.recording_sha256 == entry.sha256):
+            entry, audit_state = audits.get(serial), self.states[serial].audit
+            if entry is None or (audit_state is not None and audit_state.recording_sha256 == entry.sha256):
                 continue
             audit = audit_of(registry, entry)
             if audit is not None:
-                whole = replace(self._with_arrays(serial), unreadable_audit=None)
-                self.put(serial, measure_unit(registry, whole, audit), "scored on a newer audit")
+                complete = replace(self._with_arrays(serial), unreadable_audit=None)
+                self.put(serial, measure_unit(registry, complete, audit), "scored on a newer audit")
         suspects = self.audits().suspects(self.lot_id)
         for serial, state in list(self.states.items()):
             if state.suspect_audit != suspects.get(serial):
-                why = "its audit is set aside" if serial in suspects else "its audit counts again"
-                self.put(serial, replace(state, suspect_audit=suspects.get(serial)), why)
+                note = "its audit is set aside" if serial in suspects else "its audit counts again"
+                self.put(serial, replace(state, suspect_audit=suspects.get(serial)), note)
 
     def _with_arrays(self, serial: str) -> UnitState:
         state = self.states[serial]
@@ -350,15 +361,15 @@ class _Lot:
         return state
 
 
-def _says(decided: LotRelease, state: UnitState, number: int) -> SampleRelease | None:
+def _unit_release(decided: LotRelease, state: UnitState, number: int) -> SampleRelease | None:
     """Return what a decision says of a unit; of one that another spoke for before, why it does so no more."""
-    says, before = decided.sample_release(state.serial, number), state.release
-    if says is not None or before is None:
-        return says
-    why = decided.qualification.reason if decided.limit.is_stated else reason("part.no_limit")
-    return replace(before, is_released=False, limit_rmse=decided.limit.maximum_rmse, withdrawn=why)
+    release, before = decided.sample_release(state.serial, number), state.release
+    if release is not None or before is None:
+        return release
+    cause = decided.qualification.reason if decided.limit.is_stated else reason("part.no_limit")
+    return replace(before, is_released=False, limit_rmse=decided.limit.maximum_rmse, withdrawn=cause)
 
 
-def _states(standings: Mapping[str, UnitResult]) -> dict[str, UnitState]:
-    states = {serial: one.state for serial, one in standings.items()}
+def _states(unit_statuses: Mapping[str, UnitResult]) -> dict[str, UnitState]:
+    states = {serial: one.state for serial, one in unit_statuses.items()}
     return {serial: state for serial, state in states.items() if state is not None}

@@ -45,7 +45,7 @@ def lot_results(registry: Registry, lot_id: str) -> pa.Table:
     """
     lot = registry.lots.get(lot_id)
     serials = sorted(target_serials(registry, lot_id))
-    results = registry.pages.standings(lot_id, serials)
+    results = registry.pages.unit_statuses(lot_id, serials)
     rows: list[dict[str, Any]] = []
     for serial in serials:
         unit = results.get(serial, UnitResult(serial))
@@ -62,7 +62,7 @@ def lot_results(registry: Registry, lot_id: str) -> pa.Table:
                 "method_id": state and state.fit.method.id,
             }
         )
-    facts = {
+    metadata = {
         "schema": SCHEMA_NAME,
         "lot": lot_id,
         "source": lot.source,
@@ -70,7 +70,7 @@ def lot_results(registry: Registry, lot_id: str) -> pa.Table:
         "limit_rmse": "" if lot.limit_rmse is None else repr(lot.limit_rmse),
         "softcal": version("softcal"),
     }
-    return pa.Table.from_pylist(rows, schema=RESULTS.with_metadata(facts))
+    return pa.Table.from_pylist(rows, schema=RESULTS.with_metadata(metadata))
 
 
 def parquet_bytes(table: pa.Table) -> bytes:

@@ -31,14 +31,14 @@ class UnitInputs:
 
     Args:
         anchors: known loads, where someone brought them with the recording.
-        kept: known loads by the hash of their recording; asked where `anchors` is None.
+        stored_loads: known loads by the hash of their recording; asked where `anchors` is None.
         golden: hash of the golden run by the hash of the recording it belongs to.
         audit: its labelled recording, which decides and fits nothing.
         unread_audit: why a file that was brought as its audit cannot be read.
     """
 
     anchors: Anchors | None = None
-    kept: Mapping[str, Anchors] = field(default_factory=dict)
+    stored_loads: Mapping[str, Anchors] = field(default_factory=dict)
     golden: Mapping[str, str] = field(default_factory=dict)
     audit: LabelledRecording | None = None
     unread_audit: str = ""
@@ -55,7 +55,7 @@ class LotContext:
         own: how own calibrations are trained on audits, for comparison; None trains none.
         bridge: the source pressed again in the units' sitting, where a lot folder has that run. Under the load cell
             it outranks what the registry knows; without, it serves units of which the registry knows no golden run.
-        bridges: golden runs that the registry knows recordings to belong to, by their hash; in place of one that f
+        day_corrections: golden runs of recordings in the registry, by hash; in place of one that f
             cannot read, why.
         rules: identities of the installed rules that may hold units back.
     """
@@ -66,32 +66,32 @@ class LotContext:
     line: LineSpread | None = None
     reference: Reference | None = None
     bridge: Bridge | None = None
-    bridges: Mapping[str, Bridge | str] = field(default_factory=dict)
+    day_corrections: Mapping[str, Bridge | str] = field(default_factory=dict)
     rules: tuple[str, ...] = field(default_factory=rules_in_force)
 
     @property
     def source(self) -> SourceModel:
         return self.sources[0]
 
-    def problems(self, recording: OutputRecording, known: UnitInputs) -> list[UnitProblem]:
+    def problems(self, recording: OutputRecording, inputs: UnitInputs) -> list[UnitProblem]:
         """Return the unit with each source, in the order of the lot.
 
         Raises:
             InputError: its known loads or its golden run cannot be used; the reason says why.
         """
-        anchors = known.kept.get(recording.sha256) if known.anchors is None else known.anchors
+        anchors = inputs.stored_loads.get(recording.sha256) if inputs.anchors is None else inputs.anchors
         if anchors is not None:
             try:
                 check_loads(self.source.source, anchors, "the unit was not calibrated", self.source.method.map.anchors)
             except InputError as error:
                 raise InputError(reason("wrong_loads", error=str(error))) from error
-        bridge = self.bridges.get(known.golden.get(recording.sha256, ""), self.bridge)
+        day_correction = self.day_corrections.get(inputs.golden.get(recording.sha256, ""), self.bridge)
         if self.bridge is not None and self.bridge.is_measured:
-            bridge = self.bridge
-        if isinstance(bridge, str):
-            raise InputError(reason("wrong_golden", error=bridge))
-        audit = known.audit
-        if audit is not None and isinstance(bridge, Bridge) and audit.sha256 == bridge.run_sha256:
+            day_correction = self.bridge
+        if isinstance(day_correction, str):
+            raise InputError(reason("wrong_golden", error=day_correction))
+        audit = inputs.audit
+        if audit is not None and isinstance(day_correction, Bridge) and audit.sha256 == day_correction.run_sha256:
             # What gave the loads of a sitting measures none of its maps.
             audit = None
         networks = {model.network.id for model in self.sources}
@@ -106,10 +106,10 @@ class LotContext:
                 self.line,
                 self.reference,
                 # The golden run is one of the lot's own source: it says nothing of the others.
-                bridge if model is self.source else None,
+                day_correction if model is self.source else None,
                 tuple(networks - {model.network.id}),
                 self.rules,
-                known.unread_audit,
+                inputs.unread_audit,
             )
             for model in self.sources
         ]

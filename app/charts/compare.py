@@ -6,31 +6,31 @@ import numpy as np
 import plotly.graph_objects as go
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import styled
-from softcal.app.texts.reasons import Words
+from softcal.app.charts.style import apply_style
+from softcal.app.texts.reasons import Translator
 from softcal.app.views.lot import LotView
 from softcal.app.views.unit import UnitView
 
 BINS = 30
 
 
-def maps_together(views: Sequence[UnitView], colours: Palette, words: Words) -> go.Figure:
+def maps_together(views: Sequence[UnitView], colours: Palette, translate: Translator) -> go.Figure:
     """Draw what each map makes of a steady output, in units of the source's output."""
     figure = go.Figure()
     for view, colour in zip(views, (colours.mapped, colours.raw), strict=False):
         level, mapped = view.map_curve()
         figure.add_scatter(x=level, y=mapped, name=str(view.stored.key), line={"color": colour, "width": 2.5})
     unit = views[0].lot.output_unit
-    return styled(figure, colours, f"{words('chart.raw')} [{unit}]", f"{words('chart.source')} [{unit}]")
+    return apply_style(figure, colours, f"{translate('chart.raw')} [{unit}]", f"{translate('chart.source')} [{unit}]")
 
 
-def predicted_over_load(views: Sequence[UnitView], colours: Palette, words: Words) -> go.Figure:
+def predicted_over_load(views: Sequence[UnitView], colours: Palette, translate: Translator) -> go.Figure:
     """Draw the half width of the 90 % interval over the estimate, as medians of equal bins."""
     figure = go.Figure()
     for view, colour in zip(views, (colours.mapped, colours.raw), strict=False):
         estimates = view.estimate
-        known = np.isfinite(estimates.estimate) & np.isfinite(estimates.upper) & np.isfinite(estimates.lower)
-        value, half = estimates.estimate[known], (estimates.upper - estimates.lower)[known] / 2
+        finite = np.isfinite(estimates.estimate) & np.isfinite(estimates.upper) & np.isfinite(estimates.lower)
+        value, half = estimates.estimate[finite], (estimates.upper - estimates.lower)[finite] / 2
         if not len(value):
             continue
         edges = np.linspace(value.min(), value.max(), BINS + 1)
@@ -40,13 +40,15 @@ def predicted_over_load(views: Sequence[UnitView], colours: Palette, words: Word
         y = [float(np.median(half[at == k])) for k in bins]
         figure.add_scatter(x=x, y=y, name=str(view.stored.key), line={"color": colour, "width": 2.5})
     unit = views[0].lot.reference_unit
-    return styled(figure, colours, f"{words('chart.estimate')} [{unit}]", f"{words('chart.half_width')} [{unit}]")
+    return apply_style(
+        figure, colours, f"{translate('chart.estimate')} [{unit}]", f"{translate('chart.half_width')} [{unit}]"
+    )
 
 
-def errors_of_lots(views: Sequence[LotView], colours: Palette, words: Words) -> go.Figure:
+def errors_of_lots(views: Sequence[LotView], colours: Palette, translate: Translator) -> go.Figure:
     """Draw quartiles and 5–95 % range of the predicted errors of lots, each beside its limit."""
     figure = go.Figure()
-    ends = [0.0]
+    maxima = [0.0]
     for view in views:
         values = view.predicted()
         if len(values):
@@ -55,15 +57,17 @@ def errors_of_lots(views: Sequence[LotView], colours: Palette, words: Words) -> 
                 x=[view.lot.id], q1=[first], median=[middle], q3=[third], lowerfence=[low], upperfence=[high],
                 marker_color=colours.mapped, width=0.4, showlegend=False, name=view.lot.id,
             )  # fmt: skip
-            ends.append(high)
+            maxima.append(high)
     limited = [view for view in views if view.limit_rmse is not None]
     if limited:
         limits = [view.limit_rmse or 0.0 for view in limited]
         line = {"symbol": "line-ew-open", "size": 60, "color": colours.limit, "line": {"width": 2}}
-        name = words("chart.limit")
+        name = translate("chart.limit")
         figure.add_scatter(x=[v.lot.id for v in limited], y=limits, mode="markers", marker=line, name=name)
         figure.update_layout(legend_itemsizing="constant")
-        ends += limits
-    figure.update_xaxes(type="category").update_yaxes(range=[0.0, 1.1 * max(ends) or 1.0])
+        maxima += limits
+    figure.update_xaxes(type="category").update_yaxes(range=[0.0, 1.1 * max(maxima) or 1.0])
     units = sorted({view.lot.reference_unit for view in views})
-    return styled(figure, colours, words("choose.lot"), f"{words('column.predicted')} [{', '.join(units)}]")
+    return apply_style(
+        figure, colours, translate("choose.lot"), f"{translate('column.predicted')} [{', '.join(units)}]"
+    )

@@ -10,9 +10,9 @@ from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import FONTS, LIGHT, Palette
 from softcal.app.charts.style import LEVEL_BARS
-from softcal.app.texts.reasons import Words, said
+from softcal.app.texts.reasons import Translator, render_reason
 from softcal.app.views.common import percent
-from softcal.app.views.gap import channel_name, effect_name, pressed_name, ranked, stage_name
+from softcal.app.views.gap import channel_name, effect_name, profile_name, rank_causes, stage_name
 from softcal.core.messages.reason import Reason
 from softcal.core.recording import Array, Indices
 
@@ -23,7 +23,7 @@ CHAIN = ("motion", "mechanics", "transduction", "electronics", "acquisition", "l
 CHANNEL_UNITS = {"output_V": "mV", "force_N": "mN"}
 
 
-def reported(column: str) -> str:
+def report_name(column: str) -> str:
     """Return a report's name for a column; a simulator's are the same."""
     return CHANNELS.get(column, column)
 
@@ -46,7 +46,7 @@ DIRECTIONS = tuple(Reason(f"gap.regime.{name}") for name in ("loading", "hold", 
 BANDS = 6
 PREDICTIONS = ("base", "causes", "floor")
 RESIDUALS = ("rmse_before", "rmse_after", "noise_floor")
-SHOWN_POINTS = 1500
+MAX_POINTS = 1500
 """Most points of a trace that are drawn: the largest of each stretch."""
 
 COMPARED_POINTS = 500
@@ -88,7 +88,7 @@ _Line = tuple[str, Array, str, Indices]
 """What a line is of, its values, its colour, and which of the values are drawn."""
 
 
-def _styled(figure: go.Figure, height: int, left: int = 60, **layout: Any) -> go.Figure:
+def _apply_style(figure: go.Figure, height: int, left: int = 60, **layout: Any) -> go.Figure:
     figure.update_layout(
         template="plotly_white",
         height=height,
@@ -113,21 +113,21 @@ def residual_map(runs: Sequence[RunView], channel: str, is_after: bool) -> tuple
 
     (BANDS, 3) with NaN where fewer than five samples fall, and (BANDS + 1,) edges in N.
     """
-    shown = [run for run in runs if channel in run.channels]
-    edges = np.linspace(0.0, max(float(np.max(run.load_N)) for run in shown), BANDS + 1)
+    shown_runs = [run for run in runs if channel in run.channels]
+    edges = np.linspace(0.0, max(float(np.max(run.load_N)) for run in shown_runs), BANDS + 1)
     total, count = np.zeros((BANDS, 3)), np.zeros((BANDS, 3))
-    for run in shown:
+    for run in shown_runs:
         view = run.channels[channel]
         residual = (view.measured - (view.explained if is_after else view.base)) / view.noise
         band = np.clip(np.searchsorted(edges, run.load_N, side="right") - 1, 0, BANDS - 1)
-        place = (band, direction(run.drive, run.t_s).astype(int))
-        np.add.at(total, place, residual**2)
-        np.add.at(count, place, 1.0)
+        cells = (band, direction(run.drive, run.t_s).astype(int))
+        np.add.at(total, cells, residual**2)
+        np.add.at(count, cells, 1.0)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(count >= 5, np.sqrt(total / count), np.nan), edges
 
 
-def map_figure(runs: Sequence[RunView], channel: str, say: Words) -> go.Figure | None:
+def map_figure(runs: Sequence[RunView], channel: str, translate: Translator) -> go.Figure | None:
     """Draw the residual of a channel by force band and direction, before and after."""
     if channel not in CHANNELS or not any(channel in run.channels for run in runs):
         return None
@@ -135,12 +135,14 @@ def map_figure(runs: Sequence[RunView], channel: str, say: Words) -> go.Figure |
     after, _ = residual_map(runs, channel, is_after=True)
     top = float(np.nanmax([np.nanmax(before), np.nanmax(after), 3.0]))
     bands = [f"{low:.1f}–{high:.1f} N" for low, high in zip(edges[:-1], edges[1:], strict=True)]
-    titles = [f"{channel_name(CHANNELS[channel], say)}, {say(f'gap.figure.{of}')}" for of in ("base", "causes")]
+    titles = [
+        f"{channel_name(CHANNELS[channel], translate)}, {translate(f'gap.figure.{of}')}" for of in ("base", "causes")
+    ]
     figure = make_subplots(cols=2, shared_yaxes=True, subplot_titles=titles)
     for column, values in enumerate((before, after), start=1):
         heat = go.Heatmap(
             z=values,
-            x=[said(direction, say) for direction in DIRECTIONS],
+            x=[render_reason(direction, translate) for direction in DIRECTIONS],
             y=bands,
             coloraxis="coloraxis",
             texttemplate="%{z:.1f}",
@@ -152,66 +154,73 @@ def map_figure(runs: Sequence[RunView], channel: str, say: Words) -> go.Figure |
         "colorscale": "OrRd",
         "cmin": 1.0,
         "cmax": top,
-        "colorbar": {"title": {"text": say("gap.figure.scale"), "side": "right"}},
+        "colorbar": {"title": {"text": translate("gap.figure.scale"), "side": "right"}},
     }
-    return _styled(figure, 320, coloraxis=scale)
+    return _apply_style(figure, 320, coloraxis=scale)
 
 
-def chain_figure(report: Mapping[str, Any], say: Words, colours: Palette = LIGHT) -> go.Figure | None:
+def chain_figure(report: Mapping[str, Any], translate: Translator, colours: Palette = LIGHT) -> go.Figure | None:
     """Draw the share of the gap by stage of the twin's chain; None for another simulator, whose chain is its own."""
     if report.get("simulator"):
         return None
     shares: dict[str, float] = {}
-    for place in report["where"]:
+    for location in report["where"]:
         # Stages come first; the rows after them tell the regime, whose share is one of energy.
-        shares.setdefault(place["stage"], min(1.0, max(0.0, float(place["share"]))))
-    unseen, labels = report.get("unseen_stages", ()), []
+        shares.setdefault(location["stage"], min(1.0, max(0.0, float(location["share"]))))
+    hidden_stages, labels = report.get("unseen_stages", ()), []
     for stage in CHAIN:
         share = shares.get(stage, 0.0)
-        labels.append(percent(share) if share else say("gap.chain.unjudged" if stage in unseen else "gap.chain.none"))
-    names, x = [stage_name(stage, say) for stage in CHAIN], [shares.get(stage, 0.0) for stage in CHAIN]
+        labels.append(
+            percent(share) if share else translate("gap.chain.unjudged" if stage in hidden_stages else "gap.chain.none")
+        )
+    names, x = [stage_name(stage, translate) for stage in CHAIN], [shares.get(stage, 0.0) for stage in CHAIN]
     figure = go.Figure(go.Bar(x=x, y=names, text=labels, marker_color=colours.raw, hoverinfo="skip", **LEVEL_BARS))
-    figure.update_xaxes(range=[0.0, 1.12], tickformat=".0%", title=say("gap.chain.label"))
+    figure.update_xaxes(range=[0.0, 1.12], tickformat=".0%", title=translate("gap.chain.label"))
     figure.update_yaxes(autorange="reversed")
-    return _styled(figure, 90 + 28 * len(CHAIN), left=150, showlegend=False)
+    return _apply_style(figure, 90 + 28 * len(CHAIN), left=150, showlegend=False)
 
 
-def ranking_figure(report: Mapping[str, Any], shown: int, say: Words, colours: Palette = LIGHT) -> go.Figure:
+def ranking_figure(
+    report: Mapping[str, Any], max_causes: int, translate: Translator, colours: Palette = LIGHT
+) -> go.Figure:
     """Draw the effects by probability, the likeliest on top; at least three."""
-    every = ranked(report)
+    every = rank_causes(report)
     likely = sum(cause["probability"] >= 0.005 for cause in every)
-    drawn = every[: min(shown, max(3, likely))][::-1]
-    names = [effect_name(cause["effect"], say) for cause in drawn]
-    chances = [cause["probability"] for cause in drawn]
+    causes = every[: min(max_causes, max(3, likely))][::-1]
+    names = [effect_name(cause["effect"], translate) for cause in causes]
+    chances = [cause["probability"] for cause in causes]
     shades = [colours.mapped if chance >= 0.5 else colours.source for chance in chances]
-    shown_chances = [f"{100 * chance:.0f} %" for chance in chances]
+    labels = [f"{100 * chance:.0f} %" for chance in chances]
     look = {"marker_color": shades, "hovertemplate": "%{y}: %{x:.3f}<extra></extra>"} | LEVEL_BARS
-    figure = go.Figure(go.Bar(x=chances, y=names, text=shown_chances, **look))
-    figure.update_xaxes(range=[0.0, 1.08], tickformat=".0%", title=say("gap.figure.probability"))
-    return _styled(figure, 120 + 26 * max(1, len(drawn)), left=190, showlegend=False)
+    figure = go.Figure(go.Bar(x=chances, y=names, text=labels, **look))
+    figure.update_xaxes(range=[0.0, 1.08], tickformat=".0%", title=translate("gap.figure.probability"))
+    return _apply_style(figure, 120 + 26 * max(1, len(causes)), left=190, showlegend=False)
 
 
-def gain_figure(report: Mapping[str, Any], say: Words, colours: Palette = LIGHT) -> go.Figure:
+def gain_figure(report: Mapping[str, Any], translate: Translator, colours: Palette = LIGHT) -> go.Figure:
     """Draw the residual of each channel before and after, with its noise floor."""
     every = report["gap"]
     # JSON keeps no order.
     names = [*(name for name in CHANNELS.values() if name in every), *(n for n in every if n not in CHANNELS.values())]
     channels = [name for name in names if every[name] and None not in map(every[name].get, RESIDUALS)]
     # One above the other, with level bars: side by side, or below upright ones, names meet on half of a narrow page.
-    titles = [say("gap.figure.residual", channel=channel_name(name, say)) for name in channels]
+    titles = [translate("gap.figure.residual", channel=channel_name(name, translate)) for name in channels]
     figure = make_subplots(rows=max(1, len(channels)), subplot_titles=titles, vertical_spacing=0.24)
     for row, name in enumerate(channels, start=1):
         gap, (times, unit) = report["gap"][name], unit_of(name)
         values = [times * gap[key] for key in RESIDUALS]
-        names, shown = [say(f"gap.figure.{of}") for of in PREDICTIONS], [f"{value:.3g} {unit}" for value in values]
+        names, value_texts = (
+            [translate(f"gap.figure.{of}") for of in PREDICTIONS],
+            [f"{value:.3g} {unit}" for value in values],
+        )
         shades = [colours.source, colours.mapped, colours.line]
-        figure.add_bar(x=values, y=names, text=shown, marker_color=shades, **LEVEL_BARS, row=row, col=1)
+        figure.add_bar(x=values, y=names, text=value_texts, marker_color=shades, **LEVEL_BARS, row=row, col=1)
         figure.update_xaxes(title=unit, title_standoff=4, range=[0.0, 1.3 * max(values)], row=row, col=1)
         figure.update_yaxes(autorange="reversed", automargin=True, row=row, col=1)
-    return _styled(figure, 90 + 190 * max(1, len(channels)), showlegend=False)
+    return _apply_style(figure, 90 + 190 * max(1, len(channels)), showlegend=False)
 
 
-def hidden_figure(report: Mapping[str, Any], say: Words, colours: Palette = LIGHT) -> go.Figure | None:
+def hidden_figure(report: Mapping[str, Any], translate: Translator, colours: Palette = LIGHT) -> go.Figure | None:
     """Draw how much of each effect the refitted base would swallow on these runs."""
     hidden = {name: share for name, share in report["hidden_fraction"].items() if share is not None}
     if not hidden:
@@ -219,63 +228,67 @@ def hidden_figure(report: Mapping[str, Any], say: Words, colours: Palette = LIGH
     names = sorted(hidden, key=lambda name: hidden[name])
     shares = [hidden[name] for name in names]
     shades = [colours.limit if share >= 0.8 else colours.source for share in shares]
-    hover = f"%{{y}}: {say('gap.figure.hidden.one', share='%{x:.0%}')}<extra></extra>"
-    effects = [effect_name(name, say) for name in names]
+    hover = f"%{{y}}: {translate('gap.figure.hidden.one', share='%{x:.0%}')}<extra></extra>"
+    effects = [effect_name(name, translate) for name in names]
     figure = go.Figure(go.Bar(x=shares, y=effects, orientation="h", marker_color=shades, hovertemplate=hover))
-    title = say("gap.figure.hidden")
+    title = translate("gap.figure.hidden")
     figure.update_xaxes(range=[0.0, 1.0], tickformat=".0%", title=title, title_standoff=12, automargin=True)
-    return _styled(figure, 140 + 18 * len(names), left=150, showlegend=False)
+    return _apply_style(figure, 140 + 18 * len(names), left=150, showlegend=False)
 
 
-def trace_figure(runs: Sequence[RunView], channel: str, say: Words, colours: Palette = LIGHT) -> go.Figure | None:
+def trace_figure(
+    runs: Sequence[RunView], channel: str, translate: Translator, colours: Palette = LIGHT
+) -> go.Figure | None:
     """Draw the residual of a channel over time, one row per run, before and after."""
 
     def lines(view: ChannelView) -> Iterator[_Line]:
         for of, predicted, colour in (("base", view.base, colours.source), ("causes", view.explained, colours.mapped)):
             residual = view.measured - predicted
-            yield of, residual, colour, _thinned(residual)
+            yield of, residual, colour, _thinning_indices(residual)
 
-    return _over_time(runs, channel, lines, say)
+    return _over_time(runs, channel, lines, translate)
 
 
-def compared_figure(runs: Sequence[RunView], channel: str, say: Words) -> go.Figure | None:
+def compared_figure(runs: Sequence[RunView], channel: str, translate: Translator) -> go.Figure | None:
     """Draw what was measured and predicted over time, one row per run, before and after."""
 
     def lines(view: ChannelView) -> Iterator[_Line]:
         # The same instants for all three: those at which the base is farthest off.
-        at = _thinned(view.measured - view.base, COMPARED_POINTS)
+        at = _thinning_indices(view.measured - view.base, COMPARED_POINTS)
         yield "measured", view.measured, LIGHT.raw, at
         yield "base", view.base, LIGHT.source, at
         yield "causes", view.explained, LIGHT.mapped, at
 
-    return _over_time(runs, channel, lines, say)
+    return _over_time(runs, channel, lines, translate)
 
 
 def _over_time(
-    runs: Sequence[RunView], channel: str, lines: Callable[[ChannelView], Iterator[_Line]], say: Words
+    runs: Sequence[RunView], channel: str, lines: Callable[[ChannelView], Iterator[_Line]], translate: Translator
 ) -> go.Figure | None:
-    shown = [run for run in runs if channel in run.channels]
-    if not shown:
+    shown_runs = [run for run in runs if channel in run.channels]
+    if not shown_runs:
         return None
     times, unit = unit_of(channel)
-    titles = [f"{run.name}: {pressed_name(run.profile, say)}" if run.profile else run.name for run in shown]
-    figure = make_subplots(rows=len(shown), subplot_titles=titles, vertical_spacing=min(0.1, 0.3 / len(shown)))
-    for row, run in enumerate(shown, start=1):
+    titles = [f"{run.name}: {profile_name(run.profile, translate)}" if run.profile else run.name for run in shown_runs]
+    figure = make_subplots(
+        rows=len(shown_runs), subplot_titles=titles, vertical_spacing=min(0.1, 0.3 / len(shown_runs))
+    )
+    for row, run in enumerate(shown_runs, start=1):
         for of, values, colour, at in lines(run.channels[channel]):
             look = {"legendgroup": of, "showlegend": row == 1, "line": {"color": colour, "width": 1}}
-            name = say(f"gap.figure.{of}")
+            name = translate(f"gap.figure.{of}")
             figure.add_scattergl(x=run.t_s[at], y=times * values[at], name=name, **look, row=row, col=1)
         figure.update_yaxes(title=unit, row=row, col=1)
     # The legend stands below: far from its axis, as the desk would draw it, the title would lie on it.
-    figure.update_xaxes(title=say("gap.figure.time"), title_standoff=8, row=len(shown), col=1)
-    place = {"x": 1.0, "xanchor": "right", "y": -0.35 / len(shown), "yanchor": "top", "yref": "paper"}
-    return _styled(figure, 110 + 150 * len(shown), legend={"orientation": "h", **place})
+    figure.update_xaxes(title=translate("gap.figure.time"), title_standoff=8, row=len(shown_runs), col=1)
+    position = {"x": 1.0, "xanchor": "right", "y": -0.35 / len(shown_runs), "yanchor": "top", "yref": "paper"}
+    return _apply_style(figure, 110 + 150 * len(shown_runs), legend={"orientation": "h", **position})
 
 
-def _thinned(values: Array, most: int = SHOWN_POINTS) -> Indices:
+def _thinning_indices(values: Array, max_points: int = MAX_POINTS) -> Indices:
     """Return indices that keep the largest absolute value of each of at most so many stretches."""
-    if len(values) <= most:
+    if len(values) <= max_points:
         return np.arange(len(values))
-    starts = np.linspace(0, len(values), most + 1).astype(int)
+    starts = np.linspace(0, len(values), max_points + 1).astype(int)
     picks = [a + int(np.argmax(np.abs(values[a:b]))) for a, b in zip(starts[:-1], starts[1:], strict=True) if b > a]
     return np.array(picks)

@@ -5,21 +5,21 @@ from typing import Any
 import pyarrow
 
 from softcal.app.charts.palette import Palette
-from softcal.app.texts.reasons import Words
+from softcal.app.texts.reasons import Translator
 from softcal.core.orders import Signal
 
 
-def live_signal(signal: Signal, colours: Palette, words: Words, has_force: bool = False) -> dict[str, Any]:
+def live_signal(signal: Signal, colours: Palette, translate: Translator, has_force: bool = False) -> dict[str, Any]:
     """Return the option that draws the output over the time of the run, and the stage position.
 
     With `has_force` the force stands in place of the stage position, where it is measured.
     """
-    output, stage = f"{words('chart.output')} [{signal.output_unit}]", f"{words('chart.stage')} [mm]"
-    beside = signal.stage_mm
+    output, stage = f"{translate('chart.output')} [{signal.output_unit}]", f"{translate('chart.stage')} [mm]"
+    second_axis = signal.stage_mm
     if has_force and signal.force_N:
-        stage, beside = f"{words('chart.force')} [N]", signal.force_N
+        stage, second_axis = f"{translate('chart.force')} [N]", signal.force_N
     # Not a data frame: turning one into the same bytes costs ten times as much, at every look.
-    table = pyarrow.table({"t_s": signal.t_s, output: signal.output, stage: beside})
+    table = pyarrow.table({"t_s": signal.t_s, output: signal.output, stage: second_axis})
     return {
         "animation": False,
         "backgroundColor": "transparent",
@@ -31,7 +31,7 @@ def live_signal(signal: Signal, colours: Palette, words: Words, has_force: bool 
             colours,
             min="dataMin",
             max="dataMax",
-            name=words("chart.time"),
+            name=translate("chart.time"),
             nameLocation="middle",
             nameGap=26,
         ),
@@ -55,5 +55,5 @@ def _axis(ink: str, colours: Palette, **more: Any) -> dict[str, Any]:
 
 def _line(x: str, y: str, colour: str, width: float, **more: Any) -> dict[str, Any]:
     style = {"color": colour, "width": width}
-    drawn = {"lineStyle": style, "itemStyle": {"color": colour}, "showSymbol": False, "symbol": "none"}
-    return {"type": "line", "name": y, "encode": {"x": x, "y": y}, **drawn, **more}
+    look = {"lineStyle": style, "itemStyle": {"color": colour}, "showSymbol": False, "symbol": "none"}
+    return {"type": "line", "name": y, "encode": {"x": x, "y": y}, **look, **more}

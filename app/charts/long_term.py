@@ -6,9 +6,9 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import axis_titles, coloured, dots
-from softcal.app.texts.reasons import Words
-from softcal.app.views.common import thinned
+from softcal.app.charts.style import apply_theme, axis_titles, dots
+from softcal.app.texts.reasons import Translator
+from softcal.app.views.common import thinning_slice
 from softcal.app.views.long_term import Course, Trace
 
 EVENTS = (("held", "x"), ("tried", "triangle-up"), ("jumped", "diamond"))
@@ -17,13 +17,13 @@ HOURS_FROM_S = 7200.0
 """A longer course is drawn in hours."""
 
 
-def course_figure(course: Course, colours: Palette, words: Words, trace: Trace | None = None) -> go.Figure:
+def course_figure(course: Course, colours: Palette, translate: Translator, trace: Trace | None = None) -> go.Figure:
     """Draw drift, gain, offset and predicted error; where the map was held, where it jumped and alarms stand out."""
     time_s = [*course.column("t_s"), *(trace.t_s if trace else ())]
     scale, time_title = (3600.0, "chart.time_h") if max(time_s, default=0.0) > HOURS_FROM_S else (1.0, "chart.time")
     rows = 6 if trace else 4
     figure = make_subplots(rows=rows, shared_xaxes=True, vertical_spacing=0.04)
-    at, first = thinned(course.steps), 2 if trace else 1
+    at, first = thinning_slice(course.steps), 2 if trace else 1
     times = [t_s / scale for t_s in course.column("t_s")][at]
 
     def line(
@@ -38,32 +38,39 @@ def course_figure(course: Course, colours: Palette, words: Words, trace: Trace |
         figure.add_scatter(x=x, y=lower, row=row, col=1, **edge)
         figure.add_scatter(x=x, y=upper, fill="tonexty", fillcolor=colours.band, row=row, col=1, **edge)
 
-    def mark(row: int, which: str, by: str, value: str, why: str, colour: str, symbol: str) -> None:
+    def mark(row: int, which: str, by: str, value: str, hover_field: str, colour: str, symbol: str) -> None:
         steps = [step for step in course.steps if step[by] and (by == "alarm" or step[by] == which)]
         if steps:
             x, y = [step["t_s"] / scale for step in steps], [step[value] for step in steps]
-            hover: dict[str, Any] = {"text": [step[why] for step in steps], "hovertemplate": "%{text}<extra></extra>"}
-            dots(figure, x, y, colour, words(f"event.{which}"), 9, row, symbol=symbol, **hover)
+            hover: dict[str, Any] = {
+                "text": [step[hover_field] for step in steps],
+                "hovertemplate": "%{text}<extra></extra>",
+            }
+            dots(figure, x, y, colour, translate(f"event.{which}"), 9, row, symbol=symbol, **hover)
 
     if trace:
         stream = [t_s / scale for t_s in trace.t_s]
-        line(1, stream, trace.output, colours.source, f"{words('chart.output')} [{course.output_unit}]", False)
+        line(1, stream, trace.output, colours.source, f"{translate('chart.output')} [{course.output_unit}]", False)
         band(rows - 1, stream, trace.lower, trace.upper)
-        title = f"{words('chart.estimate')} [{course.reference_unit}]"
+        title = f"{translate('chart.estimate')} [{course.reference_unit}]"
         line(rows - 1, stream, trace.estimate, colours.mapped, title, False)
     for name, colour in (("shift", colours.mapped), ("log_gain", colours.raw)):
         drift, sd = course.column(name)[at], course.column(f"{name}_sd")[at]
         band(first, times, *([v + sign * s for v, s in zip(drift, sd, strict=True)] for sign in (-1, 1)))
-        line(first, times, drift, colour, words("chart.drift_scale"), False, words(f"chart.{name}"))
+        line(first, times, drift, colour, translate("chart.drift_scale"), False, translate(f"chart.{name}"))
     for event, symbol in EVENTS:
         mark(first, event, "verdict", "shift", "reason", colours.raw, symbol)
-    line(first + 1, times, course.column("gain")[at], colours.source, words("chart.gain"))
+    line(first + 1, times, course.column("gain")[at], colours.source, translate("chart.gain"))
     line(
-        first + 2, times, course.column("offset")[at], colours.source, f"{words('chart.offset')} [{course.output_unit}]"
+        first + 2,
+        times,
+        course.column("offset")[at],
+        colours.source,
+        f"{translate('chart.offset')} [{course.output_unit}]",
     )
-    title = f"{words('lot.predicted')} [{course.reference_unit}]"
+    title = f"{translate('lot.predicted')} [{course.reference_unit}]"
     line(rows, times, course.column("predicted_rmse")[at], colours.mapped, title)
     mark(rows, "alarm", "alarm", "predicted_rmse", "alarm", colours.limit, "triangle-up")
-    axis_titles(figure, rows, title, words(time_title))
+    axis_titles(figure, rows, title, translate(time_title))
     figure.update_yaxes(rangemode="tozero", row=rows, col=1)
-    return coloured(figure, colours, ROW_PX * rows)
+    return apply_theme(figure, colours, ROW_PX * rows)

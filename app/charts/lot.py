@@ -10,64 +10,64 @@ import plotly.graph_objects as go
 
 from softcal.app.charts import style
 from softcal.app.charts.palette import VERDICT_HATCH, VERDICT_INK, VERDICT_MARK, Palette
-from softcal.app.texts.reasons import Words, plainly
-from softcal.app.views.common import far_end
+from softcal.app.texts.reasons import Translator, render_plain_reason
+from softcal.app.views.common import axis_end
 from softcal.app.views.lot import LotView, ProcessView
-from softcal.app.views.lot_runs import DESK, YieldAt
+from softcal.app.views.lot_runs import FROM_FILE, YieldAt
 from softcal.core.quality.control_chart import MAX_FAR_SHARE
 
 BINS = 48
-SHOWN_VALUES = 300
+MAX_VALUES = 300
 """So many of the newest values are shown; limits and rules come from all."""
 
-MOST_REASONS = 8
+MAX_REASONS = 8
 MOST_SIGMA = 8.0
 """So far from the centre a control chart is drawn."""
 
 LEVEL_COLOURS = ("limit", "text", "limit")
 
 
-def lot_picture(name: str, view: LotView, colours: Palette, words: Words) -> go.Figure:
+def lot_picture(name: str, view: LotView, colours: Palette, translate: Translator) -> go.Figure:
     """Return a picture of the report by its name: errors, process or reasons."""
     if name == "process":
-        return control_chart_figure(view.process, view.lot.reference_unit, colours, words)
-    return {"errors": predicted_errors, "reasons": reasons_pareto}[name](view, colours, words)
+        return control_chart_figure(view.process, view.lot.reference_unit, colours, translate)
+    return {"errors": predicted_errors, "reasons": reasons_pareto}[name](view, colours, translate)
 
 
-def predicted_errors(view: LotView, colours: Palette, words: Words) -> go.Figure:
+def predicted_errors(view: LotView, colours: Palette, translate: Translator) -> go.Figure:
     """Draw the predicted errors by verdict, with the limit; the last bar holds all beyond."""
     every = view.predicted()
     figure = go.Figure()
-    top = far_end(every, view.limit_rmse)
+    top = axis_end(every, view.limit_rmse)
     edges = np.linspace(0.0, top, BINS + 1)
     for verdict, colour in colours.verdict.items():
         counts, _ = np.histogram(np.minimum(view.predicted(verdict), top), edges)
         if counts.any():
-            name, hatch = f"{VERDICT_MARK[verdict]} {words(f'verdict.{verdict}')}", VERDICT_HATCH[verdict]
+            name, hatch = f"{VERDICT_MARK[verdict]} {translate(f'verdict.{verdict}')}", VERDICT_HATCH[verdict]
             look = {
                 "color": colour,
                 "pattern": {"shape": hatch, "solidity": 0.2, "fillmode": "overlay", "fgcolor": VERDICT_INK},
             }
             figure.add_bar(x=edges[:-1], y=counts, width=edges[1], offset=0, name=name, marker=look)
     figure.update_layout(barmode="stack")
-    style.whole_numbers(figure, float(np.histogram(np.minimum(every, top), edges)[0].max(initial=0)))
+    style.integer_ticks(figure, float(np.histogram(np.minimum(every, top), edges)[0].max(initial=0)))
     # Without a step of their own the ticks would follow the bars, at odd numbers.
     figure.update_xaxes(range=[0.0, top + edges[1]], dtick=style.nice_step(top), tick0=0)
     if view.limit_rmse is not None:
-        note: dict[str, Any] = {"text": words("chart.limit"), "font": {"color": colours.limit, "size": 12}}
+        note: dict[str, Any] = {"text": translate("chart.limit"), "font": {"color": colours.limit, "size": 12}}
         note |= {"yref": "paper", "y": 1.0, "yanchor": "bottom", "xanchor": "left"}
         figure.add_vline(view.limit_rmse, line={"color": colours.limit, "width": 2}, annotation=note)
-    title, beyond = f"{words('column.predicted')} [{view.lot.reference_unit}]", int(np.sum(every > top))
+    title, beyond = f"{translate('column.predicted')} [{view.lot.reference_unit}]", int(np.sum(every > top))
     if beyond:
         # Over the bars it would meet the line of the limit where the figure is narrow.
-        text = words("chart.beyond", count=beyond, value=f"{top:.3g} {view.lot.reference_unit}")
+        text = translate("chart.beyond", count=beyond, value=f"{top:.3g} {view.lot.reference_unit}")
         title = f"{title} · {text}"
-    return style.styled(figure, colours, title, words("chart.count"))
+    return style.apply_style(figure, colours, title, translate("chart.count"))
 
 
-def control_chart_figure(process: ProcessView, unit: str, colours: Palette, words: Words) -> go.Figure:
+def control_chart_figure(process: ProcessView, unit: str, colours: Palette, translate: Translator) -> go.Figure:
     """Draw the errors of the newest accepted units on a log scale; where a rule is broken first stands out."""
-    first = max(0, len(process.errors) - SHOWN_VALUES)
+    first = max(0, len(process.errors) - MAX_VALUES)
     at, values, names = np.arange(len(process.errors)) + 1, process.errors, process.serials
     figure = go.Figure()
     # One value far out would squeeze all others: it stands at the edge, with its number.
@@ -78,50 +78,66 @@ def control_chart_figure(process: ProcessView, unit: str, colours: Palette, word
         drawn = values
     line, marker = {"color": colours.source, "width": 1}, {"color": colours.source, "size": 5}
     hover = f"%{{text}}: %{{customdata:.3g}} {unit}<extra></extra>"
-    shown = {"text": names[first:], "mode": "lines+markers", "line": line, "marker": marker, "hovertemplate": hover}
-    figure.add_scatter(x=at[first:], y=drawn[first:], customdata=values[first:], **shown)
+    trace_style = {
+        "text": names[first:],
+        "mode": "lines+markers",
+        "line": line,
+        "marker": marker,
+        "hovertemplate": hover,
+    }
+    figure.add_scatter(x=at[first:], y=drawn[first:], customdata=values[first:], **trace_style)
     for k in np.flatnonzero(drawn != values).tolist():
         if k >= first:
             mark = "↑" if values[k] > drawn[k] else "↓"
-            place = {"x": at[k], "y": math.log10(drawn[k]), "xanchor": "right", "xshift": -8, "showarrow": False}
-            figure.add_annotation(text=f"{values[k]:.3g} {mark}", font={"color": colours.limit, "size": 12}, **place)
+            note_position = {
+                "x": at[k],
+                "y": math.log10(drawn[k]),
+                "xanchor": "right",
+                "xshift": -8,
+                "showarrow": False,
+            }
+            figure.add_annotation(
+                text=f"{values[k]:.3g} {mark}", font={"color": colours.limit, "size": 12}, **note_position
+            )
     rules: dict[int, list[str]] = {}
     for broken in process.broken:
         for k in broken.starts:
             if broken.forbids and k >= first:
-                rules.setdefault(k, []).append(words(f"rule.{broken.rule}"))
-    text = [f"{names[k]}: {', '.join(said)}" for k, said in rules.items()]
+                rules.setdefault(k, []).append(translate(f"rule.{broken.rule}"))
+    text = [f"{names[k]}: {', '.join(rule_names)}" for k, rule_names in rules.items()]
     look: dict[str, Any] = {"symbol": "diamond", "text": text, "hovertemplate": "%{text}<extra></extra>"}
     style.dots(figure, [k + 1 for k in rules], [drawn[k] for k in rules], colours.limit, None, 10, **look)
     for level, colour, dash in zip((lower, centre, upper), LEVEL_COLOURS, ("dash", "solid", "dash"), strict=True):
         ink = getattr(colours, colour)
         figure.add_hline(level, line={"color": ink, "width": 1.5, "dash": dash})
         # Plotly takes a note's height on such an axis as its logarithm.
-        place = {"x": 1.0, "xref": "paper", "xanchor": "right", "y": math.log10(level), "yanchor": "bottom"}
-        figure.add_annotation(text=f"{level:.3g}", font={"color": ink, "size": 12}, showarrow=False, **place)
-    style.styled(figure, colours, words("chart.order"), f"{words('column.predicted')} [{unit}]")
+        note_position = {"x": 1.0, "xref": "paper", "xanchor": "right", "y": math.log10(level), "yanchor": "bottom"}
+        figure.add_annotation(text=f"{level:.3g}", font={"color": ink, "size": 12}, showarrow=False, **note_position)
+    style.apply_style(figure, colours, translate("chart.order"), f"{translate('column.predicted')} [{unit}]")
     # Of a decade and less every step of it is written, else 1, 2 and 5; without a format Plotly writes 0.06 as 6.
     step = "D1" if drawn.max() < 10 * drawn.min() else "D2"
     figure.update_yaxes(type="log", dtick=step, tickformat=".3~g")
     return figure.update_layout(showlegend=False, margin_t=20)
 
 
-def reasons_pareto(view: LotView, colours: Palette, words: Words) -> go.Figure:
+def reasons_pareto(view: LotView, colours: Palette, translate: Translator) -> go.Figure:
     """Draw why units did not pass, the most frequent on top, with the running share."""
-    shown = view.reasons[:MOST_REASONS]
-    counts = np.array([count for _, count in shown], dtype=float)
+    frequent = view.reasons[:MAX_REASONS]
+    counts = np.array([count for _, count in frequent], dtype=float)
     every = sum(count for _, count in view.reasons)
     running = np.cumsum(counts) / every
-    names = [_wrapped(plainly(reason, words)) for reason, _ in shown]
+    names = [_wrap(render_plain_reason(reason, translate)) for reason, _ in frequent]
     labels = [f"{count:.0f}  ({share:.0%})" for count, share in zip(counts, running, strict=True)]
     figure = go.Figure(go.Bar(x=counts, y=names, text=labels, marker_color=colours.source, **style.LEVEL_BARS))
     figure.update_yaxes(autorange="reversed")
     figure.update_xaxes(range=[0, 2.2 * counts.max()], tickformat="d", dtick=max(1, style.nice_step(counts.max())))
     height = max(style.HEIGHT, 100 + sum(18 * (2 + name.count("<br>")) for name in names))
-    return style.styled(figure, colours, words("chart.count_running"), "", height).update_layout(showlegend=False)
+    return style.apply_style(figure, colours, translate("chart.count_running"), "", height).update_layout(
+        showlegend=False
+    )
 
 
-def _wrapped(reason: str, width: int = 30) -> str:
+def _wrap(reason: str, width: int = 30) -> str:
     """Break a sentence into lines of so many Latin letters; a Korean one is as wide as two."""
     lines, line = [], ""
     for word in reason.split():
@@ -137,21 +153,21 @@ WITH_COUNTS = 8
 """Up to so many bars say how many units they are of; more would be written over one another."""
 
 
-def yield_figure(places: Sequence[YieldAt], title: str, colours: Palette, words: Words) -> go.Figure:
+def yield_figure(groups: Sequence[YieldAt], title: str, colours: Palette, translate: Translator) -> go.Figure:
     """Draw the yield at each place with its 95 % interval and the number of units."""
-    names = [place.name if place.name != DESK else words("lot.yield.desk") for place in places]
-    shares = [place.share for place in places]
-    counts = [words("lot.yield.count", good=share.count, of=share.of) for share in shares]
+    names = [group.name if group.name != FROM_FILE else translate("lot.yield.desk") for group in groups]
+    shares = [group.share for group in groups]
+    counts = [translate("lot.yield.count", good=share.count, of=share.of) for share in shares]
     value = [100 * (share.value or 0.0) for share in shares]
     up = [100 * share.interval[1] - at for share, at in zip(shares, value, strict=True)]
     down = [at - 100 * share.interval[0] for share, at in zip(shares, value, strict=True)]
     spread = {"array": up, "arrayminus": down, "color": colours.text, "thickness": 1.5, "width": 5}
     hover = "%{x}: %{y:.1f} % (%{customdata})<extra></extra>"
-    look = {"width": 0.6 if len(places) > 2 else 0.25, "marker_color": colours.verdict["none"], "error_y": spread}
+    look = {"width": 0.6 if len(groups) > 2 else 0.25, "marker_color": colours.verdict["none"], "error_y": spread}
     figure = go.Figure(go.Bar(x=names, y=value, customdata=counts, hovertemplate=hover, **look))
-    if len(places) <= WITH_COUNTS:
+    if len(groups) <= WITH_COUNTS:
         labels = [f"{name}<br>{count}" for name, count in zip(names, counts, strict=True)]
         figure.update_xaxes(tickmode="array", tickvals=names, ticktext=labels)
     figure.update_xaxes(type="category").update_yaxes(range=[0, 104], dtick=20)
-    style.styled(figure, colours, title, f"{words('lot.first_pass')} [%]")
+    style.apply_style(figure, colours, title, f"{translate('lot.first_pass')} [%]")
     return figure.update_layout(showlegend=False, margin_t=20)

@@ -7,9 +7,9 @@ from softcal.app.charts.lot import lot_picture
 from softcal.app.charts.page import document, section, table
 from softcal.app.charts.palette import LIGHT
 from softcal.app.paper.drawing import svg
-from softcal.app.texts.reasons import Words
+from softcal.app.texts.reasons import Translator
 from softcal.app.views.lot import LotView
-from softcal.app.views.lot_report import report_facts, report_parts
+from softcal.app.views.lot_report import report_parts, report_values
 from softcal.db.entries import UnitEntry
 
 STYLE = """p { margin: 4px 0; color: #55606c; }
@@ -18,16 +18,16 @@ dt { color: #55606c; font-size: 13px; } dd { margin: 0; font-size: 20px; }
 """
 
 
-def lot_page(view: LotView, units: Sequence[UnitEntry], words: Words, made: str) -> str:
-    """Return the page of a lot as HTML; `units` are all targets, `made` says when and with what."""
-    facts = report_facts(view, words)
-    listed = "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in facts.items())
-    head = f"<header><h1>{escape(view.lot.id)}</h1><dl>{listed}</dl><p>{escape(made)}</p></header>"
+def lot_page(view: LotView, units: Sequence[UnitEntry], translate: Translator, made_text: str) -> str:
+    """Return the page of a lot as HTML; `units` are all targets, `made_text` says when and with what."""
+    values = report_values(view, translate)
+    listed = "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in values.items())
+    head = f"<header><h1>{escape(view.lot.id)}</h1><dl>{listed}</dl><p>{escape(made_text)}</p></header>"
     sections = [head]
-    for part in report_parts(view, units, words("lot.table"), words):
+    for part in report_parts(view, units, translate("lot.table"), translate):
         if part.picture:
-            shown = svg(lot_picture(part.picture, view, LIGHT, words))
+            content = svg(lot_picture(part.picture, view, LIGHT, translate))
         else:
-            shown = table(part.header, ([escape(cell) for cell in row] for row in part.rows))
-        sections.append(section(part.title, shown))
+            content = table(part.header, ([escape(cell) for cell in row] for row in part.rows))
+        sections.append(section(part.title, content))
     return document(f"softcal: {view.lot.id}", sections, STYLE)

@@ -7,8 +7,8 @@ import numpy as np
 import plotly.graph_objects as go
 
 from softcal.app.charts.palette import FONTS, Palette
-from softcal.app.texts.reasons import Words
-from softcal.app.views.common import thinned
+from softcal.app.texts.reasons import Translator
+from softcal.app.views.common import thinning_slice
 from softcal.core.recording import Array
 
 HEIGHT = 320
@@ -18,15 +18,15 @@ LEVEL_BARS = {"orientation": "h", "textposition": "outside", "cliponaxis": False
 """Level bars whose values stand behind them."""
 
 
-def styled(figure: go.Figure, colours: Palette, x_title: str, y_title: str, height: int = HEIGHT) -> go.Figure:
+def apply_style(figure: go.Figure, colours: Palette, x_title: str, y_title: str, height: int = HEIGHT) -> go.Figure:
     """Give a figure the look of the screens and its axes their titles, each with its unit."""
     # Thousands, not "k" and "M": these are measured values, not sums of money.
     shared = {"title_standoff": 8, "automargin": True, "exponentformat": "power"}
     figure.update_xaxes(title=x_title, **shared).update_yaxes(title=y_title, **shared)
-    return coloured(figure, colours, height)
+    return apply_theme(figure, colours, height)
 
 
-def coloured(figure: go.Figure, colours: Palette, height: int = HEIGHT) -> go.Figure:
+def apply_theme(figure: go.Figure, colours: Palette, height: int = HEIGHT) -> go.Figure:
     """Give a figure that has its titles the ground, text and grid of the theme."""
     axis = {"gridcolor": colours.grid, "zerolinecolor": colours.grid, "linecolor": colours.grid}
     figure.update_xaxes(**axis).update_yaxes(**axis)
@@ -60,14 +60,16 @@ def dots(
     figure.add_scatter(x=x, y=y, mode="markers", marker=marker, name=name, row=row, col=col if row else None, **more)
 
 
-def both_ways(load: Array, output: Array, colours: Palette, words: Words, most: int, size: int) -> go.Figure:
+def both_ways(
+    load: Array, output: Array, colours: Palette, translate: Translator, max_points: int, size: int
+) -> go.Figure:
     """Draw an output over a load, loading and unloading apart: at most so many dots of each."""
     rising = np.gradient(load) >= 0 if len(load) > 1 else np.ones(len(load), dtype=bool)
     figure = go.Figure()
     for name, rows, colour in (("loading", rising, colours.mapped), ("unloading", ~rising, colours.raw)):
         x, y = load[rows], output[rows]
-        at = thinned(x, most)
-        dots(figure, x[at], y[at], colour, words(f"chart.{name}"), size, opacity=0.6)
+        at = thinning_slice(x, max_points)
+        dots(figure, x[at], y[at], colour, translate(f"chart.{name}"), size, opacity=0.6)
     return figure
 
 
@@ -84,9 +86,9 @@ def nice_step(span: float) -> float:
     return next(step * power for step in (1, 2, 5, 10) if step * power * TICK_STEPS >= span)
 
 
-def whole_numbers(figure: go.Figure, most: float) -> None:
-    """Give the upright axis of counts ticks at whole numbers alone, from 0 to `most`."""
-    figure.update_yaxes(rangemode="tozero", tick0=0, dtick=max(1.0, nice_step(max(most, 1.0))), tickformat="d")
+def integer_ticks(figure: go.Figure, max_count: float) -> None:
+    """Give the upright axis of counts ticks at whole numbers alone, from 0 to `max_count`."""
+    figure.update_yaxes(rangemode="tozero", tick0=0, dtick=max(1.0, nice_step(max(max_count, 1.0))), tickformat="d")
 
 
 def steps(heights: Array) -> Array:

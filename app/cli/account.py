@@ -6,7 +6,7 @@ from getpass import getpass
 from pathlib import Path
 
 from softcal.app.cli.options import actions_of, add_shared, answer, registry_of
-from softcal.app.output import print_table, say
+from softcal.app.output import echo, print_table
 from softcal.core.errors import InputError
 from softcal.db.entries import ROLES, User
 
@@ -42,22 +42,22 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def _set(options: argparse.Namespace) -> None:
     name = options.name.strip()
     with registry_of(options) as registry:
-        known = next((user for user in registry.people.all() if user.name == name), None)
-        if known is None and options.role is None:
+        existing = next((user for user in registry.people.all() if user.name == name), None)
+        if existing is None and options.role is None:
             raise InputError(f"{name!r} has no account yet; --role says what it may: {', '.join(ROLES)}")
-        pin = _pin(options) if known is None or options.new_pin or options.pin_file else None
-        is_active = options.active or (not options.inactive and (known is None or known.is_active))
+        pin = _pin(options) if existing is None or options.new_pin or options.pin_file else None
+        is_active = options.active or (not options.inactive and (existing is None or existing.is_active))
         user = registry.people.set(
             name,
-            options.role or known.role,  # type: ignore[union-attr]
+            options.role or existing.role,  # type: ignore[union-attr]
             pin,
             actor=registry.settings.actor,
             reason=options.reason,
             is_active=is_active,
-            version=0 if known is None else known.version,
+            version=0 if existing is None else existing.version,
         )
     state = "may sign in" if user.is_active else "may not sign in"
-    say(f"{user.name}: {user.role}, {state}")
+    echo(f"{user.name}: {user.role}, {state}")
     answer(options, "account/1", _account(user))
 
 

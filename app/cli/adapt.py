@@ -10,12 +10,12 @@ from softcal.app.cli.options import (
     add_columns,
     add_shared,
     column_names,
+    echo_caution,
+    echo_layout,
     registry_of,
-    say_caution,
-    say_layout,
     table_options,
 )
-from softcal.app.output import ProgressLine, say, write_json
+from softcal.app.output import ProgressLine, echo, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def run(options: argparse.Namespace) -> None:
                     "`softcal trim` between two streams does the rest"
                 )
             revision = trimmed_by(registry, options.serial, options.loads, options.lot, table_options(options))
-            say(f"{options.serial}: followed from revision {revision}, trimmed by {options.loads}")
+            echo(f"{options.serial}: followed from revision {revision}, trimmed by {options.loads}")
         adapt = AdaptOptions(config, revision, options.stream, options.resume, lot_id=options.lot)
         names = column_names(options)
         if options.source in ("-", "simulated") or options.source.startswith(("serial:", "simulated:")):
@@ -117,8 +117,8 @@ def run(options: argparse.Namespace) -> None:
             source, out = Path(options.source), Path(options.out)
             progress = ProgressLine("rows", count_rows(source))
             report = adapt_file(registry, options.serial, source, out, adapt, progress.reach, names)
-            say_layout(str(source), report.layout, report.remarks)
-        say_caution(registry, (report.serial, report.revision, report.lot.id), "adapt")
+            echo_layout(str(source), report.layout, report.remarks)
+        echo_caution(registry, (report.serial, report.revision, report.lot.id), "adapt")
         _report(registry, options, report)
 
 
@@ -127,16 +127,16 @@ def _report(registry: "Registry", options: argparse.Namespace, report: "AdaptRep
 
     flags = [f"{count} {flag}" for flag, count in sorted(report.flags.items()) if flag]
     verdicts = ", ".join(f"{count} x {verdict}" for verdict, count in report.verdicts.items() if verdict != "start")
-    say(f"{options.out}: {report.rows} rows; {', '.join(flags) or 'no row flagged'}")
+    echo(f"{options.out}: {report.rows} rows; {', '.join(flags) or 'no row flagged'}")
     unit = report.lot.reference_unit
-    say(f"map: {verdicts or 'never moved'}; predicted error {report.current.predicted_rmse:.3g} {unit}")
-    say(f"method: {report.method.id[:12]}")
+    echo(f"map: {verdicts or 'never moved'}; predicted error {report.current.predicted_rmse:.3g} {unit}")
+    echo(f"method: {report.method.id[:12]}")
     if report.changed:
-        say(f"the method has changed since this stream was last followed: {'; '.join(report.changed)}")
+        echo(f"the method has changed since this stream was last followed: {'; '.join(report.changed)}")
     if report.current.reason:
-        say(f"{report.current.verdict}: {report.current.reason}")
+        echo(f"{report.current.verdict}: {report.current.reason}")
     if report.current.alarm:
-        say(f"ALARM: {report.current.alarm}")
+        echo(f"ALARM: {report.current.alarm}")
     if options.html is None and not options.json:
         return
     course = registry.adaptations.all(report.unit, report.stream)

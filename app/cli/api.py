@@ -4,9 +4,18 @@ import argparse
 import json
 from typing import TYPE_CHECKING, Any
 
-from softcal.app.cli.options import COUNT, FILE, actions_of, add_shared, answer, registry_at, registry_of, say_written
+from softcal.app.cli.options import (
+    COUNT,
+    FILE,
+    actions_of,
+    add_shared,
+    answer,
+    echo_written_url,
+    registry_at,
+    registry_of,
+)
 from softcal.app.files.atomic import write_text
-from softcal.app.output import print_table, say
+from softcal.app.output import echo, print_table
 
 if TYPE_CHECKING:
     from softcal.db.entries import Token
@@ -60,8 +69,8 @@ def _serve(options: argparse.Namespace) -> None:
         options.registry, options.host, options.port, tuple(options.name), options.cert, options.key
     )
     scheme = "http" if options.cert is None else "https"
-    say(f"the REST interface is at {scheme}://{options.host}:{options.port}/v1; Ctrl-C ends it")
-    serve_api(serving, say_written)
+    echo(f"the REST interface is at {scheme}://{options.host}:{options.port}/v1; Ctrl-C ends it")
+    serve_api(serving, echo_written_url)
 
 
 def _openapi(options: argparse.Namespace) -> None:
@@ -87,7 +96,7 @@ def _create(options: argparse.Namespace) -> None:
     if answer(options, "api.token/1", {**_token_json(token), "token": secret}):
         print(secret)
         until = token.ends_at.astimezone()
-        say(f"token {token.token_id} of {token.account} holds until {until:%Y-%m-%d}; it is not shown again")
+        echo(f"token {token.token_id} of {token.account} holds until {until:%Y-%m-%d}; it is not shown again")
 
 
 def _list(options: argparse.Namespace) -> None:
@@ -96,9 +105,9 @@ def _list(options: argparse.Namespace) -> None:
     answer(options, "api.tokens/1", {"tokens": [_token_json(each) for each in tokens]})
     rows = []
     for token in tokens:
-        made, until = f"{token.created.astimezone():%Y-%m-%d}", f"{token.ends_at.astimezone():%Y-%m-%d}"
+        created, until = f"{token.created.astimezone():%Y-%m-%d}", f"{token.ends_at.astimezone():%Y-%m-%d}"
         holds = "yes" if token.holds(now) else "no"
-        rows.append((token.token_id, token.account, token.purpose, made, until, holds))
+        rows.append((token.token_id, token.account, token.purpose, created, until, holds))
     print_table(("token", "account", "purpose", "made", "until", "holds"), rows)
 
 

@@ -11,13 +11,13 @@ from softcal.app.cli.options import (
     FILE,
     add_network,
     add_shared,
-    batch_watch,
+    batch_callbacks,
+    echo_layouts,
+    echo_unused_input,
     network_config,
     registry_of,
-    say_layouts,
-    say_unused,
 )
-from softcal.app.output import print_reasons, print_sentence, print_table, say, write_json
+from softcal.app.output import echo, print_reasons, print_sentence, print_table, write_json
 
 if TYPE_CHECKING:
     from softcal.app.batch.report import BatchReport
@@ -93,7 +93,7 @@ def run(options: argparse.Namespace) -> int:
 
     folder = open_lot_folder(options.lot)
     for remark in folder.remarks:
-        say(f"note: {remark}")
+        echo(f"note: {remark}")
     lack = None if options.no_own else lacking("torch", "no own calibration is trained for comparison")
     anchors = {} if options.anchors is None else read_anchors(options.anchors, folder.unit_paths)
     config = BatchConfig(
@@ -107,8 +107,8 @@ def run(options: argparse.Namespace) -> int:
     )
     with registry_of(options, create=True) as registry:
         if lack:
-            say(f"note: {lack}")
-        report = run_batch(folder, registry, config, batch_watch(folder.lot.reference_unit))
+            echo(f"note: {lack}")
+        report = run_batch(folder, registry, config, batch_callbacks(folder.lot.reference_unit))
         if options.out is not None:
             _write_files(registry, report, options.out)
         if options.parquet is not None:
@@ -116,25 +116,25 @@ def run(options: argparse.Namespace) -> int:
             from softcal.app.files.atomic import write_bytes
 
             write_bytes(options.parquet, parquet_bytes(lot_results(registry, report.lot_id)))
-            say(f"{options.parquet}: results of lot {report.lot_id}")
+            echo(f"{options.parquet}: results of lot {report.lot_id}")
         if options.plots is not None:
-            from softcal.app.charts.why import explain_units
+            from softcal.app.charts.explanation import explain_units
 
             mapped = [u.serial for u in report.units if u.calibration is not None]
             explain_units(registry, report.lot_id, mapped, options.plots)
-            say(f"{options.plots}: figures of units: {len(mapped)}")
+            echo(f"{options.plots}: figures of units: {len(mapped)}")
     if options.refit and report.units and not any(unit.is_new for unit in report.units):
-        say("note: this build fitted every unit again already; nothing was fitted")
-    say_layouts(report.layouts)
+        echo("note: this build fitted every unit again already; nothing was fitted")
+    echo_layouts(report.layouts)
     print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
     for subject, reasons in reasons_by_verdict(report.units, reversed(VERDICTS[1:])):
         print_reasons(subject, reasons)
     for line in audit_lines(report):
         print_sentence(line)
-    words = ", ".join(f"{count} {word}" for word, count in report.counts.items())
+    counts = ", ".join(f"{count} {word}" for word, count in report.counts.items())
     in_all = f"units: {sum(report.counts.values())} in {report.wall_s:.1f} s"
-    print(f"{in_all}: {words}; errors are RMSE in {folder.lot.reference_unit}")
-    say_unused(report.not_used, report.remarks)
+    print(f"{in_all}: {counts}; errors are RMSE in {folder.lot.reference_unit}")
+    echo_unused_input(report.not_used, report.remarks)
     write_json(options.json, report_json(report))
     return 0 if report.has_passed else 1
 
@@ -148,9 +148,9 @@ def _write_files(registry: "Registry", report: "BatchReport", out: Path) -> None
     released = [unit.serial for unit in report.units if report.releases(unit)]
     verdicts = {unit.serial: unit.verdict for unit in report.units}
     for serial in withdraw_units(out, report.lot_id, released, verdicts):
-        say(f"{out}: files of {serial} were taken back; its verdict no longer releases them")
+        echo(f"{out}: files of {serial} were taken back; its verdict no longer releases them")
     withdraw_files(registry, report.lot_id)
     export_units(registry, released, ("json",), out, ExportOptions(release=report.release, lot_id=report.lot_id))
-    held = report.counts["conditional"] if report.release is Release.PASS else 0
-    more = f"; {held} conditional units have theirs with --release conditional" if held else ""
-    say(f"{out}: calibration files of {len(released)} units{more}")
+    conditional = report.counts["conditional"] if report.release is Release.PASS else 0
+    more = f"; {conditional} conditional units have theirs with --release conditional" if conditional else ""
+    echo(f"{out}: calibration files of {len(released)} units{more}")

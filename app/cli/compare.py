@@ -3,7 +3,7 @@
 import argparse
 
 from softcal.app.cli.options import COUNT, add_shared, answer, registry_of
-from softcal.app.output import print_table, say
+from softcal.app.output import echo, print_table
 from softcal.core.errors import InputError
 
 EXAMPLES = """examples:
@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> None:
                 raise InputError(f"lot {options.lot!r} has no network in use; run `softcal batch` first")
             network = state.network.id
         request = {"lot": options.lot, "networks": [network], "families": families, "units": options.units}
-        rows = compare_on_lot(registry, request, lambda share, what: say(f"{share:4.0%} {what}"))
+        rows = compare_on_lot(registry, request, lambda share, label: echo(f"{share:4.0%} {label}"))
     header = ("map", "units", "refused", "passed", f"forecast [{unit}]", "audited", "before", "after", "after, 95 %")
     names = ("family", "units", "refused", "passed", "predicted", "audited", "before", "after", "after_95")
     print_table(header, [[row[name] for name in names] for row in rows])

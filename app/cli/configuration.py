@@ -13,7 +13,7 @@ from pathlib import Path
 from softcal.app.cli.parser import suggestion
 from softcal.core.errors import InputError
 
-HERE = Path("softcal.toml")
+LOCAL_FILE = Path("softcal.toml")
 
 
 def user_file() -> Path:
@@ -25,7 +25,7 @@ def user_file() -> Path:
 
 def files_in_use() -> list[Path]:
     """Return the existing configuration files, in rising order of precedence."""
-    return [path for path in (user_file(), HERE) if path.is_file()]
+    return [path for path in (user_file(), LOCAL_FILE) if path.is_file()]
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -54,16 +54,16 @@ def _apply(path: Path, table: Mapping[str, object], parser: argparse.ArgumentPar
     for key, value in table.items():
         if isinstance(value, Mapping):
             if key not in below:
-                known = suggestion(key, below)
-                raise InputError(f"{path}: [{f'{command}.{key}'.lstrip('.')}] is no command{known}")
+                hint = suggestion(key, below)
+                raise InputError(f"{path}: [{f'{command}.{key}'.lstrip('.')}] is no command{hint}")
             _apply(path, value, below[key], f"{command}.{key}".lstrip("."))
             continue
-        takers = [(each, action) for each in _leaves(parser) if (action := _options(each).get(key)) is not None]
-        if not takers:
-            known = suggestion(key, {name for each in _leaves(parser) for name in _options(each)})
-            raise InputError(f"{path}: no option --{key} of {command or 'any command'} takes a value{known}")
+        owners = [(each, action) for each in _leaves(parser) if (action := _options(each).get(key)) is not None]
+        if not owners:
+            hint = suggestion(key, {name for each in _leaves(parser) for name in _options(each)})
+            raise InputError(f"{path}: no option --{key} of {command or 'any command'} takes a value{hint}")
         if key != "registry" or not os.environ.get(REGISTRY_VARIABLE):
-            for owner, action in takers:
+            for owner, action in owners:
                 _set(path, owner, action, value)
 
 
@@ -76,12 +76,12 @@ def _set(path: Path, owner: argparse.ArgumentParser, action: argparse.Action, va
         expected = "text or a number" if action.nargs is None else "a list of texts or numbers"
         raise InputError(f"{path}: {_name(action)} = {value!r}: {expected} was expected")
     try:
-        taken = [owner._get_value(action, str(each)) for each in values]
-        for each in taken:
+        parsed_values = [owner._get_value(action, str(each)) for each in values]
+        for each in parsed_values:
             owner._check_value(action, each)
     except argparse.ArgumentError as error:
         raise InputError(f"{path}: {_name(action)} = {value!r}: {error.message}") from None
-    action.default = taken[0] if action.nargs is None else taken
+    action.default = parsed_values[0] if action.nargs is None else parsed_values
     action.required = False
 
 

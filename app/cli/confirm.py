@@ -3,19 +3,19 @@
 import sys
 from typing import TYPE_CHECKING
 
-from softcal.app.output import print_table, say
+from softcal.app.output import echo, print_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from softcal.app.calibration.changes import Changes
-    from softcal.app.registry.given_files import Recall
+    from softcal.app.registry.exported_files import Recall
     from softcal.db.registry import Registry
 
 NOT_CONFIRMED = 2
 """Exit code of an act that changes released units and that nobody confirmed."""
 
-MOST_TOLD = 20
+MAX_PRINTED = 20
 """So many changes are printed one by one."""
 
 
@@ -23,9 +23,9 @@ def print_changes(changes: "Changes") -> None:
     """Print what an act would change, a row a unit."""
     if changes.changed:
         rows = [[one.lot_id, one.serial, one.verdict, one.next_verdict, one.reason] for one in changes.changed]
-        print_table(("lot", "serial", "now", "then", "why"), rows[:MOST_TOLD])
-        if len(rows) > MOST_TOLD:
-            print(f"and {len(rows) - MOST_TOLD} more; --json has all")
+        print_table(("lot", "serial", "now", "then", "why"), rows[:MAX_PRINTED])
+        if len(rows) > MAX_PRINTED:
+            print(f"and {len(rows) - MAX_PRINTED} more; --json has all")
     if changes.recalled:
         print_recalls(changes.recalled)
     counts = ", ".join(f"{count} {word}" for word, count in changes.counts.items() if count)
@@ -39,21 +39,21 @@ RECALL_HEADER = ("lot", "serial", "revision on the device", "files in", "compute
 def print_recalls(recalls: "Sequence[Recall]") -> None:
     """Print files that were given out and no longer hold, a row a unit and place."""
     rows = [[one.lot, one.serial, one.revision, one.place, one.host, one.verdict, one.why] for one in recalls]
-    print_table(RECALL_HEADER, rows[:MOST_TOLD])
-    if len(rows) > MOST_TOLD:
-        print(f"and {len(rows) - MOST_TOLD} more; `softcal registry recall` lists all")
+    print_table(RECALL_HEADER, rows[:MAX_PRINTED])
+    if len(rows) > MAX_PRINTED:
+        print(f"and {len(rows) - MAX_PRINTED} more; `softcal registry recall` lists all")
 
 
 def withdraw_files(registry: "Registry", lot_id: str) -> None:
     """Remove files that an act on a lot made invalid from the folders of this computer, and print them."""
-    from softcal.app.calibration.changes import reached_lots
-    from softcal.app.export.export import withdraw_given
+    from softcal.app.calibration.changes import list_affected_lots
+    from softcal.app.export.export import withdraw_recalled_files
 
-    if recalls := withdraw_given(registry, reached_lots(registry, lot_id)):
-        say(f"recall {len({(one.lot, one.serial) for one in recalls})} devices: softcal registry recall lists them")
+    if recalls := withdraw_recalled_files(registry, list_affected_lots(registry, lot_id)):
+        echo(f"recall {len({(one.lot, one.serial) for one in recalls})} devices: softcal registry recall lists them")
 
 
-def may_do(registry: "Registry", lot_id: str, act: "Callable[[], object]", is_given: bool) -> bool:
+def may_do(registry: "Registry", lot_id: str, act: "Callable[[], object]", has_yes: bool) -> bool:
     """Return whether to perform an act on a lot: it changes no released unit and no file, or a person confirms.
 
     What it would change is printed first; nothing is done yet.
@@ -64,18 +64,18 @@ def may_do(registry: "Registry", lot_id: str, act: "Callable[[], object]", is_gi
     if not changes.withdrawn and not changes.released and not changes.recalled:
         return True
     print_changes(changes)
-    return is_confirmed(is_given)
+    return is_confirmed(has_yes)
 
 
-def is_confirmed(is_given: bool) -> bool:
+def is_confirmed(has_yes: bool) -> bool:
     """Return whether to continue: `--yes` was given, or a person at a terminal confirmed."""
-    if is_given:
+    if has_yes:
         return True
     if not sys.stdin.isatty():
-        say("nothing was changed: there is no terminal to ask on; --yes does it")
+        echo("nothing was changed: there is no terminal to ask on; --yes does it")
         return False
     print("go on? [y/N] ", end="", file=sys.stderr, flush=True)
     if sys.stdin.readline().strip().lower() in ("y", "yes"):
         return True
-    say("nothing was changed")
+    echo("nothing was changed")
     return False

@@ -6,7 +6,7 @@ import sys
 import threading
 
 from softcal.app.cli.options import FILE, actions_of, add_shared, answer, positive, registry_of
-from softcal.app.output import print_table, say
+from softcal.app.output import echo, print_table
 from softcal.core.errors import InputError
 from softcal.core.lot import UnitKey
 
@@ -43,12 +43,12 @@ def _run(options: argparse.Namespace) -> None:
     from softcal.app.connect.service import run_connect
     from softcal.app.connect.settings import read_settings
 
-    settings, over = read_settings(options.file), threading.Event()
-    signal.signal(signal.SIGTERM, lambda *_: over.set())
-    signal.signal(signal.SIGINT, lambda *_: over.set())
+    settings, stop = read_settings(options.file), threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    signal.signal(signal.SIGINT, lambda *_: stop.set())
     with registry_of(options) as registry:
-        say(f"{options.file}: events are sent; Ctrl-C ends it, and what waits is kept")
-        run_connect(registry, settings, over, say)
+        echo(f"{options.file}: events are sent; Ctrl-C ends it, and what waits is kept")
+        run_connect(registry, settings, stop, echo)
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -83,5 +83,5 @@ def _estimates(options: argparse.Namespace) -> None:
     mqtts = read_settings(options.file).mqtts
     if len(mqtts) != 1:
         raise InputError(f"{options.file}: one [[mqtt]] was expected, there are {len(mqtts)}")
-    published, left_out = publish_estimates(sys.stdin, UnitKey(options.lot, options.serial), mqtts[0], options.rate)
-    say(f"{published} estimates were published, {left_out} were left out")
+    published, skipped = publish_estimates(sys.stdin, UnitKey(options.lot, options.serial), mqtts[0], options.rate)
+    echo(f"{published} estimates were published, {skipped} were left out")

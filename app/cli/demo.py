@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
     from softcal.app.batch.report import report_json
     from softcal.app.export.export import export_units
     from softcal.app.gap.diagnose import read_twin
-    from softcal.app.jobs.jobs import PRESSING, lot_watch
+    from softcal.app.jobs.jobs import PRESSING, lot_callbacks
     from softcal.app.line.demo import TABLE_HEADER, DemoConfig, press_demo_lot, table_row
 
     start_s = time.monotonic()
@@ -62,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
     )
     url = f"sqlite:///{options.out / 'registry.db'}"
     with registry_at(url) as registry:
-        report = run_batch(folder, registry, config.batch, lot_watch(_Steps(progress), PRESSING))
+        report = run_batch(folder, registry, config.batch, lot_callbacks(_Steps(progress), PRESSING))
         passed = [unit.serial for unit in report.units if report.releases(unit)]
         export_units(registry, passed, ("json",), options.out / "files")
     progress.reach(1.0, "done")

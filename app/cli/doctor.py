@@ -6,7 +6,7 @@ from pathlib import Path
 
 from softcal.app.cli.configuration import files_in_use
 from softcal.app.cli.options import add_shared, answer
-from softcal.app.output import print_table, say
+from softcal.app.output import echo, print_table
 
 EXAMPLES = """examples:
   softcal doctor
@@ -26,17 +26,17 @@ def run(options: argparse.Namespace) -> None:
     """Print the facts, the problems on standard error."""
     from softcal.app.registry.doctor import collect, examine
 
-    facts, problems = examine(options.registry)
-    facts["configuration"] = [str(path) for path in files_in_use()] or "none"
-    report = {**facts, "problems": problems}
+    examined, problems = examine(options.registry)
+    examined["configuration"] = [str(path) for path in files_in_use()] or "none"
+    report = {**examined, "problems": problems}
     if options.out:
         logs = collect(options.out, json.dumps({"schema": "softcal.doctor/1", **report}, indent=2))
-        say(f"{options.out}: report and {logs} logs")
+        echo(f"{options.out}: report and {logs} logs")
     if answer(options, "doctor/1", report):
-        print_table(("what", "found"), [(name, _text(value)) for name, value in facts.items()])
+        print_table(("what", "found"), [(name, _text(value)) for name, value in examined.items()])
         print(f"{len(problems)} problems" if problems else "no problems found")
     for problem in problems:
-        say(f"problem: {problem}")
+        echo(f"problem: {problem}")
 
 
 def _text(value: object) -> str:

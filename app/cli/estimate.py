@@ -9,11 +9,11 @@ from softcal.app.cli.options import (
     add_shared,
     answer,
     column_names,
+    echo_caution,
+    echo_layout,
     registry_of,
-    say_caution,
-    say_layout,
 )
-from softcal.app.output import say
+from softcal.app.output import echo
 
 EXAMPLES = """examples:
   softcal estimate --serial A1 recording.csv --out estimate.csv
@@ -41,14 +41,14 @@ def run(options: argparse.Namespace) -> None:
 
     with registry_of(options) as registry:
         unit = options.serial, options.revision, options.lot
-        written = estimate_file(registry, options.recording, options.out, *unit, names=column_names(options))
-        say_caution(registry, unit, "estimate")
-    result, file = written.estimate, written.file
-    say_layout(str(options.recording), file.table.layout, file.remarks)
+        estimation = estimate_file(registry, options.recording, options.out, *unit, names=column_names(options))
+        echo_caution(registry, unit, "estimate")
+    result, file = estimation.estimate, estimation.file
+    echo_layout(str(options.recording), file.table.layout, file.remarks)
     flags = [flag for flag in result.flag if flag]
     counts = {flag: flags.count(flag) for flag in sorted(set(flags))}
-    said = ", ".join(f"{count} {flag}" for flag, count in counts.items()) or "no row flagged"
-    say(f"{options.out}: {len(result.flag)} rows; {said}")
+    flag_text = ", ".join(f"{count} {flag}" for flag, count in counts.items()) or "no row flagged"
+    echo(f"{options.out}: {len(result.flag)} rows; {flag_text}")
     answer(
         options,
         "estimate/1",

@@ -3,7 +3,7 @@
 import argparse
 
 from softcal.app.cli.options import COUNT, FILE, add_shared, answer, registry_of
-from softcal.app.output import print_reasons, print_table, say, write_json
+from softcal.app.output import echo, print_reasons, print_table, write_json
 
 EXAMPLES = """examples:
   softcal explain --serial A1
@@ -24,23 +24,23 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Print reasons and budget, and write the figure; or print the numbers of the method."""
-    from softcal.app.charts.why import explain_unit, why_json
-    from softcal.app.registry.standing import standing_of
+    from softcal.app.charts.explanation import explain_unit, explanation_json
+    from softcal.app.registry.unit_status import find_unit_status
     from softcal.app.views.unit import unit_view
-    from softcal.core.messages.reason import joined
+    from softcal.core.messages.reason import to_line
     from softcal.core.unit.explanation import contributions
     from softcal.core.unit.method import Method
 
     if options.method:
         with registry_of(options) as registry:
             method = registry.calibrations.get(options.serial, options.revision, lot_id=options.lot).state.fit.method
-        ours = Method()
-        here = {name: value for name, value, _ in ours.numbers()}
+        current_method = Method()
+        current_numbers = {name: value for name, value, _ in current_method.numbers()}
         if answer(options, "method/1", {"id": method.id, "numbers": dict(method.to_json())}):
             stale = "" if method.is_current else ", stale: this version uses another"
             print(f"{options.serial}: method {method.id[:12]}{stale}")
             for name, value, origin in method.numbers():
-                now = "" if here.get(name) == value else f"; this version: {here.get(name)}"
+                now = "" if current_numbers.get(name) == value else f"; this version: {current_numbers.get(name)}"
                 print(f"{name} = {value}{now}\n    {origin}")
         return
 
@@ -50,13 +50,13 @@ def run(options: argparse.Namespace) -> None:
             view = unit_view(registry, unit, options.revision)
         else:
             view = explain_unit(registry, unit, options.out, options.revision)
-            say(f"{options.out}: the figure of {options.serial}")
-        standing = standing_of(registry, view.stored)
-    facts = why_json(view)
-    if standing.calibration is None:
-        since = joined(standing.reasons)
-        say(f"note: {options.serial} is {standing.verdict} since: {since}; explained is the map it had before")
-    write_json(options.json, facts)
+            echo(f"{options.out}: the figure of {options.serial}")
+        status = find_unit_status(registry, view.stored)
+    content = explanation_json(view)
+    if status.calibration is None:
+        since = to_line(status.reasons)
+        echo(f"note: {options.serial} is {status.verdict} since: {since}; explained is the map it had before")
+    write_json(options.json, content)
     if options.json != "-" or options.csv:
         state = view.stored.state
         print_reasons(f"{options.serial} {state.verdict} ({state.knowledge})", state.decision.reasons)

@@ -8,9 +8,9 @@ from functools import partial
 from getpass import getpass
 from pathlib import Path
 
-from softcal.app.cli.options import COUNT, DIR, FILE, add_shared, converted, registry_of, say_caution
+from softcal.app.cli.options import COUNT, DIR, FILE, add_shared, converted, echo_caution, registry_of
 from softcal.app.export.names import formats
-from softcal.app.output import ProgressLine, print_table, say, write_json
+from softcal.app.output import ProgressLine, echo, print_table, write_json
 
 EXAMPLES = """examples:
   softcal export --serial A1 --format blob --adc-bits 10 --adc-full-scale 5 --out files --check
@@ -93,11 +93,11 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("nothing to do: give --serial or --lot with --format, or --check to check a folder")
     if options.check:
         from softcal.app.export.check import check_folder
-        from softcal.app.export.signature import trusted_keys
+        from softcal.app.export.signature import read_trusted_keys
 
-        check = check_folder(options.out, trusted_keys(options.public_key))
+        check = check_folder(options.out, read_trusted_keys(options.public_key))
         for problem in check.problems:
-            say(f"problem: {problem}")
+            echo(f"problem: {problem}")
         print_table(("question", "answer"), check.answers)
         result["check"] = {**vars(check), "problems": check.problems, "answers": dict(check.answers)}
         code = 2 if check.problems else code
@@ -140,7 +140,7 @@ def _export(options: argparse.Namespace) -> tuple[list[dict[str, object]], int]:
         units = export_units(registry, serials, formats, options.out, choices, lambda unit: progress.step(unit.serial))
         for unit in units:
             if unit.files:
-                say_caution(registry, (unit.serial, options.revision, options.lot), "export")
+                echo_caution(registry, (unit.serial, options.revision, options.lot), "export")
     refused = [unit for unit in units if unit.refusal]
     if len(units) == 1 and refused:
         raise UnitRefused(f"{refused[0].refusal}; written: {', '.join(refused[0].files) or 'nothing'}")
@@ -150,18 +150,18 @@ def _export(options: argparse.Namespace) -> tuple[list[dict[str, object]], int]:
         numbers = [(unit.device or {}).get(name) for name in names]
         rows.append([unit.serial, unit.revision, unit.verdict, *numbers, len(unit.files)])
     print_table(header, rows)
-    _say_cost([unit.device for unit in units if unit.device])
+    _echo_cost([unit.device for unit in units if unit.device])
     for unit in refused:
-        say(f"refused: {unit.refusal}")
+        echo(f"refused: {unit.refusal}")
     return [vars(unit) for unit in units], 1 if refused else 0
 
 
-def _say_cost(devices: Sequence[Mapping[str, object]]) -> None:
+def _echo_cost(devices: Sequence[Mapping[str, object]]) -> None:
     if not devices:
         return
-    dearest = max(devices, key=lambda facts: float(str(facts["cortex_m0_ms"])))
+    dearest = max(devices, key=lambda device: float(str(device["cortex_m0_ms"])))
     ms = float(str(dearest["cortex_m0_ms"]))
-    say(
+    echo(
         f"on a Cortex-M0+ at 48 MHz: network {dearest['network_bytes']} B, code 1.9 KB, RAM {dearest['ram_bytes']} B, "
         f"about {ms:.2f} ms per estimate (at most {1000 / ms:.0f} Hz)"
     )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from softcal.app.cli.gap_challenge import add_challenge_actions
 from softcal.app.cli.gap_lot import add_lot, add_transfer
 from softcal.app.cli.options import COUNT, FILE, actions_of, add_layout, add_shared, answer, table_options
-from softcal.app.output import print_table, say, write_json
+from softcal.app.output import echo, print_table, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -117,12 +117,12 @@ def _diagnose(options: argparse.Namespace) -> None:
     """
     from softcal.app.gap.diagnose import write_page
 
-    diagnosed = _diagnosed(options)
-    _show(diagnosed, options)
+    diagnosis = _diagnose_case(options)
+    _show(diagnosis, options)
     if options.page:
-        write_page(options.page, diagnosed)
-    if options.simulator and (calls := diagnosed.model.calls(diagnosed.case)).count:
-        say(f"{calls.first}; so at {calls.count} of {calls.of} places, which were avoided")
+        write_page(options.page, diagnosis)
+    if options.simulator and (calls := diagnosis.model.calls(diagnosis.case)).count:
+        echo(f"{calls.first}; so at {calls.count} of {calls.of} places, which were avoided")
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -131,7 +131,7 @@ def _check(options: argparse.Namespace) -> None:
     Print which of its parameters and which causes these runs identify, which they do not, and which run would. No
     cause is diagnosed.
     """
-    from softcal.app.gap.diagnose import open_place
+    from softcal.app.gap.diagnose import open_case_or_table
     from softcal.app.gap.simulator import load_simulator, read_runs
     from softcal.core.gap.diagnosis import check_simulator, checked
     from softcal.core.gap.experiments import reasons
@@ -139,10 +139,10 @@ def _check(options: argparse.Namespace) -> None:
     if options.simulator:
         _refuse_electronics(options)
         simulator = load_simulator(options.simulator)
-        found = check_simulator(simulator, read_runs(options.case, simulator, table_options(options))[0])
+        result = check_simulator(simulator, read_runs(options.case, simulator, table_options(options))[0])
     else:
-        found = checked(open_place(options.case, _table_readout(options), table_options(options)))
-    mistakes, identifiability = found
+        result = checked(open_case_or_table(options.case, _table_readout(options), table_options(options)))
+    mistakes, identifiability = result
     record = None if identifiability is None else identifiability.record()
     data = [mistake.record() for mistake in mistakes]
     if not answer(options, "gap.check/1", {"data": data, "identifiability": record}):
@@ -152,8 +152,8 @@ def _check(options: argparse.Namespace) -> None:
         print("check       repair the recordings and check again; nothing else was judged")
         return
     for kind, is_base in (("base parameters", True), ("causes", False)):
-        is_told = [each.is_told for each in identifiability.every if each.is_base == is_base]
-        print(f"told        {sum(is_told)} of {len(is_told)} {kind}")
+        identifiable = [each.is_told for each in identifiability.every if each.is_base == is_base]
+        print(f"told        {sum(identifiable)} of {len(identifiable)} {kind}")
     for line in reasons(identifiability):
         print(f"not told    {line}")
 
@@ -176,15 +176,15 @@ def _table_readout(options: argparse.Namespace) -> "ReadoutMetadata | None":
     """Return the electronics of a plain table; R/Rs alone enters the divider: Rs may be unknown."""
     from softcal.core.twin.parameters import ReadoutMetadata
 
-    given = (options.vref_V, options.adc_bits, options.rate_Hz)
-    if all(value is None for value in (*given, options.series_ohm)):
+    electronics = (options.vref_V, options.adc_bits, options.rate_Hz)
+    if all(value is None for value in (*electronics, options.series_ohm)):
         return None
     if options.case.is_dir():
         raise InputError(f"{options.case}: a case states its electronics in recording.json; leave the options out")
-    if any(value is None for value in given):
+    if any(value is None for value in electronics):
         raise InputError("a plain table needs --vref-V, --adc-bits and --rate-Hz together")
     if options.series_ohm is None:
-        say("series resistor not given: resistances are shares of it")
+        echo("series resistor not given: resistances are shares of it")
     return ReadoutMetadata(options.vref_V, options.adc_bits, options.series_ohm or 1.0, options.rate_Hz)
 
 
@@ -199,7 +199,7 @@ def _effects(options: argparse.Namespace) -> None:
     names = ("name", "unit", "low", "high", "usual")
     records, rows = [], []
     for effect in EFFECTS.values():
-        needs, hides, shown = effect.signs.needs, effect.signs.hides_behind, effect.signs.shown_by
+        needs, hides, shown_by = effect.signs.needs, effect.signs.confounders, effect.signs.best_experiments
         records.append(
             {
                 "effect": effect.id,
@@ -209,12 +209,12 @@ def _effects(options: argparse.Namespace) -> None:
                 "parameters": [{name: getattr(p, name) for name in names} for p in effect.parameters],
                 "needs": list(needs),
                 "hides_behind": list(hides),
-                "shown_by": list(shown),
+                "shown_by": list(shown_by),
                 "forms": [form.effect.equation for form in effect.forms],
                 "is_plugin": effect.id not in BUILTIN_EFFECTS,
             }
         )
-        signs = [", ".join(each) or None for each in (needs, hides, shown)]
+        signs = [", ".join(each) or None for each in (needs, hides, shown_by)]
         rows.append([effect.id, effect.stage, effect.equation, *signs])
     if answer(options, "gap.effects/1", {"effects": records}):
         print_table(["effect", "stage", "equation", "needs", "hides behind", "shown by"], rows)
@@ -230,52 +230,52 @@ def _apply(options: argparse.Namespace) -> None:
 
     if (options.case is None) == (options.report is None):
         raise InputError("give either a case to diagnose or --report with the JSON of a diagnosis")
-    found, source = None, str(options.report or options.case)
+    diagnosis, source = None, str(options.report or options.case)
     if options.report is not None:
         report: Mapping[str, Any] = read_json(options.report)
     else:
-        found = _diagnosed(options)
-        report = found.report()
+        diagnosis = _diagnose_case(options)
+        report = diagnosis.report()
     if report.get("simulator"):
         parameters = write_parameters(options.out, report, source, options.empirical)
         listed = ", ".join(f"{name} {'off' if v is None else f'= {v:.4g}'}" for name, v in parameters.items())
-        say(f"parameters of {report['simulator']} written to {options.out}: {listed}")
+        echo(f"parameters of {report['simulator']} written to {options.out}: {listed}")
     else:
         provenance = report_provenance(options.report) if options.report else case_provenance(options.case)
         twin = apply_report(options.out, report, source, provenance, options.empirical)
-        say(f"twin written to {options.out}: {_contents(twin)}")
+        echo(f"twin written to {options.out}: {_contents(twin)}")
     if options.simulator:
         read_parameters(options.out, load_simulator(options.simulator))
-    if found is not None and options.json != "-":
-        _print(found, options)
+    if diagnosis is not None and options.json != "-":
+        _print(diagnosis, options)
     write_json(options.json, report)
 
 
-def _diagnosed(options: argparse.Namespace) -> "Diagnosis[Any]":
+def _diagnose_case(options: argparse.Namespace) -> "Diagnosis[Any]":
     """Return the diagnosis of a case, by the twin or by the user's simulator."""
     from softcal.app.gap.diagnose import case_provenance, diagnose_case
     from softcal.app.gap.simulator import foretell_duration, in_processes, load_simulator, read_runs
     from softcal.core.gap.diagnosis import diagnose_simulator
 
     if not options.simulator:
-        asked = getattr(options, "calibration", False)
-        return diagnose_case(options.case, say, _table_readout(options), table_options(options), asked)
+        with_calibration = getattr(options, "calibration", False)
+        return diagnose_case(options.case, echo, _table_readout(options), table_options(options), with_calibration)
     if getattr(options, "calibration", False):
         raise InputError("--simulator has no force and output that f could be trained on; leave --calibration out")
     _refuse_electronics(options)
     declared = load_simulator(options.simulator)
     runs, serial = read_runs(options.case, declared, table_options(options))
     if duration := foretell_duration(declared, runs, options.processes):
-        say(duration)
+        echo(duration)
     with in_processes(options.simulator, declared, options.processes) as simulator:
-        diagnosis = diagnose_simulator(simulator, runs, serial, say)
+        diagnosis = diagnose_simulator(simulator, runs, serial, echo)
     return replace(diagnosis, provenance=case_provenance(options.case, options.simulator).to_json())
 
 
 def _contents(twin: "Twin") -> str:
-    held = [s.effect_id + (f" ({s.form})" if s.form else "") for s in twin.effects]
-    held += [f"empirical {term.formula}" for term in twin.empirical]
-    return ", ".join(held) or "no effect, the refitted base alone"
+    names = [s.effect_id + (f" ({s.form})" if s.form else "") for s in twin.effects]
+    names += [f"empirical {term.formula}" for term in twin.empirical]
+    return ", ".join(names) or "no effect, the refitted base alone"
 
 
 def _print(diagnosis: "Diagnosis[Any]", options: argparse.Namespace) -> None:
@@ -294,17 +294,17 @@ def _print(diagnosis: "Diagnosis[Any]", options: argparse.Namespace) -> None:
     for part, causes in enumerate(diagnosis.chosen, start=1):
         if causes != diagnosis.best.hypothesis.ids:
             print(f"            without part {part} of the runs: {' + '.join(causes) or 'no cause'}; scored so there")
-    named = [c for c in diagnosis.causes if c.probability > 0.01]
-    if named:
+    probable_causes = [c for c in diagnosis.causes if c.probability > 0.01]
+    if probable_causes:
         hidden = diagnosis.hidden_fraction
         rows = []
-        for c in named:
+        for c in probable_causes:
             values = ", ".join(f"{name} = {p.value:.3g} {p.unit}".rstrip() for name, p in c.parameters.items())
             rows.append([c.effect, c.stage, c.probability, c.shrink, c.alone, c.added, hidden.get(c.effect), values])
         head = ["effect", "stage", "probability", "shrink", "alone", "added", "hidden", "parameters"]
         print_table(head, rows)
-    for place in diagnosis.places:
-        print(f"where       {place.stage}, {place.channel}, {place.regime}: {place.share:.0%}  {place.detail}")
+    for fault in diagnosis.places:
+        print(f"where       {fault.stage}, {fault.channel}, {fault.regime}: {fault.share:.0%}  {fault.detail}")
     for name, value in diagnosis.on_bound.items():
         print(f"on bound    {name} = {value:.4g}: these recordings do not determine it, or they hold a mistake")
     for pair in diagnosis.ambiguous_with:
@@ -321,15 +321,15 @@ def _print(diagnosis: "Diagnosis[Any]", options: argparse.Namespace) -> None:
         for fitted in diagnosis.residual.terms:
             error = f"standard error {fitted.standard_error:.1g} {fitted.term.unit}"
             print(f"empirical   {fitted.term.formula}  ({error})")
-        left, beside = diagnosis.residual.shrink, " + ".join(diagnosis.residual.beside)
-        held = f"{left.held_out:.2f} [{left.low:.2f}, {left.high:.2f}] held out"
-        addition = f", beside {beside}, which alone reach {diagnosis.residual.without:.2f}" if beside else ""
-        print(f"describes   {held}{addition}: a description, no cause; softcal gap apply --empirical adds it")
-    if (worth := diagnosis.calibration) is not None:
-        twins = f"base twin {worth.base:.3g} N, repaired twin {worth.repaired:.3g} N"
-        print(f"calibrates  error of f on run {worth.run}, by what it was trained on: {twins}, rig {worth.rig:.3g} N")
-    for channel, fades in diagnosis.named.problem.colour.items():
-        print(f"noise       {channel}: {fades.spread:.3g} beside the white noise, fading within {fades.fading_s:.2g} s")
+        rest, others = diagnosis.residual.shrink, " + ".join(diagnosis.residual.beside)
+        share = f"{rest.held_out:.2f} [{rest.low:.2f}, {rest.high:.2f}] held out"
+        addition = f", beside {others}, which alone reach {diagnosis.residual.without:.2f}" if others else ""
+        print(f"describes   {share}{addition}: a description, no cause; softcal gap apply --empirical adds it")
+    if (rmse := diagnosis.calibration) is not None:
+        twins = f"base twin {rmse.base:.3g} N, repaired twin {rmse.repaired:.3g} N"
+        print(f"calibrates  error of f on run {rmse.run}, by what it was trained on: {twins}, rig {rmse.rig:.3g} N")
+    for channel, noise in diagnosis.named.problem.colour.items():
+        print(f"noise       {channel}: {noise.spread:.3g} beside the white noise, fading within {noise.fading_s:.2g} s")
     if options.simulator:
         for name, prior in diagnosis.model.stated_and_fitted(diagnosis.best).items():
             print(f"prior       {name} = {prior['mean']:.4g} ± {prior['sd']:.2g}, fitted {prior['fitted']:.4g}")

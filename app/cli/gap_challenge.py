@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal.app.cli.options import COUNT, DIR, FILE, Action
-from softcal.app.output import ProgressLine, print_table, say, write_json
+from softcal.app.output import ProgressLine, echo, print_table, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -52,9 +52,9 @@ def add_challenge_actions(action: Action) -> None:
     ask = action("ask", "run one more experiment on a sealed rig", _ask, epilog=_ASK_EXAMPLES)
     ask.add_argument("folder", **DIR, help="folder of the challenge")
     ask.add_argument("case", metavar="CASE", help="name of the case")
-    what = ask.add_mutually_exclusive_group(required=True)
-    what.add_argument("--experiment", metavar="NAME", help="name of the experiment")
-    what.add_argument("--lot", **DIR, help="press a lot of units on the rig into this new folder")
+    target = ask.add_mutually_exclusive_group(required=True)
+    target.add_argument("--experiment", metavar="NAME", help="name of the experiment")
+    target.add_argument("--lot", **DIR, help="press a lot of units on the rig into this new folder")
     ask.add_argument("--units", default=6, **COUNT, help="target units of the lot (default 6)")
     ask.add_argument("--examiner", metavar="HOST:PORT:WORD", help="process of the examiner, instead of seal and key")
     _add_seal(ask, required=False)
@@ -80,24 +80,26 @@ def _challenge(options: argparse.Namespace) -> None:
     published with the cases before any diagnosis.
     """
     from softcal.app.gap.challenge import make_challenge
-    from softcal.app.gap.sealed_file import key_beside
+    from softcal.app.gap.sealed_file import default_key_path
 
     folder: Path = options.out
     seal_file = options.seal or folder.parent / f"{folder.name}.seal.json"
     progress = ProgressLine("cases", max(1, options.cases))
-    made = make_challenge(folder, seal_file, options.cases, options.seed, options.line, progress.step, options.key)
-    print(f"commitment  {made.commitment}")
-    key = options.key or key_beside(seal_file)
-    say(f"{len(made.cases)} cases in {folder}; labels encrypted in {seal_file}; keep {key} from whoever diagnoses")
+    challenge = make_challenge(folder, seal_file, options.cases, options.seed, options.line, progress.step, options.key)
+    print(f"commitment  {challenge.commitment}")
+    key = options.key or default_key_path(seal_file)
+    echo(
+        f"{len(challenge.cases)} cases in {folder}; labels encrypted in {seal_file}; keep {key} from whoever diagnoses"
+    )
     if options.seed is not None:
-        say(f"seed {options.seed} was stated: whoever knows it can make these labels again")
+        echo(f"seed {options.seed} was stated: whoever knows it can make these labels again")
 
 
 def _ask(options: argparse.Namespace) -> None:
     """Run one more experiment on a sealed rig, with the same hidden causes. The recording is added
     to the case as runs/asked-<n>; diagnose the case again to see whether the ambiguity is gone.
     """
-    from softcal.app.gap.challenge import ask_rig, asked_run, press_rig_lot
+    from softcal.app.gap.challenge import ask_rig, press_rig_lot, record_experiment
     from softcal.app.gap.sealed_file import ask_examiner
 
     if (options.seal is None) == (options.examiner is None):
@@ -108,7 +110,7 @@ def _ask(options: argparse.Namespace) -> None:
         rig = options.folder, options.seal, options.case
         print(press_rig_lot(*rig, options.units, options.lot, options.key))
         return
-    ask = partial(asked_run, options.folder, options.seal, key_file=options.key)
+    ask = partial(record_experiment, options.folder, options.seal, key_file=options.key)
     if options.examiner is not None:
         ask = partial(ask_examiner, options.examiner)
     print(ask_rig(options.folder, ask, options.case, options.experiment))
@@ -118,11 +120,11 @@ def _examiner(options: argparse.Namespace) -> None:
     """Hold the key of a challenge and record further runs of its rigs for `softcal gap ask --examiner`. Whoever
     diagnoses needs neither seal nor key then. Stop it with Ctrl-C.
     """
-    from softcal.app.gap.challenge import asked_run, open_challenge
+    from softcal.app.gap.challenge import open_challenge, record_experiment
     from softcal.app.gap.sealed_file import Examiner
 
     open_challenge(options.folder, options.seal, options.key)
-    answer = partial(asked_run, options.folder, options.seal, key_file=options.key)
+    answer = partial(record_experiment, options.folder, options.seal, key_file=options.key)
     with Examiner(answer, options.port) as examiner:
         print(f"examiner    {examiner.address}", flush=True)
         with suppress(KeyboardInterrupt):
@@ -140,18 +142,20 @@ def _score(options: argparse.Namespace) -> int:
     scored = score_challenge(options.folder, options.reports, options.seal, options.key, options.commitment)
     sheet = scored.sheet
     write_json(options.json, scored.to_json())
-    if not scored.is_stated:
-        say("the commitment is the folder's own, which whoever diagnosed held; state the published one by --commitment")
+    if not scored.has_commitment:
+        echo(
+            "the commitment is the folder's own, which whoever diagnosed held; state the published one by --commitment"
+        )
     if scored.seed_origin == "stated":
-        say("the seed of these cases was stated: whoever knew it could make the labels")
-    for judged in (j for j in sheet.case_scores if j.unread):
-        say(f"counted as wrong: {judged.unread}")
+        echo("the seed of these cases was stated: whoever knew it could make the labels")
+    for case_score in (j for j in sheet.case_scores if j.unread):
+        echo(f"counted as wrong: {case_score.unread}")
     if options.json != "-":
         _print(sheet)
-    below = shortfalls(sheet) if options.check else ()
-    for sentence in below:
-        say(f"below its floor: {sentence}")
-    return 1 if below else 0
+    failures = shortfalls(sheet) if options.check else ()
+    for sentence in failures:
+        echo(f"below its floor: {sentence}")
+    return 1 if failures else 0
 
 
 def _print(sheet: "ScoreSheet") -> None:
@@ -161,16 +165,16 @@ def _print(sheet: "ScoreSheet") -> None:
         low, high = (f"{100 * end:.1f}" for end in row.interval)
         rows.append((row.line, row.measure, row.hits, row.count, f"{100 * row.share:.1f} %", f"{low}–{high} %"))
     print_table(header, rows)
-    sure = sheet.probabilities
+    probabilities = sheet.probabilities
     print()
     print_table(
         ("probabilities", "value"),
         [
-            ("expected calibration error, all effects", sure.ece),
-            ("expected calibration error, first cause", sure.ece_first),
-            ("Brier score", sure.brier),
-            ("log score of named and of true causes, nats", sure.log_score),
-            ("mean probability on the true single cause", sure.on_truth),
+            ("expected calibration error, all effects", probabilities.ece),
+            ("expected calibration error, first cause", probabilities.ece_first),
+            ("Brier score", probabilities.brier),
+            ("log score of named and of true causes, nats", probabilities.log_score),
+            ("mean probability on the true single cause", probabilities.on_truth),
         ],
     )
     print()
@@ -178,10 +182,10 @@ def _print(sheet: "ScoreSheet") -> None:
         ("stated probability", "effects", "mean stated", "at work", "share"),
         [
             (f"{b.low:g}–{b.high:g}", b.count, f"{b.stated:.2f}", b.right, f"{100 * b.right / b.count:.0f} %")
-            for b in sure.by_bin
+            for b in probabilities.by_bin
         ],
     )
-    wrong = [j for j in sheet.case_scores if j.outcome not in ("right", "set", "below noise")]
+    misses = [j for j in sheet.case_scores if j.outcome not in ("right", "set", "below noise")]
     print()
     print_table(
         ("case", "line", "outcome", "verdict", "first", "truth", "σ"),
@@ -195,6 +199,6 @@ def _print(sheet: "ScoreSheet") -> None:
                 " + ".join(cause.effect for cause in j.label.case.causes) or "none",
                 j.label.distance_sigma,
             )
-            for j in wrong
+            for j in misses
         ],
     )

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from softcal.app.cli.options import DIR, FILE, Action, add_shared
-from softcal.app.output import print_table, say, write_json
+from softcal.app.output import echo, print_table, write_json
 
 _LOT_EXAMPLES = """examples:
   softcal gap lot lot-7
@@ -20,7 +20,7 @@ _TRANSFER_EXAMPLES = """examples:
 
 The lot's recordings must hold stage_mm: simulated units are pressed along the same positions.
 """
-_WORDS = {
+_LABELS = {
     "before": "error without a map, N",
     "after": "error with the map, N",
     "own": "error of an own calibration, N",
@@ -43,7 +43,7 @@ def _lot(options: argparse.Namespace) -> None:
     from softcal.app.gap.diagnose import case_provenance
     from softcal.app.gap.lot import diagnose_lot_folder
 
-    lot = diagnose_lot_folder(options.folder, say)
+    lot = diagnose_lot_folder(options.folder, echo)
     write_json(options.json, lot.record() | {"provenance": case_provenance(options.folder).to_json()})
     if options.json == "-":
         return
@@ -56,11 +56,11 @@ def _lot(options: argparse.Namespace) -> None:
         print(f"ambiguous   {' + '.join(diagnosis.rivals[0]) or 'no cause'} / {' + '.join(ids) or 'no cause'}")
     rows = []
     for member in diagnosis.members:
-        own = " + ".join(member.diagnosis.best.hypothesis.ids) or "no cause"
-        if member.is_left_out:
+        causes = " + ".join(member.diagnosis.best.hypothesis.ids) or "no cause"
+        if member.is_excluded:
             print(f"left out    {member.name}: {'; '.join(str(m.evidence) for m in member.diagnosis.mistakes)}")
         elif not member.follows:
-            alone = f"alone {member.diagnosis.verdict}, {own}"
+            alone = f"alone {member.diagnosis.verdict}, {causes}"
             print(f"outlier     {member.name}: does not share the lot's causes; {alone}")
         rows += [
             [member.name, member.diagnosis.verdict, effect, name, p.value, p.low, p.high, p.unit]
@@ -70,8 +70,8 @@ def _lot(options: argparse.Namespace) -> None:
     if rows:
         print_table(["unit", "alone", "effect", "parameter", "value", "low", "high", "unit of value"], rows)
     if calibration:
-        most = max(len(w.rig) for w in calibration)
-        rigs = (f"rig {k}, N" for k in range(1, most + 1))
+        max_rigs = max(len(w.rig) for w in calibration)
+        rigs = (f"rig {k}, N" for k in range(1, max_rigs + 1))
         header = ["unit", "nominal twin, N", "explained twin, N", *rigs, "saves"]
         print_table(header, [[w.unit, w.nominal, w.explained, *w.rig, w.saves] for w in calibration])
         print(
@@ -100,8 +100,8 @@ def _transfer(options: argparse.Namespace) -> None:
     """
     from softcal.app.gap.lot import check_transfer
 
-    transfer = check_transfer(options.report, options.lot, options.seed, say)
+    transfer = check_transfer(options.report, options.lot, options.seed, echo)
     write_json(options.json, transfer.to_record())
     if options.json != "-":
         header = ("median over units", "rig", "base twin", "explained twin", "base off by", "explained off by")
-        print_table(header, [(_WORDS[n], *v, f"{b:.0%}", f"{e:.0%}") for n, *v, b, e in transfer.rows()])
+        print_table(header, [(_LABELS[n], *v, f"{b:.0%}", f"{e:.0%}") for n, *v, b, e in transfer.rows()])

@@ -16,19 +16,19 @@ from softcal.app.cli.options import (
     add_shared,
     answer,
     converted,
+    echo_layouts,
+    echo_unused_input,
     positive,
-    say_layouts,
-    say_unused,
     table_options,
     unused_json,
 )
-from softcal.app.output import say
+from softcal.app.output import echo
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
     from softcal.app.files.import_plan import ImportPlan
     from softcal.app.files.importing import ImportedLot
-    from softcal.app.files.not_used import NotUsed
+    from softcal.app.files.unused_input import UnusedInput
 
 MAX_NAMES = 8
 """So many new names are proposed."""
@@ -101,13 +101,13 @@ def _rows(text: str) -> tuple[int, int]:
 def run(options: argparse.Namespace) -> None:
     """Import the tables, and print the result."""
     from softcal.app.files.import_plan import Columns, ImportPlan
-    from softcal.app.files.importing import import_lot, shown_rate_Hz, tables_of
+    from softcal.app.files.importing import detect_rate_Hz, import_lot, list_tables
     from softcal.core.lot import Lot
 
-    files = [file for path in options.files for file in tables_of(path)]
+    files = [file for path in options.files for file in list_tables(path)]
     columns = Columns(options.output_column, options.reference_column, options.time_column, options.stage_column)
     table = table_options(options)
-    rate_Hz = options.sample_rate or shown_rate_Hz(files[0], columns, table)
+    rate_Hz = options.sample_rate or detect_rate_Hz(files[0], columns, table)
     first, *more = map(_check_source, options.source)
     if len(set(options.source)) < len(options.source):
         raise InputError(f"--source {' --source '.join(options.source)}: give each source once")
@@ -125,7 +125,7 @@ def run(options: argparse.Namespace) -> None:
         files, columns, lot, options.audit, options.rows, options.audit_rows, table, serials, renames, more_sources=more
     )
     imported = import_lot(plan, options.out)
-    _state_limit(options, lot.reference_unit, imported.reference_range)
+    _write_limit(options, lot.reference_unit, imported.reference_range)
     _report(options, plan, imported)
 
 
@@ -141,12 +141,12 @@ def _check_source(name: str) -> str:
         raise InputError(f"{error}: --source {proposed} --serial {option}") from error
 
 
-def _serials(given: list[str]) -> tuple[list[str] | None, dict[str, str]]:
+def _serials(values: list[str]) -> tuple[list[str] | None, dict[str, str]]:
     """Return serials of files in order, or new serials by the names of files or columns."""
-    renames = dict(text.rsplit("=", 1) for text in given if "=" in text)
-    if renames and len(renames) < len(given):
+    renames = dict(text.rsplit("=", 1) for text in values if "=" in text)
+    if renames and len(renames) < len(values):
         raise InputError("--serial: give either OLD=NEW for names, or one serial per file in order, not both")
-    return (None, renames) if renames or not given else (given, {})
+    return (None, renames) if renames or not values else (values, {})
 
 
 def _report(options: argparse.Namespace, plan: "ImportPlan", imported: "ImportedLot") -> None:
@@ -154,22 +154,22 @@ def _report(options: argparse.Namespace, plan: "ImportPlan", imported: "Imported
     from softcal.app.files.unused_parts import unread_files
 
     lot = plan.lot
-    say_layouts(imported.layouts)
+    echo_layouts(imported.layouts)
     units = f"target units: {len(imported.units)}"
-    say(f"{options.out}: lot {lot.id!r}, source {', '.join(options.source)}, {units}, {lot.sample_rate_Hz:g} Hz")
+    echo(f"{options.out}: lot {lot.id!r}, source {', '.join(options.source)}, {units}, {lot.sample_rate_Hz:g} Hz")
     not_used = (*(item for path in options.files for item in unread_files(path)), *imported.not_used)
     if plan.audit:
-        why = next((f"; {item.why}" for item in not_used if item.kind == "audit"), "")
-        say(f"audits: {len(imported.audits)} of {len(imported.units)}{why}")
-    say_unused(not_used, imported.remarks)
+        cause = next((f"; {item.why}" for item in not_used if item.kind == "audit"), "")
+        echo(f"audits: {len(imported.audits)} of {len(imported.units)}{cause}")
+    echo_unused_input(not_used, imported.remarks)
     if unnamed := [item for item in imported.not_used if item.why.code.startswith("name.")]:
-        say(f"note: {_renaming(plan, unnamed)} gives a file or a column another serial")
-    facts: dict[str, object] = {"lot": lot.id, "source": lot.source, "units": list(imported.units)}
-    facts |= {"audits": list(imported.audits), "layouts": dict(imported.layouts)}
-    answer(options, "import/1", facts | unused_json(not_used, imported.remarks))
+        echo(f"note: {_rename_options(plan, unnamed)} gives a file or a column another serial")
+    content: dict[str, object] = {"lot": lot.id, "source": lot.source, "units": list(imported.units)}
+    content |= {"audits": list(imported.audits), "layouts": dict(imported.layouts)}
+    answer(options, "import/1", content | unused_json(not_used, imported.remarks))
 
 
-def _renaming(plan: "ImportPlan", unnamed: "Sequence[NotUsed]") -> str:
+def _rename_options(plan: "ImportPlan", unnamed: "Sequence[UnusedInput]") -> str:
     """Return the options that would give names which are no serials others."""
     from softcal.core.lot import propose_serial
 
@@ -180,10 +180,10 @@ def _renaming(plan: "ImportPlan", unnamed: "Sequence[NotUsed]") -> str:
     return " ".join([*options[:MAX_NAMES], *(["..."] if len(options) > MAX_NAMES else [])]) or "--serial 'OLD=NEW'"
 
 
-def _state_limit(options: argparse.Namespace, unit: str, full_range: float) -> None:
+def _write_limit(options: argparse.Namespace, unit: str, full_range: float) -> None:
     """Write the limit, given or asked for, into the created folder."""
-    from softcal.app.files.lot_toml import restate_limit
+    from softcal.app.files.lot_toml import update_limit
 
-    stated = limit_rmse(options.limit, unit, full_range, options.out / "lot.toml")
-    if stated is not None:
-        restate_limit(options.out, stated)
+    limit = limit_rmse(options.limit, unit, full_range, options.out / "lot.toml")
+    if limit is not None:
+        update_limit(options.out, limit)

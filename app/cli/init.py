@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
 
 from softcal.app.cli.limit import LIMIT, limit_rmse
 from softcal.app.cli.options import FILE, actions_of, positive
-from softcal.app.output import say
+from softcal.app.output import echo
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -54,8 +54,8 @@ def _make_lot(options: argparse.Namespace) -> int:
     folder = options.folder
     _refuse_existing(folder / "lot.toml")
 
-    def answer(given: T | None, question: str, kind: Callable[[str], T], default: str | None) -> T:
-        return given if given is not None else asked(question, kind, default, options.yes)
+    def answer(value: T | None, question: str, kind: Callable[[str], T], default: str | None) -> T:
+        return value if value is not None else ask_value(question, kind, default, options.yes)
 
     lot = Lot(
         id=answer(options.lot_id, "id of the lot", str, folder.resolve().name),
@@ -75,20 +75,20 @@ def _make_lot(options: argparse.Namespace) -> int:
     for part in ("source", "units", "audit"):
         (folder / part).mkdir(parents=True, exist_ok=True)
     write_lot_toml(folder, lot)
-    say(f"{folder / 'lot.toml'}: lot {lot.id!r}, source {lot.source}, {lot.sample_rate_Hz:g} Hz")
-    say(f"put the source's t_s, output, reference into {folder / 'source' / lot.source}.csv,")
-    say(f"t_s, output of every other unit into {folder / 'units'}/SERIAL.csv; then: softcal batch {folder}")
+    echo(f"{folder / 'lot.toml'}: lot {lot.id!r}, source {lot.source}, {lot.sample_rate_Hz:g} Hz")
+    echo(f"put the source's t_s, output, reference into {folder / 'source' / lot.source}.csv,")
+    echo(f"t_s, output of every other unit into {folder / 'units'}/SERIAL.csv; then: softcal batch {folder}")
     return 0
 
 
 def _make_station(options: argparse.Namespace) -> None:
     from softcal.app.files.atomic import write_text
-    from softcal.station.devices.catalogue import SECTIONS
+    from softcal.station.bench.catalogue import SECTIONS
+    from softcal.station.bench.station_file import station_from_table, station_toml
     from softcal.station.devices.config import SafetyConfig
-    from softcal.station.devices.station_file import station_from_table, station_toml
 
     _refuse_existing(options.file)
-    table: dict[str, Any] = {"name": asked("name of the station", str, "station")}
+    table: dict[str, Any] = {"name": ask_value("name of the station", str, "station")}
     for role, section in SECTIONS.items():
         if device := _device(section, role):
             table[section] = device
@@ -97,21 +97,21 @@ def _make_station(options: argparse.Namespace) -> None:
     )
     table["safety"] = _answers("safety", SafetyConfig, limits)
     write_text(options.file, station_toml(station_from_table(table)))
-    say(f"{options.file}: every key is in it with its meaning; read it once")
-    say(f"then: softcal station check --station {options.file}")
+    echo(f"{options.file}: every key is in it with its meaning; read it once")
+    echo(f"then: softcal station check --station {options.file}")
 
 
 def _device(section: str, role: "Role") -> dict[str, Any]:
-    from softcal.station.devices.catalogue import driver_of, offers
+    from softcal.station.bench.catalogue import driver_of, offers
 
     none = [NO_CELL] if role == "cell" else []
     kinds = none + sorted(offer.kind for offer in offers() if offer.role == role and offer.driver is not None)
-    say(f"[{section}] kinds: {', '.join(kinds)}")
+    echo(f"[{section}] kinds: {', '.join(kinds)}")
 
-    def known(text: str) -> str:
+    def parse_kind(text: str) -> str:
         return text if text in none else str(driver_of(role, text).kind)
 
-    kind = asked(f"{section}: kind", known, None)
+    kind = ask_value(f"{section}: kind", parse_kind, None)
     if kind in none:
         return {}
     config: type[DeviceConfig] = driver_of(role, kind).config
@@ -128,22 +128,22 @@ READERS: dict[object, Callable[[str], Any]] = {
 
 def _answers(section: str, config: type[Any], names: set[str]) -> dict[str, Any]:
     """Ask for the keys of a section, in the order and with the meaning of their declaration."""
-    from softcal.station.devices.station_file import meanings
+    from softcal.station.bench.station_file import meanings
 
     for line in meanings(config):
         if line.strip().partition(":")[0].partition(",")[0] in names or line.startswith(" " * 8):
-            say(f"    {line.strip()}")
+            echo(f"    {line.strip()}")
     types = get_type_hints(config)
     answers = {}
     for each in (each for each in fields(config) if each.name in names):
         usual = None if each.default is MISSING else str(each.default)
         if isinstance(each.default, bool):
             usual = str(each.default).lower()
-        answers[each.name] = asked(f"{section}: {each.name}", READERS.get(types[each.name], str), usual)
+        answers[each.name] = ask_value(f"{section}: {each.name}", READERS.get(types[each.name], str), usual)
     return answers
 
 
-def asked(question: str, kind: Callable[[str], T], default: str | None, is_silent: bool = False) -> T:
+def ask_value(question: str, kind: Callable[[str], T], default: str | None, is_silent: bool = False) -> T:
     """Ask until the answer can be used; Enter takes the default.
 
     Raises:
@@ -161,9 +161,9 @@ def asked(question: str, kind: Callable[[str], T], default: str | None, is_silen
             if text is not None:
                 return kind(text)
         except (InputError, argparse.ArgumentTypeError) as error:
-            say(str(error))
+            echo(str(error))
         except (ValueError, KeyError):
-            say(f"{text!r} cannot be used here")
+            echo(f"{text!r} cannot be used here")
 
 
 def _load(text: str) -> float | None:

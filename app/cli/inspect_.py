@@ -49,14 +49,14 @@ def _show_table(options: argparse.Namespace) -> None:
     names, reference = column_names(options), options.reference_column
     file = inspect_file(options.file, names, reference)
     source = None if options.source is None else inspect_file(options.source, names, reference)
-    beside = [] if source is None else compare_files(source, file)
-    write_json(options.json, inspection_json(file, beside))
+    source_remarks = [] if source is None else compare_files(source, file)
+    write_json(options.json, inspection_json(file, source_remarks))
     findings = finding_rows(file)
     if options.csv:
         print_table(FINDINGS_HEADER, findings)
     elif options.json != "-":
         print_table(("what", "value"), summary_rows(file))
-        remarks = (*file.remarks, *beside)
+        remarks = (*file.remarks, *source_remarks)
         for text in remarks:
             print(f"- {text}")
         if not remarks:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from softcal.app.cli.confirm import MOST_TOLD, NOT_CONFIRMED, is_confirmed, print_changes, withdraw_files
+from softcal.app.cli.confirm import MAX_PRINTED, NOT_CONFIRMED, is_confirmed, print_changes, withdraw_files
 from softcal.app.cli.lot_audit import add_audits
 from softcal.app.cli.lot_fit import add_fit
 from softcal.app.cli.options import (
@@ -20,8 +20,8 @@ from softcal.app.cli.options import (
     network_config,
     registry_of,
 )
-from softcal.app.output import print_table, say
-from softcal.app.texts.catalogue import here
+from softcal.app.output import echo, print_table
+from softcal.app.texts.catalogue import format_local_instant
 from softcal.core.errors import InputError, NotCalibrated, RegistryReadOnly
 from softcal.core.quality.line_rules import LETTERS, RETESTS
 
@@ -79,9 +79,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     network = action("network", "show or decide which network of a lot the line uses", _network)
     network.add_argument("lot", metavar="ID", help="lot in the registry")
     add_shared(network, "registry", "json", "csv")
-    what = network.add_mutually_exclusive_group()
-    what.add_argument("--release", metavar="NETWORK", help="use this one from now on; the first digits of its id do")
-    what.add_argument("--withdraw", metavar="NETWORK", help="take it from the line; the one before it is used again")
+    choice = network.add_mutually_exclusive_group()
+    choice.add_argument("--release", metavar="NETWORK", help="use this one from now on; the first digits of its id do")
+    choice.add_argument("--withdraw", metavar="NETWORK", help="take it from the line; the one before it is used again")
     network.add_argument("--reason", default="", help="why; needed with a decision")
     rules = action(
         "rules", "show or set how a lot's serials look, how many are planned, and who may be pressed again", _rules
@@ -106,17 +106,17 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def _release(options: argparse.Namespace) -> int:
     """Release unmeasured units by the audits in the registry, and print the consumer's risk."""
-    from softcal.app.calibration.release import decide_lot, is_decided, lot_standing
+    from softcal.app.calibration.release import decide_lot, is_decided, read_lot_status
     from softcal.app.export.certificates.lot_statement import build_lot_statement, lot_statement_pdf
     from softcal.app.files.atomic import write_bytes
     from softcal.app.texts.catalogue import text
-    from softcal.core.quality.lot_standing import Way
+    from softcal.core.quality.lot_status import Disposition
 
     lot_id = lot_id_of(options.lot)
     with registry_of(options) as registry:
         registry.lots.get(lot_id)
-        standing = lot_standing(registry, lot_id)
-        if standing.decided is not None and not is_decided(registry, standing):
+        status = read_lot_status(registry, lot_id)
+        if status.decided is not None and not is_decided(registry, status):
             # What every change has judged already is only read, so that an account that may not write can ask.
             try:
                 decide_lot(registry, lot_id)
@@ -126,34 +126,34 @@ def _release(options: argparse.Namespace) -> int:
                     f"this who may write ({error})"
                 ) from error
             withdraw_files(registry, lot_id)
-            standing = lot_standing(registry, lot_id)
-        decided = standing.decided
-        if decided is None:
+            status = read_lot_status(registry, lot_id)
+        release = status.decided
+        if release is None:
             raise NotCalibrated(f"lot {lot_id!r} has no calibrated unit yet; run `softcal batch` first")
-        facts = build_lot_statement(registry, standing, decided)
+        statement = build_lot_statement(registry, status, release)
     if options.pdf is not None:
-        write_bytes(options.pdf, lot_statement_pdf(facts, partial(text, options.language)))
-        say(f"{options.pdf}: statement on lot {lot_id}")
-    told = {"lot": lot_id, "sample": facts.sample.to_json(), "provenance": facts.provenance.to_json()}
-    if answer(options, "lot.release/1", told | standing.to_json()):
-        limit = decided.limit.maximum_rmse
+        write_bytes(options.pdf, lot_statement_pdf(statement, partial(text, options.language)))
+        echo(f"{options.pdf}: statement on lot {lot_id}")
+    content = {"lot": lot_id, "sample": statement.sample.to_json(), "provenance": statement.provenance.to_json()}
+    if answer(options, "lot.release/1", content | status.to_json()):
+        limit = release.limit.maximum_rmse
         rows = [
             [
                 *(a.serial, a.lot_id or lot_id, a.forecast_rmse, a.measured_rmse, a.ratio),
                 "within" if a.measured_rmse <= limit else "beyond",
             ]
-            for a in sorted(decided.audits, key=lambda audit: -audit.ratio)
+            for a in sorted(release.audits, key=lambda audit: -audit.ratio)
         ]
         print_table(("audited", "lot", "forecast", "measured", "measured/forecast", "verdict"), rows)
-        print(decided.statement)
-        print(f"sample: {facts.sample.render(partial(text, 'en'))}")
-        print(f"released by sample: {', '.join(unit.serial for unit in standing.on(Way.SAMPLED)) or 'none'}")
-        for name, units in (("waiting", standing.on(Way.WAITING)), ("withdrawn", standing.withdrawn)):
-            for unit in units[:MOST_TOLD]:
+        print(release.statement)
+        print(f"sample: {statement.sample.render(partial(text, 'en'))}")
+        print(f"released by sample: {', '.join(unit.serial for unit in status.on(Disposition.SAMPLED)) or 'none'}")
+        for name, units in (("waiting", status.on(Disposition.WAITING)), ("withdrawn", status.withdrawn)):
+            for unit in units[:MAX_PRINTED]:
                 print(f"{name}: {unit.serial}: {'; '.join(map(str, unit.reasons))}")
-            if len(units) > MOST_TOLD:
-                print(f"{name}: and {len(units) - MOST_TOLD} more; --json has all")
-    return DONE if decided.released or not decided.forecasts else SOME_UNIT_NOT_PASSED
+            if len(units) > MAX_PRINTED:
+                print(f"{name}: and {len(units) - MAX_PRINTED} more; --json has all")
+    return DONE if release.released or not release.forecasts else SOME_UNIT_NOT_PASSED
 
 
 def _folder(options: argparse.Namespace) -> None:
@@ -161,13 +161,13 @@ def _folder(options: argparse.Namespace) -> None:
 
     with registry_of(options) as registry:
         written = write_lot_folder(registry, options.lot, options.out)
-    say(f"{options.out}: " + ", ".join(f"{len(serials)} in {part}/" for part, serials in written.items()))
+    echo(f"{options.out}: " + ", ".join(f"{len(serials)} in {part}/" for part, serials in written.items()))
     answer(options, "lot.folder/1", {"lot": options.lot, **written})
 
 
 def _watch(options: argparse.Namespace) -> int:
     from softcal.app.batch.engine import EngineChoice
-    from softcal.app.batch.lot_work import BatchConfig, Watch
+    from softcal.app.batch.lot_work import BatchConfig, Callbacks
     from softcal.app.batch.report import TABLE_HEADER, table_row
     from softcal.app.batch.watch import watch_lot
 
@@ -175,14 +175,14 @@ def _watch(options: argparse.Namespace) -> int:
         raise InputError("--every and --idle are seconds above 0")
     batch = BatchConfig(network=network_config(options), engine=EngineChoice(jobs=options.jobs), actor="softcal lot")
     passed = True
-    say(f"{options.folder}: waiting for recordings; Ctrl-C stops")
+    echo(f"{options.folder}: waiting for recordings; Ctrl-C stops")
     with registry_of(options, create=True) as registry:
         try:
-            for report in watch_lot(options.folder, registry, batch, Watch(), options.every, options.idle):
+            for report in watch_lot(options.folder, registry, batch, Callbacks(), options.every, options.idle):
                 print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
                 passed = passed and report.has_passed
         except KeyboardInterrupt:
-            say("stopped; what was finished is kept")
+            echo("stopped; what was finished is kept")
     return DONE if passed else SOME_UNIT_NOT_PASSED
 
 
@@ -207,9 +207,9 @@ def _limit(options: argparse.Namespace) -> int:
                 withdraw_files(registry, options.lot)
         versions = registry.lots.limit_versions(options.lot)
     entries = [vars(entry) | {"made_at": entry.made_at.isoformat()} for entry in versions]
-    facts = {"unit": unit, "versions": entries, "changes": changes and changes.to_json(), "is_done": is_done}
-    if answer(options, "lot.limit/1", facts):
-        rows = [[e.version, e.rmse, here(e.made_at), e.actor, e.reason] for e in versions]
+    content = {"unit": unit, "versions": entries, "changes": changes and changes.to_json(), "is_done": is_done}
+    if answer(options, "lot.limit/1", content):
+        rows = [[e.version, e.rmse, format_local_instant(e.made_at), e.actor, e.reason] for e in versions]
         print_table(("version", f"limit {unit}", "set", "by", "reason"), rows)
     return NOT_CONFIRMED if is_new and not is_done else DONE
 
@@ -217,19 +217,19 @@ def _limit(options: argparse.Namespace) -> int:
 def _network(options: argparse.Namespace) -> None:
     with registry_of(options) as registry:
         registry.lots.get(options.lot)
-        if asked := options.release or options.withdraw:
+        if prefix := options.release or options.withdraw:
             ids = [one.network.id for one in registry.networks.states(options.lot)]
-            fitting = [id_ for id_ in ids if id_.startswith(asked)]
+            fitting = [id_ for id_ in ids if id_.startswith(prefix)]
             if len(fitting) != 1:
                 raise InputError(
-                    f"{len(fitting)} networks of lot {options.lot!r} begin with {asked!r}; one was expected"
+                    f"{len(fitting)} networks of lot {options.lot!r} begin with {prefix!r}; one was expected"
                 )
             decide = registry.networks.release if options.release else registry.networks.withdraw
             decide(fitting[0], reason=options.reason)
         states = registry.networks.states(options.lot)
     networks = [{"id": one.network.id, "state": one.state} for one in states]
     if answer(options, "lot.network/1", {"lot": options.lot, "networks": networks}):
-        rows = [[one.network.id[:12], one.state, here(one.network.added_at)] for one in states]
+        rows = [[one.network.id[:12], one.state, format_local_instant(one.network.added_at)] for one in states]
         print_table(("network", "state", "trained"), rows)
 
 
@@ -252,9 +252,9 @@ def _rules(options: argparse.Namespace) -> None:
     entries = [vars(e) | {"made_at": e.made_at.isoformat(), "rules": e.rules.settings()} for e in versions]
     if answer(options, "lot.rules/1", {"now": rules.settings(), "versions": entries}):
         retests = ", ".join(f"{times} after {verdict}" for verdict, times in rules.retests.items())
-        shown = rules.settings() | {"serial_pattern": rules.serial_pattern or "any", "retests": retests}
+        values = rules.settings() | {"serial_pattern": rules.serial_pattern or "any", "retests": retests}
         print_table(
-            ("rule", "holds now"), [[name, "–" if value is None else str(value)] for name, value in shown.items()]
+            ("rule", "holds now"), [[name, "–" if value is None else str(value)] for name, value in values.items()]
         )
-        rows = [[e.version, here(e.made_at), e.actor, e.reason] for e in versions]
+        rows = [[e.version, format_local_instant(e.made_at), e.actor, e.reason] for e in versions]
         print_table(("version", "set", "by", "reason"), rows)

@@ -13,15 +13,15 @@ from softcal.app.cli.options import (
     add_layout,
     add_shared,
     answer,
+    echo_layout,
+    echo_unused_input,
     lot_id_of,
     positive,
     registry_of,
-    say_layout,
-    say_unused,
     table_options,
     unused_json,
 )
-from softcal.app.output import print_table, say, write_json
+from softcal.app.output import echo, print_table, write_json
 from softcal.core.errors import InputError
 
 DONE, SOME_UNIT_NOT_PASSED = 0, 1
@@ -41,13 +41,13 @@ registry: they are kept there, and scored at once.
 
 def add_audits(action: Action) -> None:
     """Add the actions `audit` and `audit-plan`."""
-    brought = action(
+    files_action = action(
         "audit",
         "bring labelled recordings of units into the lot; confirm one that is in doubt",
         _audit,
         epilog=AUDIT_EXAMPLES,
     )
-    add = brought.add_argument
+    add = files_action.add_argument
     add("lot", metavar="LOT", help="lot folder, or a lot in the registry")
     add("files", nargs="*", **FILE, help="CSV, .xlsx or Parquet; of a folder, all")
     add("--output-column", default="output", help="default output; with * one unit per column")
@@ -62,8 +62,8 @@ def add_audits(action: Action) -> None:
     )
     add("--confirm", metavar="SERIAL", help="the audit of this unit is right in spite of the doubt")
     add("--reason", default="", help="why; needed with --confirm")
-    add_layout(brought)
-    add_shared(brought, "yes", "registry", "json")
+    add_layout(files_action)
+    add_shared(files_action, "yes", "registry", "json")
     audit = action(
         "audit-plan",
         "draw which few units to check with the load cell; show how far the checks are and what they say",
@@ -86,7 +86,7 @@ def _audit_plan(options: argparse.Namespace) -> int:
     """Draw the audit plan on the first call and store it; print its state on later calls."""
     from softcal.app.calibration.audit import AUDIT_HEADER, audit_json, audit_line, audit_rows, draw_plan, lot_audit
     from softcal.app.calibration.lot_context import lot_method
-    from softcal.core.quality.acceptance import PROMISE_HEADER, promise_rows
+    from softcal.core.quality.acceptance import CRITERION_HEADER, criterion_rows
     from softcal.core.quality.audit_plan import AuditConfig
     from softcal.core.quality.qualification import small_lot
 
@@ -96,8 +96,8 @@ def _audit_plan(options: argparse.Namespace) -> int:
         audit = None if options.new else lot_audit(registry, lot_id)
         if audit is None:
             names = ("doubtful", "random", "seed", "allowed_share")
-            asked = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
-            audit = draw_plan(registry, lot_id, AuditConfig(**asked), reason=options.reason)
+            choices = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
+            audit = draw_plan(registry, lot_id, AuditConfig(**choices), reason=options.reason)
         units = sum(registry.pages.verdict_counts(lot_id).values())
         config = lot_method(registry, lot_id).release
     write_json(options.json, audit_json(audit))
@@ -107,7 +107,7 @@ def _audit_plan(options: argparse.Namespace) -> int:
         if small := small_lot(units, config):
             print(f"no promise by sample: {small}")
         else:
-            print_table(PROMISE_HEADER, promise_rows(config, units))
+            print_table(CRITERION_HEADER, criterion_rows(config, units))
     return SOME_UNIT_NOT_PASSED if audit.statement is not None and audit.statement.word == "fail" else DONE
 
 
@@ -127,22 +127,22 @@ def _audit(options: argparse.Namespace) -> int:
                 return NOT_CONFIRMED
             act()
             withdraw_files(registry, lot_id)
-            standing = registry.pages.standings(lot_id, [options.confirm])[options.confirm]
-        say(f"{options.confirm}: confirmed; its verdict is {standing.verdict}: {standing.reasons[0]}")
-        facts = {"lot": lot_id, "serial": options.confirm, "verdict": standing.verdict}
-        answer(options, "lot.audit-confirm/1", facts)
-        return DONE if standing.verdict == "pass" else SOME_UNIT_NOT_PASSED
+            status = registry.pages.unit_statuses(lot_id, [options.confirm])[options.confirm]
+        echo(f"{options.confirm}: confirmed; its verdict is {status.verdict}: {status.reasons[0]}")
+        content = {"lot": lot_id, "serial": options.confirm, "verdict": status.verdict}
+        answer(options, "lot.audit-confirm/1", content)
+        return DONE if status.verdict == "pass" else SOME_UNIT_NOT_PASSED
     if not options.files:
         raise InputError("no file is given: name the labelled recordings, each called by the serial of its unit")
-    return _bring(options)
+    return _store_files(options)
 
 
-def _bring(options: argparse.Namespace) -> int:
-    from softcal.app.calibration.audit_files import look_at_audits, store_audits, unused_of_audits, write_audits
+def _store_files(options: argparse.Namespace) -> int:
+    from softcal.app.calibration.audit_files import read_audit_files, store_audits, unused_of_audits, write_audits
     from softcal.app.calibration.changes import carry_out
     from softcal.app.calibration.redecision import redecide
     from softcal.app.files.import_plan import Columns
-    from softcal.app.files.importing import tables_of
+    from softcal.app.files.importing import list_tables
     from softcal.app.files.lot_folder import open_lot_folder
     from softcal.app.files.measured_at import local_time_remarks, parse_instant
     from softcal.app.files.unused_parts import unread_files
@@ -152,57 +152,59 @@ def _bring(options: argparse.Namespace) -> int:
         Columns(options.output_column, options.reference_column, options.time_column),
         table_options(options),
     )
-    files = [file for path in options.files for file in tables_of(path)]
-    stated = None if options.measured_at is None else parse_instant("--measured-at", options.measured_at)
-    folder, replaced, then = Path(options.lot), list[str](), "they are scored, and the lot is judged"
+    files = [file for path in options.files for file in list_tables(path)]
+    measured_at = None if options.measured_at is None else parse_instant("--measured-at", options.measured_at)
+    folder, replaced, next_step = Path(options.lot), list[str](), "they are scored, and the lot is judged"
     changes = None
     if (folder / "lot.toml").is_file():
-        opened = open_lot_folder(folder)
-        lot = opened.lot
+        lot_folder = open_lot_folder(folder)
+        lot = lot_folder.lot
         _check_rate(options.sample_rate, lot.sample_rate_Hz)
-        looked = look_at_audits(lot, opened.unit_paths.keys(), files, columns, table, stated)
-        refusals, remarks = unused_of_audits(lot, looked, others=opened.readable_audits(), source=opened.read_source())
-        replaced, then = write_audits(folder, looked), f"next: softcal batch {options.lot}"
+        audits = read_audit_files(lot, lot_folder.unit_paths.keys(), files, columns, table, measured_at)
+        refusals, remarks = unused_of_audits(
+            lot, audits, others=lot_folder.readable_audits(), source=lot_folder.read_source()
+        )
+        replaced, next_step = write_audits(folder, audits), f"next: softcal batch {options.lot}"
     else:
         with registry_of(options) as registry:
             lot = registry.lots.get(options.lot)
             _check_rate(options.sample_rate, lot.sample_rate_Hz)
-            looked = look_at_audits(lot, target_serials(registry, lot.id), files, columns, table, stated)
-            refusals, remarks = unused_of_audits(lot, looked, registry, source=source_of_lot(registry, lot))
+            audits = read_audit_files(lot, target_serials(registry, lot.id), files, columns, table, measured_at)
+            refusals, remarks = unused_of_audits(lot, audits, registry, source=source_of_lot(registry, lot))
 
-            def take() -> None:
-                store_audits(registry, lot.id, looked)
+            def store_and_redecide() -> None:
+                store_audits(registry, lot.id, audits)
                 redecide(registry, [lot.id])
 
-            changes = carry_out(registry, lot.id, take)
+            changes = carry_out(registry, lot.id, store_and_redecide)
             withdraw_files(registry, lot.id)
-    for audit in looked:
+    for audit in audits:
         if audit.read is not None:
-            say_layout(audit.file, audit.read.table.layout, audit.read.remarks)
-    for remark in local_time_remarks({one.read.table.path: one.read.start for one in looked if one.read is not None}):
-        say(remark)
-    taken = [audit.serial for audit in looked if audit.recording is not None]
-    refused = {audit.file: str(audit.refusal) for audit in looked if audit.recording is None}
-    layouts = {audit.file: audit.read.table.layout for audit in looked if audit.read is not None}
+            echo_layout(audit.file, audit.read.table.layout, audit.read.remarks)
+    for remark in local_time_remarks({one.read.table.path: one.read.start for one in audits if one.read is not None}):
+        echo(remark)
+    accepted = [audit.serial for audit in audits if audit.recording is not None]
+    refused = {audit.file: str(audit.refusal) for audit in audits if audit.recording is None}
+    layouts = {audit.file: audit.read.table.layout for audit in audits if audit.read is not None}
     not_used = (*(item for path in options.files for item in unread_files(path)), *refusals)
-    facts: dict[str, object] = {"lot": lot.id, "audited": taken, "replaced": replaced, "refused": refused}
-    facts["layouts"] = layouts
-    facts["changes"] = changes and changes.to_json()
-    if answer(options, "lot.audit-files/1", facts | unused_json(not_used, remarks)):
+    content: dict[str, object] = {"lot": lot.id, "audited": accepted, "replaced": replaced, "refused": refused}
+    content["layouts"] = layouts
+    content["changes"] = changes and changes.to_json()
+    if answer(options, "lot.audit-files/1", content | unused_json(not_used, remarks)):
         rows = [
-            [audit.file, audit.serial, "taken" if audit.recording else f"refused: {audit.refusal}"] for audit in looked
+            [audit.file, audit.serial, "taken" if audit.recording else f"refused: {audit.refusal}"] for audit in audits
         ]
         print_table(("file", "serial", "result"), rows)
         if changes is not None and (changes.changed or changes.recalled):
             print_changes(changes)
     if replaced:
-        say(f"an older audit of {', '.join(replaced)} was replaced")
-    say(f"{len(taken)} of {len(looked)} files taken; {then}")
-    say_unused(not_used, remarks)
-    return DONE if len(taken) == len(looked) else InputError.exit_code
+        echo(f"an older audit of {', '.join(replaced)} was replaced")
+    echo(f"{len(accepted)} of {len(audits)} files taken; {next_step}")
+    echo_unused_input(not_used, remarks)
+    return DONE if len(accepted) == len(audits) else InputError.exit_code
 
 
-def _check_rate(stated_Hz: float | None, lot_Hz: float) -> None:
+def _check_rate(declared_Hz: float | None, lot_Hz: float) -> None:
     """Refuse a table with another rate than the lot's: its windows would be of another length."""
-    if stated_Hz is not None and abs(stated_Hz - lot_Hz) > 1e-3 * lot_Hz:
-        raise InputError(f"--sample-rate is {stated_Hz:g} Hz, the lot's is {lot_Hz:g} Hz; nothing was taken")
+    if declared_Hz is not None and abs(declared_Hz - lot_Hz) > 1e-3 * lot_Hz:
+        raise InputError(f"--sample-rate is {declared_Hz:g} Hz, the lot's is {lot_Hz:g} Hz; nothing was taken")

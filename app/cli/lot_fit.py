@@ -3,7 +3,7 @@
 import argparse
 from functools import partial
 
-from softcal.app.cli.confirm import MOST_TOLD, NOT_CONFIRMED, is_confirmed, print_changes
+from softcal.app.cli.confirm import MAX_PRINTED, NOT_CONFIRMED, is_confirmed, print_changes
 from softcal.app.cli.options import Action, add_shared, answer, lot_id_of, registry_of
 from softcal.app.output import print_table
 from softcal.core.errors import InputError
@@ -29,22 +29,22 @@ def _fit(options: argparse.Namespace) -> int:
     with registry_of(options) as registry:
         registry.lots.get(lot_id)
         plan = plan_lot_fit(registry, lot_id, is_withdrawal=options.withdraw)
-        act = partial(make_lot_fit, registry, plan, why=options.reason or "lot fit")
+        act = partial(make_lot_fit, registry, plan, reason=options.reason or "lot fit")
         if plan.states:
             changes = preview(registry, lot_id, act)
             if options.json != "-":
                 rows = [
                     [s, one.fit.lot_fit and one.fit.lot_fit.units, one.forecast.rmse] for s, one in plan.states.items()
                 ]
-                print_table(("unit", "of units under one load", "forecast"), rows[:MOST_TOLD])
+                print_table(("unit", "of units under one load", "forecast"), rows[:MAX_PRINTED])
                 print(f"lot fit {plan.number} changes maps (units: {len(rows)})")
                 print_changes(changes)
             if is_done := is_confirmed(options.yes):
                 act()
-    facts = {"lot": lot_id, **plan.to_json(), "changes": changes and changes.to_json(), "is_done": is_done}
-    if answer(options, "lot.fit/1", facts):
-        for why in plan.named:
-            print(why)
+    content = {"lot": lot_id, **plan.to_json(), "changes": changes and changes.to_json(), "is_done": is_done}
+    if answer(options, "lot.fit/1", content):
+        for reason in plan.outlier_messages:
+            print(reason)
         if not plan.states:
             print(f"no map of lot {lot_id} changes")
     return 0 if is_done or not plan.states else NOT_CONFIRMED

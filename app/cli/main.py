@@ -15,7 +15,7 @@ from softcal.app.extras import missing_extra
 from softcal.app.output import answering
 from softcal.core.errors import InputError, SoftcalError
 
-DONE, WRONG_USE = 0, InputError.exit_code
+DONE, USAGE_ERROR = 0, InputError.exit_code
 
 COMMANDS = {
     "demo": "the main job from end to end on a simulated station",
@@ -58,7 +58,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     A defect of softcal itself is one line for the person, too; its traceback goes to the log.
     """
-    given = sys.argv[1:] if arguments is None else arguments
+    argv = sys.argv[1:] if arguments is None else arguments
     # Libraries read it when they are imported, which is later.
     os.environ.update(ONE_THREAD | os.environ)
     # A configuration file is checked whole, with the options of every command.
@@ -67,8 +67,8 @@ def main(arguments: list[str] | None = None) -> int:
         configure(parser)
     except InputError as error:
         print(f"softcal: {error}", file=sys.stderr)
-        return WRONG_USE
-    options = parser.parse_args(given)
+        return USAGE_ERROR
+    options = parser.parse_args(argv)
     # A keyboard or a file name of a Mac gives letters in parts.
     if serial := getattr(options, "serial", None):
         normal = partial(normalize, "NFC")
@@ -77,9 +77,9 @@ def main(arguments: list[str] | None = None) -> int:
     if command in LOGGED:
         from softcal.app.logs import begin_run, end_run
 
-        facts = {name: getattr(options, name, None) for name in ("lot", "serial", "station", "actor")}
-        context = {name: str(value) for name, value in facts.items() if value is not None}
-        log = begin_run(command.strip("_"), given, **context)
+        values = {name: getattr(options, name, None) for name in ("lot", "serial", "station", "actor")}
+        context = {name: str(value) for name, value in values.items() if value is not None}
+        log = begin_run(command.strip("_"), argv, **context)
     code, message = _outcome(options)
     if log is not None:
         end_run(log, code, message)
@@ -96,7 +96,7 @@ def _outcome(options: argparse.Namespace) -> tuple[int, str]:
     except SoftcalError as error:
         return error.exit_code, str(error)
     except KeyboardInterrupt:
-        return WRONG_USE, "stopped by the keyboard; what was finished is kept, run the same command to go on"
+        return USAGE_ERROR, "stopped by the keyboard; what was finished is kept, run the same command to go on"
     except BrokenPipeError:
         sys.stderr.close()
         return DONE, ""
@@ -104,7 +104,7 @@ def _outcome(options: argparse.Namespace) -> tuple[int, str]:
         from softcal.app.logs import log_crash
 
         lacking = missing_extra(error) if isinstance(error, ModuleNotFoundError) else None
-        return WRONG_USE, lacking or log_crash(error, str(options.run.__module__))
+        return USAGE_ERROR, lacking or log_crash(error, str(options.run.__module__))
 
 
 def command_parser(loaded: Collection[str] = COMMANDS) -> argparse.ArgumentParser:

@@ -6,12 +6,12 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from softcal.app.output import ProgressLine, say, write_json
+from softcal.app.output import ProgressLine, echo, write_json
 
 if TYPE_CHECKING:
-    from softcal.app.batch.lot_work import Watch
-    from softcal.app.files.not_used import NotUsed
+    from softcal.app.batch.lot_work import Callbacks
     from softcal.app.files.recording_file import ColumnNames
+    from softcal.app.files.unused_input import UnusedInput
     from softcal.app.tables.options import TableOptions
     from softcal.core.messages.reason import Reason
     from softcal.core.network.config import EpochReport, NetworkConfig
@@ -101,13 +101,13 @@ def actions_of(
         summary: str,
         run: Callable[[argparse.Namespace], int | None] | None,
         description: str | None = None,
-        **facts: Any,
+        **parser_options: Any,
     ) -> argparse.ArgumentParser:
         if is_described:
             description = f"{summary[0].upper()}{summary[1:]}."
         elif run is not None and run.__doc__:
             description = description or " ".join(run.__doc__.split())
-        action = actions.add_parser(name, help=summary, description=description, **facts)
+        action = actions.add_parser(name, help=summary, description=description, **parser_options)
         add_shared(action, *shared)
         action.set_defaults(run=run)
         return action
@@ -152,25 +152,25 @@ def table_options(options: argparse.Namespace) -> "TableOptions":
     from softcal.app.tables.options import TableOptions
 
     names = ("delimiter", "decimal", "encoding", "header_row", "sheet", "time_format")
-    stated = {name: value for name in names if (value := getattr(options, name)) is not None}
+    declared = {name: value for name in names if (value := getattr(options, name)) is not None}
     cells = getattr(options, "most_cells", None)
-    return TableOptions(missing=tuple(options.missing), **stated, **({} if cells is None else {"max_cells": cells}))
+    return TableOptions(missing=tuple(options.missing), **declared, **({} if cells is None else {"max_cells": cells}))
 
 
-def say_layout(name: str, layout: str, remarks: Sequence[str] = ()) -> None:
+def echo_layout(name: str, layout: str, remarks: Sequence[str] = ()) -> None:
     """Print the layout of a file that differs from the plain form."""
     for line in (layout, *remarks):
         if line:
-            say(f"{name}: {line}")
+            echo(f"{name}: {line}")
 
 
-def say_layouts(layouts: Mapping[str, str]) -> None:
+def echo_layouts(layouts: Mapping[str, str]) -> None:
     """Report how files were read, a line for each layout but the plain one."""
     by_layout: dict[str, list[str]] = {}
     for name, layout in layouts.items():
         by_layout.setdefault(layout, []).append(name)
     for layout, names in by_layout.items():
-        say_layout(names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more", layout)
+        echo_layout(names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more", layout)
 
 
 def column_names(options: argparse.Namespace) -> "ColumnNames":
@@ -222,34 +222,34 @@ def registry_at(url: str | None, *, create: bool = True) -> "Iterator[Registry]"
     from softcal.app.bootstrap import open_chosen_registry, registry_url
 
     with open_chosen_registry(url, create=create) as registry:
-        registry.database.on_first_write = lambda: say_written(registry_url(url))
+        registry.database.on_first_write = lambda: echo_written_url(registry_url(url))
         yield registry
 
 
-def say_written(url: str) -> None:
+def echo_written_url(url: str) -> None:
     """Print the URL of the registry after a write, without its password."""
     from sqlalchemy import make_url
 
-    from softcal.db.schema.database import shown_url
+    from softcal.db.schema.database import redacted_url
 
-    say(f"written to the registry {shown_url(make_url(url))}")
+    echo(f"written to the registry {redacted_url(make_url(url))}")
 
 
-def answer(options: argparse.Namespace, schema: str, facts: Mapping[str, object]) -> bool:
+def answer(options: argparse.Namespace, schema: str, content: Mapping[str, object]) -> bool:
     """Write the JSON answer where one is asked for; return whether people read on, too."""
-    write_json(options.json, {"schema": f"softcal.{schema}", **facts})
+    write_json(options.json, {"schema": f"softcal.{schema}", **content})
     return options.json != "-" or getattr(options, "csv", None) is not None
 
 
-def say_unused(not_used: "Iterable[NotUsed]", remarks: "Iterable[Reason | str]") -> None:
+def echo_unused_input(not_used: "Iterable[UnusedInput]", remarks: "Iterable[Reason | str]") -> None:
     """Print the irregularities and unused inputs at the end of a command."""
-    from softcal.app.files.not_used import not_used_lines
+    from softcal.app.files.unused_input import unused_input_lines
 
-    for line in (*(f"note: {remark}" for remark in remarks), *not_used_lines(not_used)):
-        say(line)
+    for line in (*(f"note: {remark}" for remark in remarks), *unused_input_lines(not_used)):
+        echo(line)
 
 
-def unused_json(not_used: "Iterable[NotUsed]", remarks: "Iterable[Reason | str]") -> dict[str, object]:
+def unused_json(not_used: "Iterable[UnusedInput]", remarks: "Iterable[Reason | str]") -> dict[str, object]:
     """Return the same as keys of a JSON answer."""
     return {"not_used": [item.to_json() for item in not_used], "remarks": list(map(str, remarks))}
 
@@ -262,27 +262,27 @@ def lot_id_of(lot: str) -> str:
     return open_lot_folder(folder).lot.id if (folder / "lot.toml").is_file() else lot
 
 
-def say_caution(registry: "Registry", unit: "tuple[str, int | None, str | None]", action: str) -> None:
+def echo_caution(registry: "Registry", unit: "tuple[str, int | None, str | None]", action: str) -> None:
     """Warn in one line, and record in the audit trail, where the unit that is used did not pass."""
-    from softcal.app.registry.standing import caution
+    from softcal.app.registry.unit_status import caution
 
     serial, revision, lot_id = unit
     if warning := caution(registry, registry.calibrations.get(serial, revision, lot_id=lot_id), action):
-        say(warning)
+        echo(warning)
 
 
-def say_epoch(report: "EpochReport", unit: str) -> None:
+def echo_epoch(report: "EpochReport", unit: str) -> None:
     """Print every 20th epoch of a training as one line of progress."""
     if report.epoch % 20 == 0:
-        say(
+        echo(
             f"training f: epoch {report.epoch}/{report.max_epochs}, validation {report.validation_rmse:.4g} {unit}, "
             f"best {report.best_validation_rmse:.4g} {unit}"
         )
 
 
-def batch_watch(unit: str) -> "Watch":
+def batch_callbacks(unit: str) -> "Callbacks":
     """Return a watch that prints the progress of a lot; errors are in `unit`."""
-    from softcal.app.batch.lot_work import Watch
+    from softcal.app.batch.lot_work import Callbacks
 
     progress: ProgressLine | None = None
     note = ""
@@ -298,9 +298,9 @@ def batch_watch(unit: str) -> "Watch":
         else:
             progress.reach(done, note)
 
-    return Watch(
-        on_epoch=lambda report: say_epoch(report, unit),
+    return Callbacks(
+        on_epoch=lambda report: echo_epoch(report, unit),
         on_unit=on_unit,
         on_done=on_done,
-        on_wait=lambda held: say(f"waiting for {held} units that other batches hold"),
+        on_wait=lambda count: echo(f"waiting for {count} units that other batches hold"),
     )

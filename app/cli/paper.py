@@ -14,7 +14,7 @@ from softcal.app.cli.options import (
     network_config,
     positive,
 )
-from softcal.app.output import print_table, say
+from softcal.app.output import echo, print_table
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -73,15 +73,15 @@ def run(options: argparse.Namespace) -> int:
         )
         stream = _labelled(options.stream, columns)
     if not pair:
-        say("note: the pair is simulated; name two labelled recordings for measured ones")
+        echo("note: the pair is simulated; name two labelled recordings for measured ones")
     source, target = pair or paper.simulated_pair(options.seed)
     tables = paper.compute_tables(source, target, stream, network_config(options))
     goals = tables.goals
     _print(tables, source.reference_unit)
     for name, is_reached in goals.items():
         print(f"{'holds' if is_reached else 'DOES NOT HOLD'}: {name}")
-    facts = {"errors": tables.errors, "shares": tables.shares, "seconds": tables.seconds, "courses": tables.courses}
-    answer(options, "paper/1", {**facts, "published": paper.PUBLISHED, "goals": goals})
+    content = {"errors": tables.errors, "shares": tables.shares, "seconds": tables.seconds, "courses": tables.courses}
+    answer(options, "paper/1", {**content, "published": paper.PUBLISHED, "goals": goals})
     return 0 if all(goals.values()) else 1
 
 
@@ -92,13 +92,15 @@ def _labelled(path: Path, names: "ColumnNames") -> "LabelledRecording":
 
 
 def _print(tables: "PaperTables", unit: str) -> None:
-    from softcal.app.operation.paper import COURSES, OWN, PARTS, PUBLISHED, SHARES
+    from softcal.app.operation.paper import COURSES, OWN_CALIBRATION, PARTS, PUBLISHED, SHARES
 
     print(f"Table 1. Published: {PUBLISHED[1]}.\n")
-    own = tables.errors[OWN]
-    print_table(("method", f"RMSE [{unit}]", "after / own"), [(n, e, e / own) for n, e in tables.errors.items()])
+    own_rmse = tables.errors[OWN_CALIBRATION]
+    print_table(("method", f"RMSE [{unit}]", "after / own"), [(n, e, e / own_rmse) for n, e in tables.errors.items()])
     print(f"\nTable 2, RMSE [{unit}] by the share of the unit's windows. Published: {PUBLISHED[2]}.\n")
-    print_table(("map", *(f"{share:.0%}" for share in SHARES)), [(n, *_shown(e)) for n, e in tables.shares.items()])
+    print_table(
+        ("map", *(f"{share:.0%}" for share in SHARES)), [(n, *_nan_to_none(e)) for n, e in tables.shares.items()]
+    )
     print(f"\nTable 3, processor time. Published: {PUBLISHED[3]}.\n")
     train_s = tables.seconds["network"]
     print_table(("step", "s", "of the network's time"), [(n, s, _part(s, train_s)) for n, s in tables.seconds.items()])
@@ -110,9 +112,9 @@ def _print(tables: "PaperTables", unit: str) -> None:
     print()
 
 
-def _shown(errors: list[float]) -> list[float | None]:
+def _nan_to_none(errors: list[float]) -> list[float | None]:
     return [None if error != error else error for error in errors]
 
 
-def _part(seconds: float, whole_s: float) -> str:
-    return "1" if seconds == whole_s else f"1/{whole_s / max(seconds, 1e-9):.0f}"
+def _part(seconds: float, total_s: float) -> str:
+    return "1" if seconds == total_s else f"1/{total_s / max(seconds, 1e-9):.0f}"

@@ -44,15 +44,15 @@ class Parser(argparse.ArgumentParser):
     ) -> tuple[argparse.Namespace, list[str]]:
         """Parse the arguments; the command that defines the options refuses an unknown option."""
         self.load()
-        options, left = super().parse_known_args(args, namespace)
-        if left:
-            unknown = next((word for word in left if word.startswith("-")), left[0]).partition("=")[0]
+        options, unparsed = super().parse_known_args(args, namespace)
+        if unparsed:
+            unknown = next((word for word in unparsed if word.startswith("-")), unparsed[0]).partition("=")[0]
             near = suggestion(unknown, self._option_string_actions)
-            self.error(f"unrecognized arguments: {' '.join(left)}{near}")
-        return options, left
+            self.error(f"unrecognized arguments: {' '.join(unparsed)}{near}")
+        return options, unparsed
 
 
-def suggestion(word: str, known: Iterable[object]) -> str:
+def suggestion(word: str, choices: Iterable[object]) -> str:
     """Return `; did you mean X?`, or an empty text without a similar name."""
-    near = difflib.get_close_matches(word, [str(name) for name in known], n=1, cutoff=0.6)
+    near = difflib.get_close_matches(word, [str(name) for name in choices], n=1, cutoff=0.6)
     return f"; did you mean {near[0]}?" if near else ""

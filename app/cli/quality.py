@@ -94,12 +94,12 @@ def _capability(options: argparse.Namespace) -> None:
 
 
 def _yield(options: argparse.Namespace) -> None:
-    from softcal.app.registry.quality import lot_yields, named_shares, yields_json
+    from softcal.app.registry.quality import list_shares, lot_yields, yields_json
 
     with registry_of(options) as registry:
         yields = lot_yields(registry, options.lot, conditional_is_good=options.conditional_is_good)
     value = {"lot": options.lot} | yields_json(yields)
-    rows = [[name.replace("_", " "), s.count, s.of, s.value, *s.interval] for name, s in named_shares(yields)]
+    rows = [[name.replace("_", " "), s.count, s.of, s.value, *s.interval] for name, s in list_shares(yields)]
     reasons = "; ".join(f"{count} x {reason}" for reason, count in yields.reasons[:5])
     header = ["yield", "good", "of", "share", "lower 95 %", "upper 95 %"]
     answer(options, "quality.yield/1", value)

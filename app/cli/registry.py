@@ -6,8 +6,16 @@ from functools import partial
 
 from softcal.app.bootstrap import registry_url
 from softcal.app.cli.confirm import NOT_CONFIRMED, RECALL_HEADER, may_do, withdraw_files
-from softcal.app.cli.options import FILE, actions_of, add_shared, answer, registry_of, say_unused, say_written
-from softcal.app.output import print_reasons, print_table, say, shown
+from softcal.app.cli.options import (
+    FILE,
+    actions_of,
+    add_shared,
+    answer,
+    echo_unused_input,
+    echo_written_url,
+    registry_of,
+)
+from softcal.app.output import echo, escape_controls, print_reasons, print_table
 from softcal.core.errors import RegistryError
 
 EXAMPLES = """examples:
@@ -67,9 +75,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     action("upgrade", "make the tables of this version in an empty database", _upgrade)
 
 
-def _done(options: argparse.Namespace, action: str, line: str, **facts: object) -> None:
+def _report_action(options: argparse.Namespace, action: str, line: str, **content: object) -> None:
     """Print the result of an action: as JSON on request, else as one line on standard output."""
-    if answer(options, f"registry.{action}/1", facts):
+    if answer(options, f"registry.{action}/1", content):
         print(line)
 
 
@@ -80,13 +88,13 @@ def _list(options: argparse.Namespace) -> None:
     with registry_of(options) as registry:
         units = registry.lots.units(options.lot)
         remarks = same_recordings_of(registry, options.lot)
-    facts = {"units": [unit_json(unit) for unit in units], "remarks": [str(remark) for remark in remarks]}
-    answer(options, "registry.list/1", facts)
+    content = {"units": [unit_json(unit) for unit in units], "remarks": [str(remark) for remark in remarks]}
+    answer(options, "registry.list/1", content)
     print_table(UNIT_HEADER, [unit_row(unit) for unit in units], len(UNIT_HEADER) - (not options.verbose))
     if not options.verbose and "-" not in (options.json, options.csv):
         for subject, reasons in first_reasons(units):
             print_reasons(subject, reasons)
-    say_unused((), remarks)
+    echo_unused_input((), remarks)
 
 
 def _history(options: argparse.Namespace) -> None:
@@ -97,18 +105,18 @@ def _history(options: argparse.Namespace) -> None:
         (unit,) = registry.lots.units(lot_id, options.serial)
         revisions = registry.calibrations.history(options.serial, lot_id)
         proofs = registry.recordings.proof_methods(lot_id, options.serial)
-    shown_as = [history_json(stored, proofs) for stored in revisions]
-    facts = {"serial": options.serial, "lot": lot_id, "revisions": shown_as}
-    answer(options, "registry.history/1", facts)
+    records = [history_json(stored, proofs) for stored in revisions]
+    content = {"serial": options.serial, "lot": lot_id, "revisions": records}
+    answer(options, "registry.history/1", content)
     print(f"unit {options.serial} of lot {lot_id}")
     if revisions:
         print_table(HISTORY_HEADER, [history_row(stored) for stored in revisions])
         for method in sorted({method for method in proofs.values() if method}):
             print(f"pressed on a station, which proved its recordings by method {method[:12]}")
     else:
-        print(shown("; ".join(("no calibration yet", *map(str, unit.reasons)))))
+        print(escape_controls("; ".join(("no calibration yet", *map(str, unit.reasons)))))
     if unit.is_conflict:
-        say(f"conflict: {unit.reasons[0]}")
+        echo(f"conflict: {unit.reasons[0]}")
 
 
 def _verify(options: argparse.Namespace) -> None:
@@ -118,21 +126,21 @@ def _verify(options: argparse.Namespace) -> None:
 
     def on_step(name: str) -> None:
         if not options.quick:
-            say(f"{time.monotonic() - start_s:5.1f} s  checking {name}")
+            echo(f"{time.monotonic() - start_s:5.1f} s  checking {name}")
 
     with registry_of(options) as registry:
         verified = verify(registry, is_quick=options.quick, files=options.against, on_step=on_step)
-    facts = {"faults": list(verified.faults), "audit_rows": verified.audit_rows, "heads": verified.heads}
-    facts["is_quick"] = options.quick
+    content = {"faults": list(verified.faults), "audit_rows": verified.audit_rows, "heads": verified.heads}
+    content["is_quick"] = options.quick
     if not verified.faults:
         ends = ", ".join(f"{origin} {seq} {sha256}" for origin, (seq, sha256) in verified.heads.items())
-        what = "what was looked at is whole" if options.quick else "the registry is whole"
-        line = f"{what}: {verified.audit_rows} rows in the audit trail, ending with {ends or 'nothing'}"
-        _done(options, "verify", line, **facts)
+        summary = "what was looked at is whole" if options.quick else "the registry is whole"
+        line = f"{summary}: {verified.audit_rows} rows in the audit trail, ending with {ends or 'nothing'}"
+        _report_action(options, "verify", line, **content)
         return
     for fault in verified.faults:
-        say(fault)
-    answer(options, "registry.verify/1", facts)
+        echo(fault)
+    answer(options, "registry.verify/1", content)
     raise RegistryError(f"{len(verified.faults)} faults; keep the file as evidence and go back to a backup")
 
 
@@ -143,16 +151,16 @@ def _backup(options: argparse.Namespace) -> None:
         back_up_registry(registry, options.file)
     size_MB = options.file.stat().st_size / 1e6
     line = f"{options.file}: {size_MB:.1f} MB"
-    _done(options, "backup", line, file=str(options.file), size_MB=size_MB)
+    _report_action(options, "backup", line, file=str(options.file), size_MB=size_MB)
 
 
 def _restore(options: argparse.Namespace) -> None:
     from softcal.db.maintenance.backup import restore
 
     restore(options.file, registry_url(options.registry))
-    say_written(registry_url(options.registry))
+    echo_written_url(registry_url(options.registry))
     line = f"restored from {options.file}; every byte of it was checked"
-    _done(options, "restore", line, file=str(options.file))
+    _report_action(options, "restore", line, file=str(options.file))
 
 
 def _rollback(options: argparse.Namespace) -> int:
@@ -169,32 +177,32 @@ def _rollback(options: argparse.Namespace) -> int:
         revision = act()
         withdraw_files(registry, lot_id)
     line = f"{options.serial}: revision {revision} is in use, it repeats revision {options.to}"
-    _done(options, "rollback", line, serial=options.serial, revision=revision, rolled_back_to=options.to)
+    _report_action(options, "rollback", line, serial=options.serial, revision=revision, rolled_back_to=options.to)
     return 0
 
 
 def _sync(options: argparse.Namespace) -> None:
     from softcal.app.calibration.redecision import redecide_stale
-    from softcal.app.export.export import withdraw_given
+    from softcal.app.export.export import withdraw_recalled_files
     from softcal.app.registry.maintenance import synchronise_with
 
     with registry_of(options, create=True) as registry:
         report = synchronise_with(registry, options.other)
         redecide_stale(registry)
-        withdraw_given(registry, registry.lots.ids())
+        withdraw_recalled_files(registry, registry.lots.ids())
     if report.sent:
-        say_written(options.other)
+        echo_written_url(options.other)
     for conflict in report.conflicts:
-        say(f"conflict: {conflict}")
+        echo(f"conflict: {conflict}")
     for clock in report.clocks:
-        say(f"clock: {clock}")
+        echo(f"clock: {clock}")
     line = f"sent {report.sent}, received {report.received} changes, {len(report.conflicts)} conflicts"
-    facts = {"conflicts": list(report.conflicts), "clocks": list(report.clocks)}
-    _done(options, "sync", line, sent=report.sent, received=report.received, **facts)
+    content = {"conflicts": list(report.conflicts), "clocks": list(report.clocks)}
+    _report_action(options, "sync", line, sent=report.sent, received=report.received, **content)
 
 
 def _recall(options: argparse.Namespace) -> None:
-    from softcal.app.registry.given_files import list_recalls
+    from softcal.app.registry.exported_files import list_recalls
 
     with registry_of(options) as registry:
         lots = registry.lots.ids() if options.lot is None else [registry.lots.get(options.lot).id]
@@ -209,7 +217,7 @@ def _grants(options: argparse.Namespace) -> None:
     from softcal.db.access.grants import grant_statements
 
     statements = grant_statements(options.line, options.reader, options.manager)
-    _done(options, "grants", "\n".join(statements), sql=statements)
+    _report_action(options, "grants", "\n".join(statements), sql=statements)
 
 
 def _upgrade(options: argparse.Namespace) -> None:
@@ -219,6 +227,6 @@ def _upgrade(options: argparse.Namespace) -> None:
     before = upgrade(registry_url(options.registry))
     line = f"the registry has schema {SCHEMA} already; nothing to do"
     if before is None:
-        say_written(registry_url(options.registry))
+        echo_written_url(registry_url(options.registry))
         line = f"the registry was made, with schema {SCHEMA}"
-    _done(options, "upgrade", line, before=before, after=SCHEMA)
+    _report_action(options, "upgrade", line, before=before, after=SCHEMA)

@@ -7,7 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from softcal.app.cli.options import FILE, add_shared, lot_id_of, registry_of
-from softcal.app.output import say
+from softcal.app.output import echo
 
 EXAMPLES = """examples:
   softcal report lot-1                              writes lot-1.html
@@ -32,12 +32,12 @@ def run(options: argparse.Namespace) -> None:
     from softcal.app.texts.catalogue import text
     from softcal.app.views.lot import lot_view
 
-    words = partial(text, options.language)
-    made = words("report.made", at=datetime.now().astimezone(), version=version("softcal"))
+    render = partial(text, options.language)
+    creation_note = render("report.made", at=datetime.now().astimezone(), version=version("softcal"))
     with registry_of(options) as registry:
         lot_id = lot_id_of(options.lot)
         view = lot_view(registry, lot_id)
         units = [unit for unit in registry.lots.units(lot_id) if unit.role == "target"]
     out = options.out or Path(f"{lot_id}.html")
-    write_text(out, lot_page(view, units, words, made))
-    say(f"{out}: lot {lot_id}, {view.judged} of {view.total} units have a result")
+    write_text(out, lot_page(view, units, render, creation_note))
+    echo(f"{out}: lot {lot_id}, {view.decided} of {view.total} units have a result")

@@ -21,7 +21,7 @@ from softcal.app.cli.options import (
     registry_of,
 )
 from softcal.app.cli.station_service import add_service_actions
-from softcal.app.output import print_table, say, write_json
+from softcal.app.output import echo, print_table, write_json
 from softcal.core.errors import InputError
 from softcal.core.messages.reason import Reason
 
@@ -63,12 +63,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     check.add_argument("--no-motion", action="store_true", help="do not home or move the stage")
     add_shared(check, "json")
     _add_qualify(action)
-    for kind, what in (("source", "with the load cell: output and reference"), ("unit", "output only")):
+    for kind, content in (("source", "with the load cell: output and reference"), ("unit", "output only")):
         press = action(
             kind,
-            f"press a {'source unit' if kind == 'source' else 'unit'} and record it {what}",
+            f"press a {'source unit' if kind == 'source' else 'unit'} and record it {content}",
             run_press,
-            f"Home, find contact, press with the {kind} profile and record {what}. Whole or not at all.",
+            f"Home, find contact, press with the {kind} profile and record {content}. Whole or not at all.",
         )
         add = press.add_argument
         add("--serial", nargs="+", required=True, metavar="S", help="serial; one per channel of the readout")
@@ -143,20 +143,22 @@ def run_check(options: argparse.Namespace) -> int:
         print_table(("device", "what", "value", "to do"), rows)
     if options.write:
         from softcal.app.files.atomic import write_text
-        from softcal.station.devices.station_file import station_toml
+        from softcal.station.bench.station_file import station_toml
 
         # What a port that nobody chose may be
         either = "; ".join(f"{device.port} ({device.says})" for device in check.devices if device.channels)
         write_text(options.write, station_toml(check.config, either))
-        say(f"{options.write}: station file written; set the safety bounds, the load cell's serial and its scale in it")
+        echo(
+            f"{options.write}: station file written; set the safety bounds, the load cell's serial and its scale in it"
+        )
         if not check.findings:
-            say(f"{options.write}: one port is still open, marked CHOOSE; nothing was tested, fill it in first")
+            echo(f"{options.write}: one port is still open, marked CHOOSE; nothing was tested, fill it in first")
             return 3
     write_json(options.json, check.as_json())
     faults = [finding for finding in check.findings if not finding.is_good]
     for finding in faults:
-        say(f"{finding.device}, {finding.what}: {finding.cure}")
-    say(f"station {check.config.name}: " + (f"{len(faults)} fault(s)" if faults else "good"))
+        echo(f"{finding.device}, {finding.what}: {finding.cure}")
+    echo(f"station {check.config.name}: " + (f"{len(faults)} fault(s)" if faults else "good"))
     return 3 if faults else 0
 
 
@@ -167,32 +169,32 @@ def run_qualify(options: argparse.Namespace) -> int:
     from datetime import UTC, datetime
 
     from softcal.app.bootstrap import current_user
-    from softcal.app.line.qualification import HEAD, QualificationPage, keep_qualification
+    from softcal.app.line.qualification import HEAD, QualificationPage, store_qualification
     from softcal.app.line.rig import chosen_bench
     from softcal.station.tasks.qualify import qualify
 
     with _signals_as_ctrl_c(), chosen_bench(options.station, options.simulated) as bench:
-        qualification = qualify(bench, options.depth, options.stiffness, on_progress=_progress_teller())
+        qualification = qualify(bench, options.depth, options.stiffness, on_progress=_progress_printer())
         config = bench.config
     name, made_at = options.name or config.name, datetime.now(UTC)
     page = QualificationPage(name, config, options.specimen, qualification, made_at, options.valid_days)
     page.write(options.out)
     if options.name:
         with registry_of(options, create=True) as registry:
-            keep_qualification(registry, page, current_user())
+            store_qualification(registry, page, current_user())
     answer(options, "station-qualification/1", page.to_json())
     print_table(HEAD, page.rows)
-    say(f"station {name}: {page.verdict}; {options.out} has the page")
+    echo(f"station {name}: {page.verdict}; {options.out} has the page")
     return 0 if qualification.is_passed else 1
 
 
 def _choose(part: Reason, candidates: Sequence["DeviceIdentity"]) -> "DeviceIdentity | None":
     """Ask for the device of a part; return None without a person to ask."""
-    from softcal.app.cli.init import asked
+    from softcal.app.cli.init import ask_value
 
-    say("\n".join(f"{device.port}: {device.says}" for device in candidates))
+    echo("\n".join(f"{device.port}: {device.says}" for device in candidates))
     try:
-        return asked(f"which port is {part}", {device.port: device for device in candidates}.__getitem__, None)
+        return ask_value(f"which port is {part}", {device.port: device for device in candidates}.__getitem__, None)
     except InputError:
         return None
 
@@ -205,16 +207,18 @@ def run_profiles(options: argparse.Namespace) -> None:
     from softcal.app.files.profile_file import profile_toml
     from softcal.core.profiles import BUILT_IN
 
-    made = {name: make(np.random.default_rng(options.profile_seed), options.depth) for name, make in BUILT_IN.items()}
+    profiles = {
+        name: make(np.random.default_rng(options.profile_seed), options.depth) for name, make in BUILT_IN.items()
+    }
     if options.write:
         name, file = options.write
-        if name not in made:
-            raise InputError(f"profile {name!r} is unknown; known are {', '.join(made)}")
-        write_text(Path(file), profile_toml(made[name]))
-        say(f"{file}: profile {name!r} written; edit it, then give it to --profile")
+        if name not in profiles:
+            raise InputError(f"profile {name!r} is unknown; known are {', '.join(profiles)}")
+        write_text(Path(file), profile_toml(profiles[name]))
+        echo(f"{file}: profile {name!r} written; edit it, then give it to --profile")
         return
     names = ("duration_s", "presses", "deepest_mm", "fastest_mm_s")
-    rows = [{"name": name} | {fact: getattr(profile, fact) for fact in names} for name, profile in made.items()]
+    rows = [{"name": name} | {field: getattr(profile, field) for field in names} for name, profile in profiles.items()]
     print_table(
         ("profile", "seconds", "presses", "deepest, mm", "fastest, mm/s"), [tuple(row.values()) for row in rows]
     )
@@ -229,30 +233,30 @@ def run_press(options: argparse.Namespace) -> None:
     profile = profile_for(options.kind, options.profile_seed, options.seconds, options.depth, options.profile)
     if options.twin is not None and options.simulated is None:
         raise InputError("--twin is the unit of the simulated rig; give --simulated as well, or leave it out")
-    twin, tell = None if options.twin is None else read_twin(options.twin), _progress_teller()
+    twin, print_progress = None if options.twin is None else read_twin(options.twin), _progress_printer()
     bench_of = chosen_bench(options.station, options.simulated, len(options.serial), twin)
     with _signals_as_ctrl_c(), bench_of as bench:
         with_reference, spools = options.kind == "source", spool_folder(options.spool)
-        run = record_to_files(bench, options.serial, options.out, profile, with_reference, spools, tell)
+        run = record_to_files(bench, options.serial, options.out, profile, with_reference, spools, print_progress)
     for path in run.files:
-        say(f"{path}: {len(run.recording.t_s)} samples in {run.seconds:.0f} s of station time")
+        echo(f"{path}: {len(run.recording.t_s)} samples in {run.seconds:.0f} s of station time")
     for remark in run.remarks:
-        say(remark)
+        echo(remark)
     write_json(options.json, run_json(run))
 
 
-def _progress_teller() -> "Callable[[RunProgress], None]":
+def _progress_printer() -> "Callable[[RunProgress], None]":
     """Return a callback that prints each new phase and every tenth of the progress."""
-    shown_phase, shown_percent = "", -10
+    last_phase, last_percent = "", -10
 
-    def tell(progress: "RunProgress") -> None:
-        nonlocal shown_phase, shown_percent
+    def print_progress(progress: "RunProgress") -> None:
+        nonlocal last_phase, last_percent
         percent = int(100 * progress.fraction)
-        if progress.phase != shown_phase or percent >= shown_percent + 10:
-            shown_phase, shown_percent = progress.phase, percent
-            say(f"{percent:3d} % {progress.phase}, about {progress.remaining_s:.0f} s left")
+        if progress.phase != last_phase or percent >= last_percent + 10:
+            last_phase, last_percent = progress.phase, percent
+            echo(f"{percent:3d} % {progress.phase}, about {progress.remaining_s:.0f} s left")
 
-    return tell
+    return print_progress
 
 
 @contextmanager
@@ -263,11 +267,11 @@ def _signals_as_ctrl_c() -> Iterator[None]:
         raise KeyboardInterrupt
 
     names = ("SIGTERM", "SIGHUP")  # Windows has no SIGHUP.
-    before = {number: signal.signal(number, interrupt) for n in names if (number := getattr(signal, n, None))}
+    handlers = {number: signal.signal(number, interrupt) for n in names if (number := getattr(signal, n, None))}
     try:
         yield
     finally:
-        for number, handler in before.items():
+        for number, handler in handlers.items():
             signal.signal(number, handler)
 
 
@@ -277,10 +281,10 @@ def run_calibrate_cell(options: argparse.Namespace) -> None:
     """
     from softcal.app.files.atomic import write_text
     from softcal.app.line.cell_scale import calibrate_cell
-    from softcal.station.devices.station_file import read_station_file, station_toml
+    from softcal.station.bench.station_file import read_station_file, station_toml
 
     def wait_for(mass_kg: float) -> None:
-        say(f"put {mass_kg:g} kg on the load cell and press Enter" if mass_kg else "unload the cell and press Enter")
+        echo(f"put {mass_kg:g} kg on the load cell and press Enter" if mass_kg else "unload the cell and press Enter")
         if not sys.stdin.readline():
             raise InputError("no Enter came; the station file is as it was")
 
@@ -288,24 +292,24 @@ def run_calibrate_cell(options: argparse.Namespace) -> None:
     rows = zip(scale.mass_kg.tolist(), scale.reading.tolist(), scale.noise.tolist(), strict=True)
     print_table(("weight, kg", "reading", "noise"), list(rows))
     write_text(options.station, station_toml(config))
-    say(f"{options.station}: {scale.per_N:.6g} counts per N, off by {scale.largest_error_N:.3g} N at most")
-    facts = {"per_N": scale.per_N, "zero": scale.zero, "largest_error_N": scale.largest_error_N}
-    answer(options, "station-cell/1", facts)
+    echo(f"{options.station}: {scale.per_N:.6g} counts per N, off by {scale.largest_error_N:.3g} N at most")
+    content = {"per_N": scale.per_N, "zero": scale.zero, "largest_error_N": scale.largest_error_N}
+    answer(options, "station-cell/1", content)
 
 
 def run_drivers(options: argparse.Namespace) -> int:
     """List every driver: those of softcal and those of installed packages. Exit code 3 when a
     package's driver cannot be loaded.
     """
-    from softcal.station.devices.catalogue import SECTIONS, offers
-    from softcal.station.devices.station_file import meanings
+    from softcal.station.bench.catalogue import SECTIONS, offers
+    from softcal.station.bench.station_file import meanings
 
     chosen = [offer for offer in offers() if options.kind in (None, offer.kind)]
     if not chosen:
         raise InputError(f"no driver of kind {options.kind!r}; `softcal station drivers` lists them all")
     rows, records = [], []
     for offer in chosen:
-        driver, what, wires = offer.driver, "cannot be loaded", ""
+        driver, purpose, wires = offer.driver, "cannot be loaded", ""
         record: dict[str, object] = {
             "role": offer.role,
             "kind": offer.kind,
@@ -314,18 +318,18 @@ def run_drivers(options: argparse.Namespace) -> int:
             "fault": offer.fault,
         }
         if driver is not None:
-            what, wires = driver.what, "/".join(driver.wires)
-            record |= {"for": what, "wires": list(driver.wires), "keys": driver.keys}
-        rows.append((f"[{SECTIONS[offer.role]}]", offer.kind, what, wires, f"{offer.package} {offer.version}"))
+            purpose, wires = driver.what, "/".join(driver.wires)
+            record |= {"for": purpose, "wires": list(driver.wires), "keys": driver.keys}
+        rows.append((f"[{SECTIONS[offer.role]}]", offer.kind, purpose, wires, f"{offer.package} {offer.version}"))
         records.append(record)
     answer(options, "station-drivers/1", {"drivers": records})
     print_table(("section", "kind", "for", "port", "from"), rows)
     for offer in chosen:
         if offer.driver is None:
-            say(f"{offer.kind} of {offer.package}: {offer.fault}")
+            echo(f"{offer.kind} of {offer.package}: {offer.fault}")
         elif options.kind:
             print_table((f"[{SECTIONS[offer.role]}]", "type", "default", "unit"), offer.driver.described_keys)
-            say("\n".join(f"  {line.strip()}" for line in meanings(offer.driver.config)))
+            echo("\n".join(f"  {line.strip()}" for line in meanings(offer.driver.config)))
     return 3 if any(offer.driver is None for offer in chosen) else 0
 
 
@@ -341,5 +345,5 @@ def run_recover(options: argparse.Namespace) -> None:
     answer(options, "station-recover/1", {"runs": runs})
     for run in recovered:
         if not run.files:
-            say(run.end)
-    say(f"{len(recovered)} spool(s) read; they were left where they are")
+            echo(run.end)
+    echo(f"{len(recovered)} spool(s) read; they were left where they are")

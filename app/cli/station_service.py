@@ -22,8 +22,8 @@ from softcal.app.cli.options import (
     positive,
     registry_of,
 )
-from softcal.app.output import print_table, say
-from softcal.app.texts.catalogue import here
+from softcal.app.output import echo, print_table
+from softcal.app.texts.catalogue import format_local_instant
 from softcal.core.errors import DeviceError, InputError
 from softcal.core.orders import Order, OrderKind, Progress, RunState, StationState
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from softcal.db.queues.order_queue import OrderQueue
     from softcal.db.registry import Registry
 
-PATIENCE_S = 10.0
+SILENCE_TIMEOUT_S = 10.0
 """A busy machine may keep a service from its heartbeat for seconds; it is there all the same."""
 
 EXAMPLES = """examples:
@@ -81,8 +81,8 @@ def add_service_actions(action: Action) -> None:
     serve.add_argument("--unit-seconds", type=positive, metavar="S", help="how long a unit is pressed (25 s)")
     serve.add_argument("--source-seconds", type=positive, metavar="S", help="how long a source is (default 170 s)")
     for kind in ("unit", "source"):
-        what = f"TOML file of moves instead of the {kind} profile (`softcal station profiles`)"
-        serve.add_argument(f"--{kind}-profile", **FILE, help=what)
+        profile_help = f"TOML file of moves instead of the {kind} profile (`softcal station profiles`)"
+        serve.add_argument(f"--{kind}-profile", **FILE, help=profile_help)
     serve.add_argument(
         "--speed", type=positive, default=1.0, metavar="X", help="simulated seconds a second (default 1)"
     )
@@ -118,9 +118,9 @@ def run_serve(options: argparse.Namespace) -> None:
     """The resident service of one station. Ctrl-C stops a run in progress and gives the ports back;
     nothing resumes by itself.
     """
-    from softcal.app.line.gate_facts import RIG_ONLY, GateRules
     from softcal.app.line.rig import spool_folder
     from softcal.app.line.serve import Serving, serve
+    from softcal.app.line.station_gate import RIG_ONLY, GateRules
 
     is_rig_only = options.gate == "rig" or (options.gate is None and options.simulated is not None)
     rules = replace(
@@ -144,18 +144,18 @@ def run_serve(options: argparse.Namespace) -> None:
         override=options.override,
         network=network_config(options),
     )
-    is_wanted = True
+    is_serving = True
 
     def end(signal_number: int, frame: object) -> None:  # noqa: V107
-        nonlocal is_wanted
-        is_wanted = False
+        nonlocal is_serving
+        is_serving = False
 
     signal.signal(signal.SIGTERM, end)
     signal.signal(signal.SIGINT, end)
-    say(f"station {options.name}: serving; Ctrl-C stops a run in progress and ends it")
+    echo(f"station {options.name}: serving; Ctrl-C stops a run in progress and ends it")
     with registry_of(options, create=True) as registry:
-        serve(registry, serving, spool_folder(options.spool), lambda: is_wanted)
-    say(f"station {options.name}: ports given back")
+        serve(registry, serving, spool_folder(options.spool), lambda: is_serving)
+    echo(f"station {options.name}: ports given back")
 
 
 def run_order(options: argparse.Namespace) -> int:
@@ -166,47 +166,47 @@ def run_order(options: argparse.Namespace) -> int:
     order_id = uuid.uuid4().hex
     with registry_of(options) as registry:
         queue = registry.order_queue
-        if not _is_there(queue, options.name):
+        if not _is_serving(queue, options.name):
             raise DeviceError(f"station {options.name!r} is not served; start `softcal station serve` first")
-        facts = (options.serial, options.lot, current_user(), options.reason)
-        queue.place(Order(order_id, options.name, kind, *facts))
+        details = (options.serial, options.lot, current_user(), options.reason)
+        queue.place(Order(order_id, options.name, kind, *details))
         try:
-            progress = _followed(registry, options.name, order_id)
+            progress = _wait_for_end(registry, options.name, order_id)
         except KeyboardInterrupt:
-            queue.place(Order(uuid.uuid4().hex, options.name, OrderKind.STOP, actor=facts[2]))
-            progress = _followed(registry, options.name, order_id)
+            queue.place(Order(uuid.uuid4().hex, options.name, OrderKind.STOP, actor=details[2]))
+            progress = _wait_for_end(registry, options.name, order_id)
     names = ("order_id", "state", "code", "verdict", "recording_sha256")
     outcome = {name: getattr(progress, name) for name in names} | {"message": progress.text}
     answer(options, "station-order/1", {"kind": options.kind, "serial": options.serial, **outcome})
-    say(f"{f'{kind} {options.serial}'.strip()}: {progress.verdict or progress.state}: {progress.text}")
+    echo(f"{f'{kind} {options.serial}'.strip()}: {progress.verdict or progress.state}: {progress.text}")
     if progress.state is not RunState.DONE:
         return 2 if progress.code == "E-ORDER" else 3
     return 0 if progress.verdict in ("", "pass") else 1
 
 
-def _is_there(queue: "OrderQueue", station: str) -> bool:
+def _is_serving(queue: "OrderQueue", station: str) -> bool:
     """Return whether a station's service runs: its heartbeat is fresh, or late while its process lives."""
-    from softcal.db.queues.order_queue import TAKEN_OVER_AFTER
+    from softcal.db.queues.order_queue import TAKEOVER_AFTER
 
-    beat = queue.heartbeat(station)
-    if beat is None or beat.state is StationState.OFF or is_alive(beat.process) is False:
+    heartbeat = queue.heartbeat(station)
+    if heartbeat is None or heartbeat.state is StationState.OFF or is_alive(heartbeat.process) is False:
         return False
-    is_late_alone = bool(is_alive(beat.process)) and datetime.now(UTC) - beat.at <= TAKEN_OVER_AFTER
+    is_late_alone = bool(is_alive(heartbeat.process)) and datetime.now(UTC) - heartbeat.at <= TAKEOVER_AFTER
     return is_late_alone or queue.is_answering(station)
 
 
-def _followed(registry: "Registry", station: str, order_id: str) -> Progress:
+def _wait_for_end(registry: "Registry", station: str, order_id: str) -> Progress:
     """Wait for the end of an order; print each new phase and every tenth of the way."""
-    shown, heard_s = ("", -1), time.monotonic()
+    last_step, last_sign_s = ("", -1), time.monotonic()
     while (progress := registry.order_queue.progress(order_id)).state.is_active:
         step = (progress.phase, int(10 * progress.fraction))
-        if progress.phase and step != shown:
-            shown = step
-            left = f", about {progress.remaining_s:.0f} s left" if progress.remaining_s else ""
-            say(f"{100 * progress.fraction:3.0f} % {progress.phase}{left}")
-        if _is_there(registry.order_queue, station):
-            heard_s = time.monotonic()
-        elif time.monotonic() - heard_s > PATIENCE_S:
+        if progress.phase and step != last_step:
+            last_step = step
+            remaining = f", about {progress.remaining_s:.0f} s left" if progress.remaining_s else ""
+            echo(f"{100 * progress.fraction:3.0f} % {progress.phase}{remaining}")
+        if _is_serving(registry.order_queue, station):
+            last_sign_s = time.monotonic()
+        elif time.monotonic() - last_sign_s > SILENCE_TIMEOUT_S:
             raise DeviceError(
                 f"station {station!r} does not answer any more; look at the rig, then start its service again"
             )
@@ -216,50 +216,50 @@ def _followed(registry: "Registry", station: str, order_id: str) -> Progress:
 
 def run_status(options: argparse.Namespace) -> None:
     """Print the status of stations, and the units pressed since the last good golden unit."""
-    from softcal.app.line.facts import SILENT, state_of
-    from softcal.app.line.gate_facts import quarantine
+    from softcal.app.line.station_gate import quarantine
+    from softcal.app.line.status import SILENT, state_of
 
     with registry_of(options) as registry:
-        beats = [b for b in registry.order_queue.stations() if options.name in (None, b.station)]
-        if options.name and not beats:
+        heartbeats = [b for b in registry.order_queue.stations() if options.name in (None, b.station)]
+        if options.name and not heartbeats:
             raise InputError(f"station {options.name!r} never gave a sign of life in this registry")
         rows: list[dict[str, Any]] = []
-        for beat in beats:
-            now, active = datetime.now(UTC), registry.order_queue.active(beat.station)
-            state, run = state_of(beat, now, is_alive(beat.process)), ""
+        for heartbeat in heartbeats:
+            now, active = datetime.now(UTC), registry.order_queue.active(heartbeat.station)
+            state, run = state_of(heartbeat, now, is_alive(heartbeat.process)), ""
             if active is not None:
                 order, progress = active
                 run = f"{order.kind} {order.serial}, {progress.phase or progress.state}".strip()
             rows.append(
                 {
-                    "station": beat.station,
-                    "state": f"not answering (was {beat.state})" if state == SILENT else state,
-                    "at": here(beat.at),
-                    "process": beat.process,
-                    "reasons": list(map(str, beat.reasons)),
-                    "is_overridden": beat.is_overridden,
-                    "gate": [{"name": str(c.name), "is_good": c.is_good, "says": str(c.says)} for c in beat.gate],
+                    "station": heartbeat.station,
+                    "state": f"not answering (was {heartbeat.state})" if state == SILENT else state,
+                    "at": format_local_instant(heartbeat.at),
+                    "process": heartbeat.process,
+                    "reasons": list(map(str, heartbeat.reasons)),
+                    "is_overridden": heartbeat.is_overridden,
+                    "gate": [{"name": str(c.name), "is_good": c.is_good, "says": str(c.says)} for c in heartbeat.gate],
                     "run": run,
-                    "quarantine": list(quarantine(registry, beat.station, now)),
+                    "quarantine": list(quarantine(registry, heartbeat.station, now)),
                 }
             )
     answer(options, "station-status/1", {"stations": rows})
-    if not beats:
-        say("no station yet; start one with `softcal station serve`")
-    for beat, row in zip(beats, rows, strict=True):
-        say(f"station {row['station']}: {row['state']}, last seen {row['at']}, run: {row['run'] or 'none'}")
-        if beat.gate:
-            conditions = [(str(c.name), "good" if c.is_good else "CLOSED", str(c.says)) for c in beat.gate]
+    if not heartbeats:
+        echo("no station yet; start one with `softcal station serve`")
+    for heartbeat, row in zip(heartbeats, rows, strict=True):
+        echo(f"station {row['station']}: {row['state']}, last seen {row['at']}, run: {row['run'] or 'none'}")
+        if heartbeat.gate:
+            conditions = [(str(c.name), "good" if c.is_good else "CLOSED", str(c.says)) for c in heartbeat.gate]
             print_table(("gate", "is", "says"), conditions)
-        if held := row["quarantine"]:
-            say(f"in quarantine since the last good golden unit: {', '.join(held)}")
+        if serials := row["quarantine"]:
+            echo(f"in quarantine since the last good golden unit: {', '.join(serials)}")
 
 
 def run_certificate(options: argparse.Namespace) -> None:
     """Enter a certificate, import its DCC (XML), or list the stored ones. Without one the gate stays closed."""
     from softcal.app.line.cell_certificate import certificate_from
 
-    given = {
+    values = {
         "cell_serial": options.cell,
         "number": options.number,
         "laboratory": options.laboratory or None,
@@ -269,16 +269,16 @@ def run_certificate(options: argparse.Namespace) -> None:
         "uncertainty_N": options.uncertainty,
     }
     with registry_of(options, create=True) as registry:
-        if options.dcc is not None or any(value is not None for name, value in given.items() if name != "cell_serial"):
-            certificate = certificate_from(given, options.dcc)
+        if options.dcc is not None or any(value is not None for name, value in values.items() if name != "cell_serial"):
+            certificate = certificate_from(values, options.dcc)
             registry.stations.add_certificate(certificate)
-            say(f"load cell {certificate.cell_serial}: certificate {certificate.number} is on file")
+            echo(f"load cell {certificate.cell_serial}: certificate {certificate.number} is on file")
         entries = registry.stations.certificates(options.cell)
     names = ("cell_serial", "number", "laboratory", "issued_on", "due_on", "capacity_N", "uncertainty_N")
     rows = [{name: getattr(entry, name) for name in names} for entry in entries]
     texts = [{name: str(value) if isinstance(value, date) else value for name, value in row.items()} for row in rows]
     answer(options, "cell-certificates/1", {"certificates": texts})
     if not rows:
-        say("no certificate on file; give --cell, --number, --issued, --due, --capacity and --uncertainty, or --dcc")
+        echo("no certificate on file; give --cell, --number, --issued, --due, --capacity and --uncertainty, or --dcc")
         return
     print_table(names, [tuple(row.values()) for row in rows])

@@ -3,8 +3,8 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.cli.options import add_network, add_shared, answer, network_config, registry_of, say_epoch
-from softcal.app.output import print_table, say
+from softcal.app.cli.options import add_network, add_shared, answer, echo_epoch, network_config, registry_of
+from softcal.app.output import echo, print_table
 
 EXAMPLES = """examples:
   softcal train lot-1
@@ -26,11 +26,11 @@ def run(options: argparse.Namespace) -> None:
     """Train f or load the stored network, and print its id and errors."""
     from softcal.app.batch.train import provide_network
     from softcal.app.files.lot_folder import open_lot_folder
-    from softcal.app.registry.reference import state_reference
+    from softcal.app.registry.reference import declare_reference
 
     folder = open_lot_folder(options.lot)
     for remark in (*folder.remarks, *folder.source_remarks()):
-        say(f"note: {remark}")
+        echo(f"note: {remark}")
     lot, source = folder.lot, folder.read_source()
     with registry_of(options, create=True) as registry:
         trained = provide_network(
@@ -38,9 +38,9 @@ def run(options: argparse.Namespace) -> None:
             source,
             registry,
             network_config(options),
-            on_epoch=lambda report: say_epoch(report, lot.reference_unit),
+            on_epoch=lambda report: echo_epoch(report, lot.reference_unit),
         )
-        state_reference(registry, lot.id, folder.reference, source)
+        declare_reference(registry, lot.id, folder.reference, source)
     network = trained.network
     header = ["lot", "source", "network", "layers", "status", f"validation RMSE [{lot.reference_unit}]", "train_s"]
     layers, status = "-".join(map(str, network.sizes)), "trained" if trained.is_new else "found, trained before"

@@ -4,8 +4,8 @@ import argparse
 from functools import partial
 
 from softcal.app.cli.confirm import NOT_CONFIRMED, may_do, withdraw_files
-from softcal.app.cli.options import FILE, add_layout, add_shared, answer, registry_of, say_layout, table_options
-from softcal.app.output import say
+from softcal.app.cli.options import FILE, add_layout, add_shared, answer, echo_layout, registry_of, table_options
+from softcal.app.output import echo
 
 EXAMPLES = """examples:
   softcal trim --serial A1 --loads loads.csv       columns output, reference: the output at rest under each known load
@@ -29,7 +29,7 @@ def run(options: argparse.Namespace) -> int:
     from softcal.app.tables.read import read_table
 
     table = read_table(options.loads, table_options(options))
-    say_layout(str(options.loads), table.layout, table.remarks)
+    echo_layout(str(options.loads), table.layout, table.remarks)
     with registry_of(options) as registry:
         act = partial(trim_unit, registry, options.serial, options.loads, options.lot, table_options(options))
         lot_id = registry.calibrations.get(options.serial, lot_id=options.lot).lot_id
@@ -38,14 +38,14 @@ def run(options: argparse.Namespace) -> int:
         trimmed, revision = act()
         withdraw_files(registry, lot_id)
     gain, offset = trimmed.gain, trimmed.offset
-    facts = {"serial": options.serial, "revision": revision, "gain": gain, "offset": offset}
-    facts["layout"] = table.layout
-    facts |= {name: getattr(trimmed, name) for name in ("gain_error", "rest_error", "before_rmse", "after_rmse")}
-    if answer(options, "trim/1", facts):
+    content = {"serial": options.serial, "revision": revision, "gain": gain, "offset": offset}
+    content["layout"] = table.layout
+    content |= {name: getattr(trimmed, name) for name in ("gain_error", "rest_error", "before_rmse", "after_rmse")}
+    if answer(options, "trim/1", content):
         print(
             f"{options.serial} revision {revision}: gain times {gain:.4g} ± {trimmed.gain_error:.1%}, "
             f"offset {offset:+.4g}, estimate at rest ± {trimmed.rest_error:.2g} (one standard uncertainty)"
         )
         print(f"error at the loads: RMSE {trimmed.before_rmse:.3g} before, {trimmed.after_rmse:.3g} after")
-    say("a trimmed unit is conditional at best, and one that failed its audit stays so, until it is audited again")
+    echo("a trimmed unit is conditional at best, and one that failed its audit stays so, until it is audited again")
     return 0

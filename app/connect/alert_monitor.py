@@ -5,13 +5,13 @@ from datetime import datetime
 from typing import Any
 
 from softcal.app.connect.events import ABOUT, ALERT_KEY, list_decided_lots
-from softcal.app.texts.catalogue import LANGUAGES, instant, text
+from softcal.app.texts.catalogue import LANGUAGES, format_instant, text
 from softcal.app.views.alerts import Alert, lot_alerts, plant_alerts
 from softcal.app.views.lot import lot_view
 from softcal.db.queues.outbox import Cursor
 from softcal.db.registry import Registry
 
-WATCHER = "softcal connect"
+ACTOR = "softcal connect"
 """Who stands in the audit trail."""
 
 AlertKey = tuple[str, str, str]
@@ -57,8 +57,8 @@ def open_alerts(registry: Registry) -> dict[AlertKey, dict[str, Any]]:
 
 def store_alert(registry: Registry, key: AlertKey, content: Mapping[str, Any], *, is_open: bool) -> None:
     """Store that an alert began or is over."""
-    facts = dict(zip(ALERT_KEY, key, strict=True), is_open=is_open, content=dict(content))
-    registry.declarations.declare("alerts", facts, action="raise" if is_open else "clear", actor=WATCHER)
+    values = dict(zip(ALERT_KEY, key, strict=True), is_open=is_open, content=dict(content))
+    registry.declarations.declare("alerts", values, action="raise" if is_open else "clear", actor=ACTOR)
 
 
 def alert_key(alert: Alert, lot_id: str) -> AlertKey:
@@ -72,6 +72,6 @@ def alert_payload(alert: Alert, lot_id: str) -> dict[str, Any]:
         "kind": alert.kind,
         "lot": lot_id or None,
         "is_urgent": alert.is_urgent,
-        "values": {k: instant(v) if isinstance(v, datetime) else v for k, v in alert.values.items()},
+        "values": {k: format_instant(v) if isinstance(v, datetime) else v for k, v in alert.values.items()},
         "text": {language: text(language, f"alert.{alert.kind}", **alert.values) for language in LANGUAGES},
     }

@@ -21,7 +21,7 @@ VERDICT, RAISED, CLEARED, CHANGE = "verdict", "alert.raised", "alert.cleared", "
 KINDS = (VERDICT, "alert", CHANGE)
 """What a destination may ask for; `alert` takes both that one was raised and that it is over."""
 
-FOR_ALL = (VERDICT, "alert")
+PUBLIC_KINDS = (VERDICT, "alert")
 """What everybody may read who may look; the rest of the audit trail is for who may read that."""
 
 VERDICT_ENTITIES = ("in_use", "refusals")
@@ -85,8 +85,8 @@ class EventPage:
 def events_after(registry: Registry, cursor: Cursor, count: int, kinds: Collection[str] = KINDS) -> EventPage:
     """Return the next events of some kinds behind a cursor, at most `count`."""
     events: list[RegistryEvent] = []
-    position, looked = dict(cursor), 0
-    while looked < MAX_ROWS:
+    position, row_count = dict(cursor), 0
+    while row_count < MAX_ROWS:
         rows = registry.outbox.after(position, ROWS_AT_ONCE)
         for row in rows:
             position[row.origin] = row.seq
@@ -94,7 +94,7 @@ def events_after(registry: Registry, cursor: Cursor, count: int, kinds: Collecti
                 events.append(_event(registry, row, dict(position)))
                 if len(events) == count:
                     return EventPage(tuple(events), position, False)
-        looked += len(rows)
+        row_count += len(rows)
         if len(rows) < ROWS_AT_ONCE:
             return EventPage(tuple(events), position, True)
     return EventPage(tuple(events), position, False)
@@ -166,8 +166,8 @@ def _verdict(registry: Registry, entity: str, content: Mapping[str, Any]) -> dic
         "lot": lot_id,
         "serial": serial,
         "verdict": calibration["verdict"],
-        "reasons": [str(why) for why in reasons],
-        "reason_codes": [why.code for why in reasons],
+        "reasons": [str(entry) for entry in reasons],
+        "reason_codes": [entry.code for entry in reasons],
         "revision": revision,
         "family": calibration.get("family"),
         "map_sha256": calibration.get("map_sha256"),
@@ -178,8 +178,11 @@ def _verdict(registry: Registry, entity: str, content: Mapping[str, Any]) -> dic
     # Two registries that put different maps into use stand against a verdict.
     now = registry.lots.units(lot_id, serial) if len(registry.outbox.end()) > 1 else []
     for unit in (unit for unit in now if unit.is_conflict):
-        words = {"reasons": [str(why) for why in unit.reasons], "reason_codes": [why.code for why in unit.reasons]}
-        return data | {"verdict": unit.verdict, "is_conflict": True, **words}
+        conflict = {
+            "reasons": [str(entry) for entry in unit.reasons],
+            "reason_codes": [entry.code for entry in unit.reasons],
+        }
+        return data | {"verdict": unit.verdict, "is_conflict": True, **conflict}
     return data
 
 

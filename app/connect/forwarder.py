@@ -84,26 +84,26 @@ class Forwarder:
         now, lease = self._clock(), timedelta(seconds=LEASE_S)
         # While half of the lease is left a look need not write.
         until = delivery.held_until if delivery.holder == self.holder else None
-        is_held = until is not None and lease / 2 < until - now <= lease
-        leased = delivery if is_held else outbox.hold(settings.name, self.holder, now, now + lease)
-        if leased is None:
+        has_lease = until is not None and lease / 2 < until - now <= lease
+        lease_row = delivery if has_lease else outbox.hold(settings.name, self.holder, now, now + lease)
+        if lease_row is None:
             self.close()
             return False
-        if not has_passed(leased.not_before, now, MAX_DELAY):
+        if not has_passed(lease_row.not_before, now, MAX_DELAY):
             return False
         try:
             self._sender = sender = self._sender or self._opened.enter_context(self._destination.open_sender())
-            page = events_after(self._registry, leased.cursor, sender.max_events, settings.events)
+            page = events_after(self._registry, lease_row.cursor, sender.max_events, settings.events)
             sender.send(page.events)
         except NotDelivered as error:
             if error.delivered:
                 outbox.moved(settings.name, page.events[error.delivered - 1].after, error.delivered, self.holder)
-            before = 0 if error.delivered else leased.failures
-            wait = timedelta(seconds=min(MAX_DELAY_S, FIRST_DELAY_S * 2.0 ** min(before, 30)))
+            failures = 0 if error.delivered else lease_row.failures
+            wait = timedelta(seconds=min(MAX_DELAY_S, FIRST_DELAY_S * 2.0 ** min(failures, 30)))
             outbox.failed(settings.name, str(error), self._clock() + wait, self.holder)
             self.close()
             return False
-        if page.cursor != leased.cursor or leased.failures:
+        if page.cursor != lease_row.cursor or lease_row.failures:
             outbox.moved(settings.name, page.cursor, len(page.events), self.holder)
         return not page.is_end
 

@@ -10,7 +10,7 @@ from softcal.app.connect.events import CLEARED, RAISED, VERDICT, RegistryEvent
 from softcal.app.connect.forwarder import NotDelivered
 from softcal.app.connect.settings import MailSettings, read_secret, split_address
 from softcal.app.connect.webhook import tls_context
-from softcal.app.texts.catalogue import here, text
+from softcal.app.texts.catalogue import format_local_instant, text
 from softcal.core.errors import printable
 
 PORTS = {"smtps": 465, "smtp+starttls": 587, "smtp": 25}
@@ -97,4 +97,4 @@ def render_event(event: RegistryEvent, language: str) -> str:
     else:
         key, values = "mail.change", {"what": event.subject, "actor": data["actor"]}
     # What it quotes may come from a file and may not end the line.
-    return printable(text(language, key, at=here(event.at), **values))
+    return printable(text(language, key, at=format_local_instant(event.at), **values))

@@ -42,7 +42,7 @@ PORTS = {"mqtts": 8883, "mqtt": 1883}
 ONLINE, OFFLINE = "online", "offline"
 KEEP_ALIVE_S = 20
 AT_LEAST_ONCE = 1
-LOOK_S = 0.2
+POLL_S = 0.2
 """Between two looks at whether the connection still stands."""
 
 RETRY_S = 2.0
@@ -126,15 +126,15 @@ class MqttSender:
     def publish(self, messages: Sequence[Message]) -> None:
         """Publish messages until the broker has confirmed each; raise `NotDelivered` otherwise."""
         top = self._settings.topic
-        sent = [
+        publications = [
             self._client.publish(f"{top}/{topic}", payload.encode(), AT_LEAST_ONCE, retain=is_retained)
             for topic, payload, is_retained in messages
         ]
         end_s = time.monotonic() + self._settings.timeout_s
-        for waiting in sent:
-            while waiting.rc == paho.MQTT_ERR_SUCCESS and self._client.is_connected() and time.monotonic() < end_s:
-                waiting.wait_for_publish(LOOK_S)
-                if waiting.is_published():
+        for publication in publications:
+            while publication.rc == paho.MQTT_ERR_SUCCESS and self._client.is_connected() and time.monotonic() < end_s:
+                publication.wait_for_publish(POLL_S)
+                if publication.is_published():
                     break
             else:
                 raise NotDelivered(f"{self._settings.broker} has not confirmed what was published")
@@ -200,7 +200,7 @@ def publish_estimates(
     rows = iter(lines)
     if next(rows, "").strip() != HEADER.strip():
         raise InputError(f"rows of `softcal adapt --out -` were expected: {HEADER.strip()}")
-    topic, published, left_out, next_s = f"{unit_path(unit)}/estimate", 0, 0, 0.0
+    topic, published, skipped, next_s = f"{unit_path(unit)}/estimate", 0, 0, 0.0
     with _Live(settings) as live:
         for line in rows:
             payload, now_s = estimate_json(line, unit), time.monotonic()
@@ -210,20 +210,20 @@ def publish_estimates(
             if is_due and live.publish((topic, payload, True)):
                 published += 1
             else:
-                left_out += 1
-    return published, left_out
+                skipped += 1
+    return published, skipped
 
 
 class _Live:
     """A connection that may be lost and restored after its first success."""
 
     def __init__(self, settings: MqttSettings) -> None:
-        self._settings, self._tried_s = settings, 0.0
+        self._settings, self._attempted_at_s = settings, 0.0
         self._stack = ExitStack()
         self._sender: MqttSender | None = None
 
     def __enter__(self) -> "_Live":
-        self._tried_s = time.monotonic()
+        self._attempted_at_s = time.monotonic()
         self._sender = self._stack.enter_context(open_mqtt(self._settings))
         return self
 
@@ -235,7 +235,7 @@ class _Live:
         """Publish, or return that the broker is away."""
         try:
             if self._sender is None:
-                if time.monotonic() - self._tried_s < RETRY_S:
+                if time.monotonic() - self._attempted_at_s < RETRY_S:
                     return False
                 self.__enter__()
             if self._sender is not None:

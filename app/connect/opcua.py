@@ -16,7 +16,7 @@ from asyncua import Node, Server, ua, uamethod
 from asyncua.crypto.permission_rules import User as Peer
 from asyncua.crypto.permission_rules import UserRole
 
-from softcal.app.connect.events import FOR_ALL, events_after, list_decided_lots, path_part
+from softcal.app.connect.events import PUBLIC_KINDS, events_after, list_decided_lots, path_part
 from softcal.app.connect.settings import OpcUaSettings
 from softcal.app.connect.stations import stations_json
 from softcal.core.errors import InputError, SoftcalError
@@ -79,27 +79,27 @@ class OpcUaServer:
         root = await self._folder(self._server.nodes.objects, "Softcal", "Softcal")
         for name in ("Stations", "Lots", "Events"):
             await self._folder(root, name, name)
-        await self._show("Events", "Cursor", "", TEXT)
+        await self._write_variable("Events", "Cursor", "", TEXT)
         read = uamethod(self._read)
-        await self._nodes["Events"].add_method(*self._named("Events/Read", "Read"), read, [TEXT, COUNT], [TEXT, TEXT])
+        await self._nodes["Events"].add_method(*self._node_id("Events/Read", "Read"), read, [TEXT, COUNT], [TEXT, TEXT])
 
     async def follow(self) -> None:
         """Update the nodes from the registry; nodes of stations and lots appear with them."""
-        cursor, stations, lots = await asyncio.to_thread(self._look)
+        cursor, stations, lots = await asyncio.to_thread(self._read_registry)
         for station in stations:
             path = f"Stations/{path_part(station['station'])}"
             await self._object("Stations", path, station["station"])
             for name, key in STATION.items():
-                await self._show(path, name, station[key] or "", TEXT)
+                await self._write_variable(path, name, station[key] or "", TEXT)
             await self._counts(path, station["counts"])
         for lot_id, counts in lots.items():
             path = f"Lots/{path_part(lot_id)}"
             await self._object("Lots", path, lot_id)
             await self._counts(path, counts)
         # Last, so that who is told of it finds everything else as it is now.
-        await self._show("Events", "Cursor", cursor, TEXT)
+        await self._write_variable("Events", "Cursor", cursor, TEXT)
 
-    def _look(self) -> tuple[str, list[dict[str, Any]], dict[str, dict[str, int]]]:
+    def _read_registry(self) -> tuple[str, list[dict[str, Any]], dict[str, dict[str, int]]]:
         registry = self._registry
         changed, self._cursor = list_decided_lots(registry, self._cursor)
         lots = {lot_id: registry.pages.verdict_counts(lot_id) for lot_id in changed}
@@ -107,33 +107,35 @@ class OpcUaServer:
 
     async def _counts(self, path: str, counts: dict[str, int]) -> None:
         for name, verdict in VERDICTS.items():
-            await self._show(path, name, counts.get(verdict, 0), COUNT)
+            await self._write_variable(path, name, counts.get(verdict, 0), COUNT)
 
     async def _read(self, parent: ua.NodeId, after: str, count: int) -> Any:
         try:
             max_count = max(1, min(count, MAX_EVENTS))
-            page = await asyncio.to_thread(events_after, self._registry, cursor_of(after or ""), max_count, FOR_ALL)
+            page = await asyncio.to_thread(
+                events_after, self._registry, cursor_of(after or ""), max_count, PUBLIC_KINDS
+            )
         except InputError as error:
             logging.getLogger(__name__).info("refused: %s", error)
             return ua.StatusCode(ua.StatusCodes.BadInvalidArgument)
         return cursor_text(page.cursor), json.dumps([event.to_json() for event in page.events], ensure_ascii=False)
 
-    def _named(self, path: str, name: str) -> tuple[ua.NodeId, ua.QualifiedName]:
+    def _node_id(self, path: str, name: str) -> tuple[ua.NodeId, ua.QualifiedName]:
         return ua.NodeId(path, self._index), ua.QualifiedName(name, self._index)
 
     async def _folder(self, parent: Node, path: str, name: str) -> Node:
-        folder = await parent.add_folder(*self._named(path, name))
+        folder = await parent.add_folder(*self._node_id(path, name))
         self._nodes[path] = folder
         return folder
 
     async def _object(self, parent: str, path: str, name: str) -> None:
         if path not in self._nodes:
-            self._nodes[path] = await self._nodes[parent].add_object(*self._named(path, name))
+            self._nodes[path] = await self._nodes[parent].add_object(*self._node_id(path, name))
 
-    async def _show(self, parent: str, name: str, value: Any, kind: ua.VariantType) -> None:
+    async def _write_variable(self, parent: str, name: str, value: Any, kind: ua.VariantType) -> None:
         path = f"{parent}/{name}"
         if path not in self._nodes:
-            self._nodes[path] = await self._nodes[parent].add_variable(*self._named(path, name), value, kind)
+            self._nodes[path] = await self._nodes[parent].add_variable(*self._node_id(path, name), value, kind)
         elif self._published.get(path) != value:
             await self._nodes[path].write_value(value, kind)
         self._published[path] = value
@@ -159,15 +161,15 @@ async def opcua_server(registry: Registry, settings: OpcUaSettings) -> AsyncIter
             await server.load_private_key(str(settings.key_file))
         except (OSError, ValueError) as error:
             raise InputError(f"certificate {settings.cert_file} cannot be read: {error}") from error
-    followed = OpcUaServer(server, registry, await server.register_namespace(NAMESPACE))
-    await followed.build()
-    await followed.follow()
+    node_server = OpcUaServer(server, registry, await server.register_namespace(NAMESPACE))
+    await node_server.build()
+    await node_server.follow()
     try:
         await server.start()
     except OSError as error:
         raise InputError(f"nobody can listen at {settings.endpoint}: {error.strerror or error}") from error
     try:
-        yield followed
+        yield node_server
     finally:
         await server.stop()
 
@@ -176,10 +178,10 @@ async def serve_opcua(
     registry: Registry, settings: OpcUaSettings, is_stopping: Callable[[], bool], on_trouble: Callable[[str], None]
 ) -> None:
     """Serve until `is_stopping`; a registry that is away for a moment is asked again."""
-    async with opcua_server(registry, settings) as followed:
+    async with opcua_server(registry, settings) as node_server:
         while not is_stopping():
             try:
-                await followed.follow()
+                await node_server.follow()
             except SoftcalError as error:
                 on_trouble(f"OPC UA: {error}")
             await asyncio.sleep(settings.every_s)

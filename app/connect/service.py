@@ -37,15 +37,15 @@ def run_connect(
         *(Destination(one, partial(open_mail, one)) for one in settings.mails),
         *(Destination(one, _open_mqtt(registry, one)) for one in settings.mqtts),
     ]
-    works: list[Callable[[], None]] = [partial(_forward, registry, one, stop, on_trouble) for one in destinations]
+    tasks: list[Callable[[], None]] = [partial(_forward, registry, one, stop, on_trouble) for one in destinations]
     if (opcua := settings.opcua) is not None:
-        works.append(lambda: asyncio.run(serve_opcua(registry, opcua, stop.is_set, on_trouble)))
-    if not works:
+        tasks.append(lambda: asyncio.run(serve_opcua(registry, opcua, stop.is_set, on_trouble)))
+    if not tasks:
         raise InputError("the file names no destination; docs/connect.md shows how")
     if settings.alerts_every_s:
-        works.append(partial(_monitor_alerts, registry, settings.alerts_every_s, stop, on_trouble))
-    with ThreadPoolExecutor(len(works), thread_name_prefix="connect") as threads:
-        running = [threads.submit(work) for work in works]
+        tasks.append(partial(_monitor_alerts, registry, settings.alerts_every_s, stop, on_trouble))
+    with ThreadPoolExecutor(len(tasks), thread_name_prefix="connect") as threads:
+        running = [threads.submit(work) for work in tasks]
         try:
             done, _ = wait(running, return_when=FIRST_EXCEPTION)
         finally:
@@ -67,8 +67,8 @@ def check_destinations(settings: ConnectSettings) -> Iterator[str]:
             try:
                 socket.create_connection((host, port), timeout=5).close()
             except OSError as error:
-                why = error.strerror or error
-                raise InputError(f"{webhook.name}: {host}:{port} cannot be reached: {why}") from error
+                cause = error.strerror or error
+                raise InputError(f"{webhook.name}: {host}:{port} cannot be reached: {cause}") from error
         yield webhook.name
     for mail in settings.mails:
         MailSender(mail).check()

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, TypeVar
 from urllib.parse import SplitResult, urlsplit
 
 from softcal.app.connect.events import KINDS
-from softcal.app.files.toml_file import check_known, read_section, read_toml
+from softcal.app.files.toml_file import check_names, read_section, read_toml
 from softcal.app.texts.catalogue import LANGUAGES
 from softcal.core.errors import InputError
 
@@ -39,8 +39,8 @@ class DestinationSettings:
     def __post_init__(self) -> None:
         if not 0 < len(self.name) <= 64 or not self.name.isprintable():
             raise InputError("name must have 1 to 64 printable characters")
-        check_known("events", self.events, KINDS)
-        check_known("begin", (self.begin,), BEGINNINGS)
+        check_names("events", self.events, KINDS)
+        check_names("begin", (self.begin,), BEGINNINGS)
         _check_positive("timeout_s", self.timeout_s)
 
 
@@ -87,7 +87,7 @@ class MailSettings(DestinationSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_address("server", self.server, ("smtps", "smtp+starttls"), ("smtp",))
-        check_known("language", (self.language,), tuple(LANGUAGES))
+        check_names("language", (self.language,), tuple(LANGUAGES))
         for address in (self.sender, *self.to):
             if address.count("@") != 1 or not address.isprintable() or any(c in address for c in " <>,;"):
                 raise InputError(f"{address!r} is no mail address")
@@ -184,7 +184,7 @@ def read_settings(path: Path) -> ConnectSettings:
     `InputError`: it cannot be read, names something unknown, or two destinations have one name.
     """
     content = read_toml(path)
-    check_known(f"{path}: section", content, ("webhook", "mail", "mqtt", "opcua", "alerts"))
+    check_names(f"{path}: section", content, ("webhook", "mail", "mqtt", "opcua", "alerts"))
     alerts = read_section(f"{path}: [alerts]", AlertSettings, content.get("alerts", {}))
     opcua = content.get("opcua")
     settings = ConnectSettings(

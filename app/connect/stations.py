@@ -4,7 +4,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from softcal.app.bootstrap import is_alive
-from softcal.app.line.facts import state_of
+from softcal.app.line.status import state_of
 from softcal.core.orders import Heartbeat, Order, Progress
 from softcal.db.registry import Registry
 
@@ -21,18 +21,22 @@ def station_json(registry: Registry, heartbeat: Heartbeat) -> dict[str, Any]:
     """Return a station: state, unit in the fixture, last decided unit and the lot of that unit."""
     queue = registry.order_queue
     active = queue.active(heartbeat.station)
-    decided = next((o for o, p in queue.runs(heartbeat.station, NEWEST) if o.kind.is_about_unit and p.verdict), None)
-    lot_id = active[0].lot_id if active else decided.lot_id if decided else ""
+    last_order = next((o for o, p in queue.runs(heartbeat.station, NEWEST) if o.kind.is_about_unit and p.verdict), None)
+    lot_id = active[0].lot_id if active else last_order.lot_id if last_order else ""
     # As every page says it now; the run keeps what was decided when the unit was pressed.
-    status = registry.pages.standings(decided.lot_id, [decided.serial]).get(decided.serial) if decided else None
+    status = (
+        registry.pages.unit_statuses(last_order.lot_id, [last_order.serial]).get(last_order.serial)
+        if last_order
+        else None
+    )
     return {
         "station": heartbeat.station,
         "state": state_of(heartbeat, datetime.now(UTC), is_alive(heartbeat.process)),
         "at": heartbeat.at.isoformat(),
-        "reasons": [str(why) for why in heartbeat.reasons],
+        "reasons": [str(reason) for reason in heartbeat.reasons],
         "serial": active[0].serial if active else None,
-        "last_serial": decided.serial if decided else None,
-        "last_lot": decided.lot_id or None if decided else None,
+        "last_serial": last_order.serial if last_order else None,
+        "last_lot": last_order.lot_id or None if last_order else None,
         "last_verdict": status.verdict if status else None,
         "lot": lot_id or None,
         "counts": registry.pages.verdict_counts(lot_id) if lot_id in registry.lots.ids() else {},

@@ -5,17 +5,17 @@ from datetime import date
 from functools import cached_property
 from pathlib import Path
 
-from softcal.app.export.certificates.laboratory import Laboratory, read_laboratory, registry_laboratory
+from softcal.app.export.laboratory import Laboratory, read_laboratory, registry_laboratory
 from softcal.app.export.signature import SigningKey
 from softcal.app.registry.lot_recordings import source_recording, source_sha256, unlabelled
-from softcal.app.registry.standing import standing_of
+from softcal.app.registry.unit_status import find_unit_status
 from softcal.core.errors import InputError, NotReleased
 from softcal.core.export.blob import NetworkFile
 from softcal.core.export.compile_map import InputScale
 from softcal.core.export.device import DeviceOptions, DeviceRecord, DeviceUnit, build_network_file, build_unit_file
 from softcal.core.lot import Lot, escape_serial
 from softcal.core.maps.config import AnchorConfig
-from softcal.core.messages.reason import Reason, joined
+from softcal.core.messages.reason import Reason, to_line
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.estimate import estimate
@@ -134,11 +134,11 @@ class CalibratedUnit:
     @property
     def provenance(self) -> Provenance:
         """Provenance of the exported revision, equal in each of its files."""
-        made = self.stored.provenance
-        inputs = {**made.inputs, "source recording": self.shared.source_sha256}
+        stored_provenance = self.stored.provenance
+        inputs = {**stored_provenance.inputs, "source recording": self.shared.source_sha256}
         if self.proof_method is not None:
             inputs["method that proved the unit's recording"] = self.proof_method
-        return replace(made, inputs=inputs)
+        return replace(stored_provenance, inputs=inputs)
 
     @cached_property
     def record(self) -> DeviceRecord:
@@ -175,21 +175,21 @@ class CalibratedUnit:
         now = self.status
         if now.calibration is None and self.options.revision is None:
             raise NotReleased(
-                f"unit {self.serial} of lot {self.lot.id} is {now.verdict}: {joined(now.reasons)}; no file of the map "
+                f"unit {self.serial} of lot {self.lot.id} is {now.verdict}: {to_line(now.reasons)}; no file of the map "
                 "it had before is given out"
             )
 
     def check_usable(self) -> None:
         """Raise `NotReleased` where this unit's verdict forbids files that give numbers."""
-        decision, now = self.state.decision, self.status.calibration
-        measured = None if now is None else now.state.decision.measured
-        if now is not None and measured is not None and measured.verdict is Verdict.FAIL:
+        decision, current = self.state.decision, self.status.calibration
+        measured = None if current is None else current.state.decision.measured
+        if current is not None and measured is not None and measured.verdict is Verdict.FAIL:
             # What was measured since stands, whichever revision is named.
-            decision = now.state.decision
+            decision = current.state.decision
         if not self.options.releases(decision.verdict):
-            why, is_conditional = decision.reasons[0], decision.verdict is Verdict.CONDITIONAL
+            reason, is_conditional = decision.reasons[0], decision.verdict is Verdict.CONDITIONAL
             raise NotReleased(
-                f"unit {self.serial} has the verdict {decision.verdict} ({why}); "
+                f"unit {self.serial} has the verdict {decision.verdict} ({reason}); "
                 "its device files are not written unless "
                 + ("conditional units are released" if is_conditional else "those of failed units are asked for")
             )
@@ -227,8 +227,8 @@ class UnitLoader:
             source_since = None if first is None else first.added_at.date()
             network = self.registry.networks.get(network_id)
             self._networks[network_id, anchors] = SharedNetwork(network, source, sha256, source_since, anchors)
-        shared, standing = self._networks[network_id, anchors], standing_of(self.registry, stored)
-        return CalibratedUnit(stored, lot, shared, recording, since, proof, self.options, standing, self._laboratory)
+        shared, status = self._networks[network_id, anchors], find_unit_status(self.registry, stored)
+        return CalibratedUnit(stored, lot, shared, recording, since, proof, self.options, status, self._laboratory)
 
     @cached_property
     def _laboratory(self) -> Laboratory:

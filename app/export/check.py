@@ -6,7 +6,7 @@ from datetime import UTC, date, datetime
 from pathlib import Path
 
 from softcal.app.export.manifest import NAME, SIGNATURE, FileEntry, Manifest, read_manifest
-from softcal.app.export.names import APART, AUDIT
+from softcal.app.export.names import AUDIT, DETACHED_SUFFIX
 from softcal.app.export.signature import TrustedKey, check_signature
 from softcal.core.errors import InputError
 from softcal.core.export.blob import CONDITIONAL, FAILED, MAGIC, MAJOR, MINOR, NetworkFile, UnitFile, serial_field
@@ -22,7 +22,7 @@ from softcal.core.export.loader import join
 from softcal.core.json_input import parse_json
 
 DeviceFile = NetworkFile | UnitFile
-NOT_SIGNED, NOT_CHECKED, WRONG = "not signed", "not checked", "wrong"
+NOT_SIGNED, NOT_CHECKED, INVALID = "not signed", "not checked", "wrong"
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class FolderCheck:
         opened: units whose device files were opened with all self-tests.
         incomplete: one line for each file that is missing, or not in the manifest.
         changed: one line for each file that was changed, or that a device would refuse.
-        signed_by: name and fingerprint, or NOT_SIGNED, NOT_CHECKED (no key) or WRONG.
+        signed_by: name and fingerprint, or NOT_SIGNED, NOT_CHECKED (no key) or INVALID.
         signature_problem: why a signature does not hold.
         signed_on: date in the signed manifest.
     """
@@ -58,17 +58,17 @@ class FolderCheck:
         signed = {
             NOT_SIGNED: "no",
             NOT_CHECKED: "not checked: there is a signature; give --public-key to check whose it is",
-            WRONG: "NO: the signature does not hold",
+            INVALID: "NO: the signature does not hold",
         }
         return (
-            ("complete", _yes(self.incomplete, f"{self.files} files, nothing more, nothing less")),
-            ("unchanged", _yes(self.changed, f"hashes hold, {self.opened} units opened with all self-tests")),
+            ("complete", _answer(self.incomplete, f"{self.files} files, nothing more, nothing less")),
+            ("unchanged", _answer(self.changed, f"hashes hold, {self.opened} units opened with all self-tests")),
             ("signed", signed.get(self.signed_by, f"yes, by {self.signed_by}, {self.signed_on or 'day not stated'}")),
         )
 
 
-def _yes(problems: tuple[str, ...], how: str) -> str:
-    return f"NO: {len(problems)} problems" if problems else f"yes: {how}"
+def _answer(problems: tuple[str, ...], detail: str) -> str:
+    return f"NO: {len(problems)} problems" if problems else f"yes: {detail}"
 
 
 def check_folder(folder: Path, trusted: Sequence[TrustedKey] = ()) -> FolderCheck:
@@ -80,12 +80,15 @@ def check_folder(folder: Path, trusted: Sequence[TrustedKey] = ()) -> FolderChec
     if not manifest.files:
         raise InputError(f"{folder}: no manifest.json; export into it first")
     signed_by, problem = _signer(folder, manifest, trusted)
-    here, listed, units = {path.name for path in folder.iterdir()}, set(manifest.files), set(manifest.units)
+    present_names, listed, units = {path.name for path in folder.iterdir()}, set(manifest.files), set(manifest.units)
     owners = {entry.serial for entry in manifest.files.values()}
-    withdrawn = {serial for serial, facts in manifest.units.items() if facts.get("withdrawn")}
-    unlisted, unowned = here - listed - {NAME, SIGNATURE, AUDIT}, {str(owner) for owner in owners - units - {None}}
+    withdrawn = {serial for serial, values in manifest.units.items() if values.get("withdrawn")}
+    unlisted, unowned = (
+        present_names - listed - {NAME, SIGNATURE, AUDIT},
+        {str(owner) for owner in owners - units - {None}},
+    )
     incomplete = (
-        *(f"{name}: is missing; export it again" for name in sorted(listed - here)),
+        *(f"{name}: is missing; export it again" for name in sorted(listed - present_names)),
         *(f"{name}: is not in the manifest; nobody exported it into this folder" for name in sorted(unlisted)),
         *(f"unit {name}: is in the manifest without a file" for name in sorted(units - owners - withdrawn)),
         *(f"unit {name}: has files, but the manifest does not say what it is" for name in sorted(unowned)),
@@ -98,7 +101,7 @@ def check_folder(folder: Path, trusted: Sequence[TrustedKey] = ()) -> FolderChec
             changed.append(f"{entry.name}: is no file of this folder but a link or a folder; export it again")
             continue
         try:
-            if FileEntry.of(entry.name, path.read_bytes(), entry.serial) != entry:
+            if FileEntry.from_content(entry.name, path.read_bytes(), entry.serial) != entry:
                 changed.append(f"{entry.name}: is not what was exported (SHA-256 differs); export it again")
         except OSError as error:
             changed.append(f"{entry.name}: {error.strerror}; export it again")
@@ -119,15 +122,15 @@ def _signer(folder: Path, manifest: Manifest, trusted: Sequence[TrustedKey]) -> 
         return NOT_SIGNED, f"{SIGNATURE}: is missing; the folder is not signed" if trusted else None
     if not trusted:
         return NOT_CHECKED, None
-    apart = [name for name in manifest.files if name.endswith(APART) and (folder / name).is_file()]
-    pairs = [(NAME, SIGNATURE), *((name.removesuffix(APART), name) for name in sorted(apart))]
+    detached = [name for name in manifest.files if name.endswith(DETACHED_SUFFIX) and (folder / name).is_file()]
+    pairs = [(NAME, SIGNATURE), *((name.removesuffix(DETACHED_SUFFIX), name) for name in sorted(detached))]
     signers = []
     for signed, name in pairs:
         try:
             content, signature = (folder / signed).read_bytes(), (folder / name).read_bytes()
             signers.append(check_signature(content, signature, trusted, manifest.signed_on))
         except (InputError, OSError) as error:
-            return WRONG, f"{name}: {error}"
+            return INVALID, f"{name}: {error}"
     return signers[0], None
 
 
@@ -180,27 +183,27 @@ def read_device_file(path: Path) -> tuple[DeviceFile, bool]:
             raise InputError("neither a calibration file (.ssc) nor its JSON twin") from error
         if not isinstance(values, Mapping):
             raise InputError("JSON, but no calibration file")
-        is_whole = has_valid_sha256(values)
+        is_intact = has_valid_sha256(values)
         if values.get("schema") == "softcal.calibration/1":
             if values.get("device") is None:
                 raise InputError(f"has no device file: {values.get('device_refused', 'none was exported')}")
-            return unit_from_values(values["device"]), is_whole
-        return (unit_from_values(values) if "serial" in values else network_from_values(values)), is_whole
+            return unit_from_values(values["device"]), is_intact
+        return (unit_from_values(values) if "serial" in values else network_from_values(values)), is_intact
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
 
-def file_values(file: DeviceFile, is_whole: bool) -> dict[str, object]:
+def file_values(file: DeviceFile, is_intact: bool) -> dict[str, object]:
     """Return the content of a file as JSON values, and whether its hash was checked."""
-    return (network_values(file) if isinstance(file, NetworkFile) else unit_values(file)) | {"is_proven": is_whole}
+    return (network_values(file) if isinstance(file, NetworkFile) else unit_values(file)) | {"is_proven": is_intact}
 
 
-def file_rows(file: DeviceFile, is_whole: bool, network: NetworkFile | None = None) -> list[tuple[str, str]]:
+def file_rows(file: DeviceFile, is_intact: bool, network: NetworkFile | None = None) -> list[tuple[str, str]]:
     """Return the content of a file for people; a unit file next to its network is self-tested."""
-    rows = _network_rows(file) if isinstance(file, NetworkFile) else _unit_rows(file, is_whole, network)
-    proof = "its hash holds" if is_whole else "not proven: it carries no sha256; anybody may have changed it"
+    rows = _network_rows(file) if isinstance(file, NetworkFile) else _unit_rows(file, is_intact, network)
+    proof = "its hash holds" if is_intact else "not proven: it carries no sha256; anybody may have changed it"
     return [*rows, ("as exported", proof)]
 
 
@@ -220,7 +223,7 @@ def _network_rows(file: NetworkFile) -> list[tuple[str, str]]:
     ]
 
 
-def _unit_rows(file: UnitFile, is_whole: bool, network: NetworkFile | None) -> list[tuple[str, str]]:
+def _unit_rows(file: UnitFile, is_intact: bool, network: NetworkFile | None) -> list[tuple[str, str]]:
     form = file.device_map
     verdicts = {0: "passed", CONDITIONAL: "passed conditionally", FAILED: "DID NOT PASS, exported on demand"}
     calibrated_at = datetime.fromtimestamp(file.time_s, UTC).isoformat() if file.time_s else "unknown"
@@ -234,7 +237,7 @@ def _unit_rows(file: UnitFile, is_whole: bool, network: NetworkFile | None) -> l
         ("serial", file.serial),
         ("network", file.network_id.hex()),
         ("revision", f"{file.revision}, calibrated {calibrated_at}"),
-        ("verdict", verdicts.get(file.flags, f"unknown flags {file.flags}") if is_whole else "not proven"),
+        ("verdict", verdicts.get(file.flags, f"unknown flags {file.flags}") if is_intact else "not proven"),
         ("bytes", f"{len(file.to_bytes())}"),
         ("map", ", then ".join(parts)),
         ("code", f"output = {file.scale.zero:.6g} + {file.scale.lsb:.6g} × code"),

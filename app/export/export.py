@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from softcal.app.export.calibrated_unit import CalibratedUnit, ExportOptions, UnitLoader
-from softcal.app.export.formats import Writer, device_summary, writer_of
+from softcal.app.export.formats import Writer, device_summary, find_writer
 from softcal.app.export.manifest import NAME, FileEntry, Manifest, read_manifest, withdraw_units, write_manifest
-from softcal.app.export.names import APART, AUDIT, DEVICE_FORMATS, PAPERS, SIGNED_APART
+from softcal.app.export.names import AUDIT, DETACHED_PREFIXES, DETACHED_SUFFIX, DEVICE_FORMATS, DOCUMENT_FORMATS
 from softcal.app.export.names import formats as list_formats
 from softcal.app.export.signature import SigningKey
 from softcal.app.files.atomic import write_bytes, write_text
-from softcal.app.registry.anchors import anchor_json, remember
-from softcal.app.registry.given_files import Recall, list_recalls, remember_files
+from softcal.app.registry.anchors import anchor_json, record_heads
+from softcal.app.registry.exported_files import Recall, list_recalls, record_exported_files
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.export.blob import serial_field
 from softcal.db.registry import Registry
@@ -65,15 +65,15 @@ def export_units(
     """
     if not formats:
         raise InputError(f"no format is given; known: {', '.join(list_formats())}")
-    writers = {name: writer_of(name) for name in dict.fromkeys(formats)}
+    writers = {name: find_writer(name) for name in dict.fromkeys(formats)}
     by_field: dict[str, str] = {}
     for serial in serials:
-        for shown in {serial.casefold(), serial_field(serial).rstrip(b"\0").decode().casefold()}:
-            if shown in by_field:
+        for device_name in {serial.casefold(), serial_field(serial).rstrip(b"\0").decode().casefold()}:
+            if device_name in by_field:
                 raise InputError(
-                    f"serials {by_field[shown]} and {serial} look the same to a device; export one of them"
+                    f"serials {by_field[device_name]} and {serial} look the same to a device; export one of them"
                 )
-            by_field[shown] = serial
+            by_field[device_name] = serial
     if len(serials) > 1:
         calibrated = {unit.serial for unit in registry.lots.units(options.lot_id) if unit.revision is not None}
         if unknown := [serial for serial in serials if serial not in calibrated]:
@@ -86,12 +86,12 @@ def export_units(
     for serial in serials:
         unit = loader.load(serial)
         exported.append(_export(unit, writers, out, manifest, key))
-        if exported[-1].refusal is None and not PAPERS.issuperset(writers):
+        if exported[-1].refusal is None and not DOCUMENT_FORMATS.issuperset(writers):
             file_records[unit.stored.key] = exported_file_record(unit)
         on_unit(exported[-1])
     write_manifest(out, manifest, key)
-    remember_files(registry, file_records, str(out.absolute()) if folder_name is None else folder_name)
-    remember(registry, f"export {out.absolute()}")
+    record_exported_files(registry, file_records, str(out.absolute()) if folder_name is None else folder_name)
+    record_heads(registry, f"export {out.absolute()}")
     write_text(out / AUDIT, json.dumps(anchor_json(registry, "export"), indent=2, sort_keys=True) + "\n")
     return exported
 
@@ -110,16 +110,18 @@ def exported_file_record(unit: CalibratedUnit) -> Mapping[str, object]:
     return {"revision": unit.stored.revision, "map_sha256": unit.state.map_sha256, "verdict": unit.verdict}
 
 
-def withdraw_given(registry: Registry, lot_ids: Sequence[str]) -> list[Recall]:
+def withdraw_recalled_files(registry: Registry, lot_ids: Sequence[str]) -> list[Recall]:
     """Remove files that are no longer valid from the folders of this computer; return the recalled ones."""
-    recalls, here = list_recalls(registry, lot_ids), socket.gethostname()
-    for folder_name, lot_id in sorted({(one.place, one.lot) for one in recalls if one.host == here}):
+    recalls, hostname = list_recalls(registry, lot_ids), socket.gethostname()
+    for folder_name, lot_id in sorted({(one.place, one.lot) for one in recalls if one.host == hostname}):
         if not (Path(folder_name) / NAME).is_file():
             continue
-        lost = {
-            one.serial: one.verdict for one in recalls if (one.place, one.lot, one.host) == (folder_name, lot_id, here)
+        verdicts = {
+            one.serial: one.verdict
+            for one in recalls
+            if (one.place, one.lot, one.host) == (folder_name, lot_id, hostname)
         }
-        withdraw_units(Path(folder_name), lot_id, (), lost)
+        withdraw_units(Path(folder_name), lot_id, (), verdicts)
     return recalls
 
 
@@ -135,21 +137,21 @@ def _export(
             contents |= write(unit)
         except UnitRefused as error:
             refusal = str(error)
-    apart = [name for name in contents if name.startswith(SIGNED_APART)]
-    contents |= {f"{name}{APART}": key.sign(contents[name]) for name in apart if key is not None}
+    detached = [name for name in contents if name.startswith(DETACHED_PREFIXES)]
+    contents |= {f"{name}{DETACHED_SUFFIX}": key.sign(contents[name]) for name in detached if key is not None}
     for name, content in contents.items():
         write_bytes(out / name, content)
         is_shared = name.startswith("network-") or name == "softsensor.h"
-        manifest.files[name] = FileEntry.of(name, content, None if is_shared else serial)
+        manifest.files[name] = FileEntry.from_content(name, content, None if is_shared else serial)
     older = manifest.files.keys() - contents.keys()
-    manifest.remove(out, older & {f"{name}{APART}" for name in contents})
+    manifest.remove(out, older & {f"{name}{DETACHED_SUFFIX}" for name in contents})
     if refusal is not None:
         manifest.remove(out, [name for name in older & manifest.files.keys() if manifest.files[name].serial == serial])
     device = device_summary(unit) if refusal is None and any(name in writers for name in DEVICE_FORMATS) else {}
-    done = ExportedUnit(serial, unit.stored.revision, unit.verdict, tuple(contents), refusal, device)
+    exported = ExportedUnit(serial, unit.stored.revision, unit.verdict, tuple(contents), refusal, device)
     manifest.units[serial] = {
-        "revision": done.revision,
-        "verdict": done.verdict,
+        "revision": exported.revision,
+        "verdict": exported.verdict,
         "lot": unit.lot.id,
         "network": fit.network_id,
         "map": unit.state.map_sha256,
@@ -160,4 +162,4 @@ def _export(
         # What was refused altogether is complete without a file.
         **({} if contents else {"withdrawn": True}),
     }
-    return done
+    return exported

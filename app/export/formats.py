@@ -21,7 +21,7 @@ from softcal.core.export.graph import compose
 from softcal.core.export.json_text import add_sha256, json_text, network_values, unit_values
 from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE
 from softcal.core.lot import escape_serial
-from softcal.core.plugins import installed, loaded, who
+from softcal.core.plugins import find_plugins, load_plugin, name_point
 from softcal.core.unit.fit import FittedMap
 from softcal.core.unit.state_json import adjustments_to_json, fit_to_json
 from softcal.core.windows import TAPS
@@ -31,14 +31,16 @@ Writer = Callable[[CalibratedUnit], dict[str, bytes]]
 
 def runtime_header() -> bytes:
     """Return softsensor.h, from the checkout or from the installed wheel."""
-    places = (
+    candidates = (
         Path(__file__).parents[2] / "firmware" / "softsensor" / "softsensor.h",
         Path(sys.prefix) / "share" / "softcal" / "softsensor.h",
     )
-    for folder_name in places:
+    for folder_name in candidates:
         if folder_name.is_file():
             return folder_name.read_bytes()
-    raise InputError(f"softsensor.h is neither in {places[0].parent} nor in {places[1].parent}; install softcal again")
+    raise InputError(
+        f"softsensor.h is neither in {candidates[0].parent} nor in {candidates[1].parent}; install softcal again"
+    )
 
 
 def _json_files(unit: CalibratedUnit) -> dict[str, bytes]:
@@ -69,7 +71,7 @@ def calibration_values(unit: CalibratedUnit) -> dict[str, object]:
         "revision": unit.stored.revision,
         "made_at": unit.stored.made_at.isoformat(),
         "verdict": str(state.verdict),
-        "reasons": [str(why) for why in state.decision.reasons],
+        "reasons": [str(reason) for reason in state.decision.reasons],
         "network_id": state.fit.network_id,
         "family": state.fit.family,
         "map_sha256": state.map_sha256,
@@ -189,21 +191,21 @@ WRITERS: Mapping[str, Writer] = {
 """What writes each of softcal's own formats, `names.FORMATS`."""
 
 
-def writer_of(name: str) -> Writer:
+def find_writer(name: str) -> Writer:
     """Return the writer of a format; it raises `UnitRefused` if result, verdict or map forbid such a file.
 
     `InputError`: no such format, or a plug-in that cannot be loaded or takes a name.
     """
-    points = [point for point in installed(GROUP) if point.name == name]
+    points = [point for point in find_plugins(GROUP) if point.name == name]
     if name in WRITERS and not points:
         return partial(_write_released, WRITERS[name])
     if not points:
         raise InputError(f"format {name}; known: {', '.join(formats())}")
     if name in WRITERS or len(points) > 1:
-        raise InputError(f"{who(points[-1], KIND)}: the name {name!r} is taken already; give it another")
-    write = loaded(points[0], KIND)
+        raise InputError(f"{name_point(points[-1], KIND)}: the name {name!r} is taken already; give it another")
+    write = load_plugin(points[0], KIND)
     if not callable(write):
-        raise InputError(f"{who(points[0], KIND)}: is {type(write).__name__}; a function was expected")
+        raise InputError(f"{name_point(points[0], KIND)}: is {type(write).__name__}; a function was expected")
     return partial(_write_released, partial(_plugin_files, points[0], write))
 
 
@@ -224,16 +226,16 @@ def _plugin_files(point: EntryPoint, write: Callable[[CalibratedUnit], Any], uni
         raise
     except Exception as error:
         raise InputError(
-            f"{who(point, KIND)}: cannot write unit {unit.serial} ({error}); repair the package"
+            f"{name_point(point, KIND)}: cannot write unit {unit.serial} ({error}); repair the package"
         ) from error
-    is_whole = isinstance(files, dict) and all(
+    is_valid = isinstance(files, dict) and all(
         isinstance(content, bytes)
         and re.fullmatch(r"[\w][\w.~-]*", str(name))
         and escape_serial(unit.serial) in str(name)
         for name, content in files.items()
     )
-    if not is_whole:
+    if not is_valid:
         raise InputError(
-            f"{who(point, KIND)}: gave no files; names with {escape_serial(unit.serial)} and bytes were expected"
+            f"{name_point(point, KIND)}: gave no files; names with {escape_serial(unit.serial)} and bytes were expected"
         )
     return dict(files)

@@ -35,7 +35,7 @@ class FileEntry:
     serial: str | None
 
     @classmethod
-    def of(cls, name: str, content: bytes, serial: str | None) -> "FileEntry":
+    def from_content(cls, name: str, content: bytes, serial: str | None) -> "FileEntry":
         return cls(name, hashlib.sha256(content).hexdigest(), len(content), serial)
 
     @classmethod
@@ -128,15 +128,15 @@ def withdraw_units(folder: Path, lot_id: str, released: Collection[str], verdict
         verdicts: today's word of every unit that may have files here.
     """
     manifest = read_manifest(folder)
-    mine = {serial for serial, facts in manifest.units.items() if facts["lot"] == lot_id}
-    withdrawn, before = [], dict(manifest.units)
-    for serial in sorted(mine & verdicts.keys() - set(released)):
+    lot_serials = {serial for serial, values in manifest.units.items() if values["lot"] == lot_id}
+    withdrawn, previous_units = [], dict(manifest.units)
+    for serial in sorted(lot_serials & verdicts.keys() - set(released)):
         names = [name for name, entry in manifest.files.items() if entry.serial == serial]
         manifest.remove(folder, names)
         withdrawn += [serial] if names else []
-        is_withdrawn = bool(names) or before[serial].get("withdrawn", False)
-        manifest.units[serial] = {**before[serial], "verdict": verdicts[serial], "withdrawn": is_withdrawn}
-    if manifest.units != before:
+        is_withdrawn = bool(names) or previous_units[serial].get("withdrawn", False)
+        manifest.units[serial] = {**previous_units[serial], "verdict": verdicts[serial], "withdrawn": is_withdrawn}
+    if manifest.units != previous_units:
         # A signature of the folder as it was would vouch for files that are gone.
         write_manifest(folder, manifest, None)
     return withdrawn

@@ -1,6 +1,6 @@
 """The one list of export formats, light enough for a parser to import."""
 
-from softcal.core.plugins import installed
+from softcal.core.plugins import find_plugins
 
 FORMATS = ("json", "c", "blob", "hex", "onnx", "pdf", "dcc")
 
@@ -10,19 +10,19 @@ GROUP = "softcal.exporters"
 
 def formats() -> tuple[str, ...]:
     """Return every format: softcal's own, then those of plug-ins, without loading their code."""
-    return (*FORMATS, *(point.name for point in installed(GROUP) if point.name not in FORMATS))
+    return (*FORMATS, *(point.name for point in find_plugins(GROUP) if point.name not in FORMATS))
 
 
-PAPERS = frozenset({"pdf", "dcc"})
+DOCUMENT_FORMATS = frozenset({"pdf", "dcc"})
 """Those that no device reads."""
 
 DEVICE_FORMATS = ("blob", "c", "hex")
 """Those that firmware reads."""
 
-SIGNED_APART = ("certificate-",)
+DETACHED_PREFIXES = ("certificate-",)
 """Files that travel without their folder: each gets a signature of its own."""
 
-APART = ".sig"
+DETACHED_SUFFIX = ".sig"
 """Ending of such a signature: 64 bytes, Ed25519."""
 
 AUDIT = "audit.json"

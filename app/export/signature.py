@@ -64,8 +64,8 @@ def open_signing_key(
         if b"ENCRYPTED" in content and passphrase_file is not None:
             passphrase = next(iter(passphrase_file.read_bytes().splitlines()), None)
         elif b"ENCRYPTED" in content:
-            given = os.environ.get(PASSPHRASE_VARIABLE) or (ask(f"passphrase of {key_file}: ") if ask else "")
-            passphrase = given.encode() or None
+            phrase = os.environ.get(PASSPHRASE_VARIABLE) or (ask(f"passphrase of {key_file}: ") if ask else "")
+            passphrase = phrase.encode() or None
         key = load_pem_private_key(content, passphrase)
     except TypeError as error:
         raise InputError(
@@ -81,7 +81,7 @@ def open_signing_key(
     return key
 
 
-def trusted_keys(files: Sequence[Path]) -> list[TrustedKey]:
+def read_trusted_keys(files: Sequence[Path]) -> list[TrustedKey]:
     """Read public keys (PEM), and key rings (TOML) that name several with the time each is valid.
 
     `InputError`: a file that is neither, or another kind of key.
@@ -89,7 +89,7 @@ def trusted_keys(files: Sequence[Path]) -> list[TrustedKey]:
     keys = []
     for file in files:
         if file.suffix != ".toml":
-            keys.append(_trusted(file, file.stem))
+            keys.append(_read_trusted_key(file, file.stem))
             continue
         ring = read_toml(file)
         try:
@@ -99,7 +99,7 @@ def trusted_keys(files: Sequence[Path]) -> list[TrustedKey]:
                 days = {name: row.get(name) for name in ("valid_from", "valid_until")}
                 if any(day is not None and type(day) is not date for day in days.values()):
                     raise ValueError("valid_from and valid_until are dates such as 2026-01-31")
-                keys.append(_trusted(file.parent / row["file"], str(row["name"]), **days))
+                keys.append(_read_trusted_key(file.parent / row["file"], str(row["name"]), **days))
         except (ValueError, KeyError, TypeError) as error:
             raise InputError(
                 f"{file}: no key ring ({error}); [[key]] with name, file, valid_from and valid_until was expected; "
@@ -108,7 +108,9 @@ def trusted_keys(files: Sequence[Path]) -> list[TrustedKey]:
     return keys
 
 
-def _trusted(file: Path, name: str, valid_from: date | None = None, valid_until: date | None = None) -> TrustedKey:
+def _read_trusted_key(
+    file: Path, name: str, valid_from: date | None = None, valid_until: date | None = None
+) -> TrustedKey:
     try:
         key = load_pem_public_key(file.read_bytes())
     except (OSError, ValueError, UnsupportedAlgorithm) as error:

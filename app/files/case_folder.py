@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from softcal.app.files.recording_file import ColumnNames, naming, read_times
+from softcal.app.files.recording_file import ColumnNames, prefix_errors, read_times
 from softcal.app.tables.options import DETECT, TableOptions
 from softcal.app.tables.read import READERS, read_table
 from softcal.app.tables.table import Table
@@ -18,7 +18,7 @@ from softcal.core.recording import Array
 from softcal.core.twin.parameters import ReadoutMetadata, SensorType
 
 RECORDING, METADATA = "recording.csv", "recording.json"
-KNOWN_COLUMNS = (*CHANNELS, "known_force_N")
+CASE_COLUMNS = (*CHANNELS, "known_force_N")
 
 
 def open_case(folder: Path) -> Case:
@@ -30,35 +30,37 @@ def open_case(folder: Path) -> Case:
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such folder; a case holds runs/<n>/{RECORDING} and {METADATA}")
-    inner = folder / "runs"
-    places = sorted((p for p in inner.iterdir() if p.is_dir()), key=_by_number) if inner.is_dir() else []
+    runs_folder = folder / "runs"
+    run_folders = (
+        sorted((p for p in runs_folder.iterdir() if p.is_dir()), key=_run_order) if runs_folder.is_dir() else []
+    )
     if (folder / RECORDING).is_file():
-        places = [folder]
-    if not places:
+        run_folders = [folder]
+    if not run_folders:
         tables = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in READERS)
         hint = f"; to diagnose {tables[0]} alone, name it and give vref_V, adc_bits and rate_Hz" if tables else ""
         raise InputError(f"{folder}: neither {RECORDING} nor runs/<n>/{RECORDING}; this is no case{hint}")
-    for place in places:
-        if not (place / RECORDING).is_file():
-            raise InputError(f"{place}: there is no {RECORDING}; add it, or remove the folder")
-    facts = [_metadata(place / METADATA) for place in places]
-    serials = [str(metadata["serial"]) for metadata in facts]
-    runs = [_run(place, folder, metadata) for place, metadata in zip(places, facts, strict=True)]
+    for run_folder in run_folders:
+        if not (run_folder / RECORDING).is_file():
+            raise InputError(f"{run_folder}: there is no {RECORDING}; add it, or remove the folder")
+    runs_metadata = [_metadata(run_folder / METADATA) for run_folder in run_folders]
+    serials = [str(metadata["serial"]) for metadata in runs_metadata]
+    runs = [_run(run_folder, folder, metadata) for run_folder, metadata in zip(run_folders, runs_metadata, strict=True)]
     if len(set(serials)) > 1:
         raise InputError(f"{folder}: runs of several units ({', '.join(sorted(set(serials)))}); a case is of one unit")
     stiffness = None
-    if (stated := facts[0].get("stiffness_N_mm")) is not None:
+    if (bounds := runs_metadata[0].get("stiffness_N_mm")) is not None:
         # Lowest and highest peak force over depth of the lot's units
-        numbers = [v for v in stated if isinstance(v, int | float)] if isinstance(stated, list) else []
+        numbers = [v for v in bounds if isinstance(v, int | float)] if isinstance(bounds, list) else []
         if len(numbers) != 2 or not 0 < numbers[0] < numbers[1] or not math.isfinite(numbers[1]):
-            path = places[0] / METADATA
-            raise InputError(f"{path}: stiffness_N_mm is {stated!r}; [lowest, highest] in N/mm was expected")
+            path = run_folders[0] / METADATA
+            raise InputError(f"{path}: stiffness_N_mm is {bounds!r}; [lowest, highest] in N/mm was expected")
         stiffness = float(numbers[0]), float(numbers[1])
-    with naming(folder):
+    with prefix_errors(folder):
         return Case(serials[0], tuple(runs), stiffness_N_mm=stiffness)
 
 
-OTHER_NAMES = {"output": "output_V", "reference": "force_N"}
+LOT_COLUMNS = {"output": "output_V", "reference": "force_N"}
 """Columns of a lot folder's audits, and what they are to the twin."""
 
 
@@ -73,14 +75,14 @@ def open_table(path: Path, readout: ReadoutMetadata, options: TableOptions = DET
         InputError: the table cannot be read or shows no gap.
     """
     table = read_table(path, options)
-    renamed = {OTHER_NAMES.get(name, name): name for name in table.names}
+    renamed = {LOT_COLUMNS.get(name, name): name for name in table.names}
     t_s, channels = _samples(table, {name: renamed[name] for name in CHANNELS if name in renamed}, readout, options)
-    with naming(path):
+    with prefix_errors(path):
         return Case(path.stem, (Run(name=path.stem, t_s=t_s, readout=readout, **channels),))
 
 
-def _by_number(place: Path) -> tuple[int, str]:
-    return (int(place.name), "") if place.name.isdigit() else (10**9, place.name)
+def _run_order(run_folder: Path) -> tuple[int, str]:
+    return (int(run_folder.name), "") if run_folder.name.isdigit() else (10**9, run_folder.name)
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -117,30 +119,30 @@ def _number(metadata: Mapping[str, object], name: str, path: Path) -> float:
     return float(value)
 
 
-def _run(place: Path, case: Path, metadata: Mapping[str, object]) -> Run:
-    path, described = place / RECORDING, place / METADATA
+def _run(run_folder: Path, case: Path, metadata: Mapping[str, object]) -> Run:
+    path, metadata_path = run_folder / RECORDING, run_folder / METADATA
     table = read_table(path)
     kind = metadata.get("kind") or "press"
     if kind not in KINDS:
-        raise InputError(f"{described}: kind {kind!r} is not known; known are {', '.join(KINDS)}")
-    bits = _number(metadata, "adc_bits", described)
+        raise InputError(f"{metadata_path}: kind {kind!r} is not known; known are {', '.join(KINDS)}")
+    bits = _number(metadata, "adc_bits", metadata_path)
     if bits != int(bits):
-        raise InputError(f"{described}: adc_bits is {bits}; a whole number was expected")
-    with naming(described):
+        raise InputError(f"{metadata_path}: adc_bits is {bits}; a whole number was expected")
+    with prefix_errors(metadata_path):
         readout = ReadoutMetadata(
-            vref_V=_number(metadata, "vref_V", described),
+            vref_V=_number(metadata, "vref_V", metadata_path),
             adc_bits=int(bits),
-            r_series_ohm=_number(metadata, "r_series_ohm", described),
-            sample_rate_Hz=_number(metadata, "sample_rate_Hz", described),
+            r_series_ohm=_number(metadata, "r_series_ohm", metadata_path),
+            sample_rate_Hz=_number(metadata, "sample_rate_Hz", metadata_path),
             sensor_type=cast(SensorType, metadata.get("sensor_type") or "pressure"),
         )
-    t_s, channels = _samples(table, {name: name for name in KNOWN_COLUMNS if name in table.names}, readout)
-    with naming(path):
+    t_s, channels = _samples(table, {name: name for name in CASE_COLUMNS if name in table.names}, readout)
+    with prefix_errors(path):
         return Run(
-            name=place.name if place != case else "recording",
+            name=run_folder.name if run_folder != case else "recording",
             t_s=t_s,
             readout=readout,
-            dummy_ohm=_number(metadata, "dummy_ohm", described) if metadata.get("dummy_ohm") is not None else None,
+            dummy_ohm=_number(metadata, "dummy_ohm", metadata_path) if metadata.get("dummy_ohm") is not None else None,
             kind=kind,
             profile=str(metadata.get("profile") or ""),
             **channels,
@@ -158,13 +160,13 @@ def _samples(
     recorded = {channel: cells for channel, cells in values.items() if not bool(np.isnan(cells).all())}
     if not columns and "t_s" not in table.names:
         names = ", ".join(table.names[:12])
-        raise InputError(f"{table.path}: none of t_s, {', '.join(KNOWN_COLUMNS)}; the file has: {names}")
+        raise InputError(f"{table.path}: none of t_s, {', '.join(CASE_COLUMNS)}; the file has: {names}")
     if "t_s" in table.names and options.time_format is None:
         # As it stands: the diagnosis itself finds a wrong unit or rate.
         t_s = table.numbers("t_s")
     else:
         t_s, *_ = read_times(table, ColumnNames(output="", table=options), readout.sample_rate_Hz)
-    is_whole = np.isfinite(t_s)
+    is_complete = np.isfinite(t_s)
     for cells in recorded.values():
-        is_whole &= np.isfinite(cells)
-    return t_s[is_whole], {channel: cells[is_whole] for channel, cells in recorded.items()}
+        is_complete &= np.isfinite(cells)
+    return t_s[is_complete], {channel: cells[is_complete] for channel, cells in recorded.items()}

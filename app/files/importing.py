@@ -8,18 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from softcal.app.files.atomic import whole_folder
+from softcal.app.files.atomic import atomic_folder
 from softcal.app.files.import_plan import Columns, ImportedUnit, ImportPlan
 from softcal.app.files.lot_toml import write_lot_toml
 from softcal.app.files.measured_at import local_time_remarks, measured_at_row
-from softcal.app.files.not_used import NotUsed
 from softcal.app.files.recording_file import (
     FileRecording,
     build_from_table,
-    read_timed,
+    read_timed_table,
     read_times,
     write_rows,
 )
+from softcal.app.files.unused_input import UnusedInput
 from softcal.app.files.unused_parts import unused_of_import
 from softcal.app.tables.options import DETECT, TableOptions
 from softcal.app.tables.read import READERS
@@ -30,7 +30,7 @@ from softcal.core.errors import InputError
 from softcal.core.inspection.comparison import compare_with_source
 from softcal.core.lot import check_serial, file_stem, serial_key
 from softcal.core.messages.reason import Reason, reason
-from softcal.core.quality.same_recording import Pressed, same_recordings
+from softcal.core.quality.duplicate_recordings import RecordedOutput, same_recordings
 from softcal.core.recording import Array, LabelledRecording
 
 
@@ -49,11 +49,11 @@ class ImportedLot:
     audits: tuple[str, ...]
     reference_range: float
     layouts: Mapping[str, str]
-    not_used: tuple[NotUsed, ...]
+    not_used: tuple[UnusedInput, ...]
     remarks: tuple[Reason | str, ...]
 
 
-def tables_of(path: Path) -> list[Path]:
+def list_tables(path: Path) -> list[Path]:
     """Return a file, or the tables of a folder; those of a lot folder are in source/ and units/.
 
     Raises:
@@ -80,7 +80,7 @@ def import_lot(plan: ImportPlan, folder: Path) -> ImportedLot:
         raise InputError("no file to import; name at least one table")
     if plan.serials is not None and (plan.columns.is_wide or len(plan.serials) != len(plan.files)):
         raise InputError(f"{len(plan.serials)} serials for {len(plan.files)} files; give one serial per file, in order")
-    tables, unnamed = _named_units(plan)
+    tables, unnamed = _read_units(plan)
     units = {serial: unit for _, serial, unit in tables}
     for serial in plan.sources:
         if serial not in units:
@@ -91,23 +91,23 @@ def import_lot(plan: ImportPlan, folder: Path) -> ImportedLot:
     audited = {serial: audit for serial, audit in labelled.items() if audit is not None}
     first = plan.audit_rows[0] if plan.audit_rows else 0
     instants = {serial: at for serial, audit in audited.items() if (at := measured_at_row(audit, first))}
-    with whole_folder(folder) as part:
+    with atomic_folder(folder) as part:
         write_lot_toml(part, plan.lot, more_sources=plan.more_sources, measured_at=instants)
         for serial, unit in units.items():
-            place = "source" if serial in plan.sources else "units"
-            write_rows(part / place / f"{serial}.csv", unit.file, plan.fit_rows)
+            subfolder = "source" if serial in plan.sources else "units"
+            write_rows(part / subfolder / f"{serial}.csv", unit.file, plan.fit_rows)
         for serial, audit in audited.items():
             write_rows(part / "audit" / f"{serial}.csv", audit, plan.audit_rows)
     audits, not_used = unused_of_import(plan, tables)
-    compared = compare_audits(plan, units)
+    comparison_remarks = compare_audits(plan, units)
     layouts = {path.name: unit.file.table.layout for path, _, unit in tables}
-    of_files = dict.fromkeys(f"{path.name}: {remark}" for path, _, unit in tables for remark in unit.file.remarks)
+    file_remarks = dict.fromkeys(f"{path.name}: {remark}" for path, _, unit in tables for remark in unit.file.remarks)
     targets = tuple(serial for serial in units if serial not in plan.sources)
-    pressed = [Pressed(serial, plan.lot.id, unit.recording.output_sha256) for serial, unit in units.items()]
+    pressed = [RecordedOutput(serial, plan.lot.id, unit.recording.output_sha256) for serial, unit in units.items()]
     remarks: list[Reason | str] = [
-        *of_files,
+        *file_remarks,
         *local_time_remarks({one.table.path: one.start for one in audited.values()}),
-        *compared,
+        *comparison_remarks,
         *same_recordings(pressed),
     ]
     remarks += [] if targets else [Reason("lot.no_units")]
@@ -125,11 +125,11 @@ def compare_audits(plan: ImportPlan, units: Mapping[str, ImportedUnit]) -> tuple
         with suppress(InputError):
             if one.audit is not None or one is source:
                 labelled[serial] = one.labelled(unit)
-    known = labelled.pop(plan.lot.source, None)
-    return () if known is None else compare_with_source(known, labelled.values())
+    labelled_source = labelled.pop(plan.lot.source, None)
+    return () if labelled_source is None else compare_with_source(labelled_source, labelled.values())
 
 
-def _named_units(plan: ImportPlan) -> tuple[list[tuple[Path, str, ImportedUnit]], list[NotUsed]]:
+def _read_units(plan: ImportPlan) -> tuple[list[tuple[Path, str, ImportedUnit]], list[UnusedInput]]:
     """Read the units of a plan by file name, and report files whose name is no serial."""
     rows: list[tuple[Path, str, ImportedUnit]] = []
     for path, serial, unit in _read(plan):
@@ -137,7 +137,7 @@ def _named_units(plan: ImportPlan) -> tuple[list[tuple[Path, str, ImportedUnit]]
             raise unit
         rows.append((path, serial, unit))
     problems = _name_problems([(path, serial) for path, serial, _ in rows])
-    tables, unnamed = [], list[NotUsed]()
+    tables, unnamed = [], list[UnusedInput]()
     for number, ((path, serial, unit), problem) in enumerate(zip(rows, problems, strict=True), start=1):
         stem = serial
         if problem is not None:
@@ -147,14 +147,16 @@ def _named_units(plan: ImportPlan) -> tuple[list[tuple[Path, str, ImportedUnit]]
             stem = file_stem(f"{serial} (file {number})" if problem.code == "name.twice" else serial)
             is_wide = plan.columns.is_wide
             unnamed.append(
-                NotUsed("column", serial, problem, path.name) if is_wide else NotUsed("file", path.name, problem)
+                UnusedInput("column", serial, problem, path.name)
+                if is_wide
+                else UnusedInput("file", path.name, problem)
             )
         tables.append((path, stem, unit))
     return tables, unnamed
 
 
 @dataclass(frozen=True, eq=False)
-class LookedAt:
+class ImportPreview:
     """Preview of one table, or one column of it: a unit as read, or the reason of a refusal.
 
     A table that cannot be read as a whole has no serial.
@@ -170,42 +172,42 @@ class LookedAt:
         return self.path.name
 
 
-def look_through(plan: ImportPlan) -> list[LookedAt]:
+def preview_import(plan: ImportPlan) -> list[ImportPreview]:
     """Read every unit and return refusals with reasons; a plan without refusals can be imported."""
-    looked, rows = [], list(_read(plan))
+    previews, rows = [], list(_read(plan))
     problems = _name_problems([(path, serial) for path, serial, _ in rows])
     for (path, serial, unit), name_problem in zip(rows, problems, strict=True):
         if isinstance(unit, InputError):
             problem = str(unit).replace(f"{path}: ", "").replace(str(path), path.name)
-            looked.append(LookedAt(path, serial, None, problem))
+            previews.append(ImportPreview(path, serial, None, problem))
         elif name_problem is not None:
-            looked.append(LookedAt(path, serial, None, str(name_problem)))
+            previews.append(ImportPreview(path, serial, None, str(name_problem)))
         else:
-            looked.append(LookedAt(path, serial, unit))
-    return looked
+            previews.append(ImportPreview(path, serial, unit))
+    return previews
 
 
-def _name_problems(named: Sequence[tuple[Path, str]]) -> list[Reason | None]:
+def _name_problems(files_and_serials: Sequence[tuple[Path, str]]) -> list[Reason | None]:
     """Return for each (file, serial) why it names no unit (no serial, or a repeated one), else None.
 
     A table that cannot be read has no serial, "", and no problem here.
     """
     files: dict[str, list[str]] = {}
-    for path, serial in named:
+    for path, serial in files_and_serials:
         files.setdefault(serial_key(serial), []).append(str(path))
     problems: list[Reason | None] = []
-    for _, serial in named:
-        same = files[serial_key(serial)]
-        problems.append(_name_problem(serial, same) if serial else None)
+    for _, serial in files_and_serials:
+        paths = files[serial_key(serial)]
+        problems.append(_name_problem(serial, paths) if serial else None)
     return problems
 
 
-def _name_problem(serial: str, same: Sequence[str]) -> Reason | None:
+def _name_problem(serial: str, paths: Sequence[str]) -> Reason | None:
     try:
         check_serial(serial)
     except InputError as error:
         return error.reason
-    return reason("name.twice", serial=repr(serial), files=", ".join(same)) if len(same) > 1 else None
+    return reason("name.twice", serial=repr(serial), files=", ".join(paths)) if len(paths) > 1 else None
 
 
 def _read(plan: ImportPlan) -> Iterator[tuple[Path, str, "ImportedUnit | InputError"]]:
@@ -215,13 +217,15 @@ def _read(plan: ImportPlan) -> Iterator[tuple[Path, str, "ImportedUnit | InputEr
     for k, path in enumerate(plan.files):
         try:
             names = replace(columns.names(columns.output, plan.table), rate_Hz=plan.lot.sample_rate_Hz)
-            table, names = read_timed(path, names, columns.is_requested)
+            table, names = read_timed_table(path, names, columns.is_requested)
             t_s, remarks, start = read_times(table, names, plan.lot.sample_rate_Hz)
             outputs = [columns.output]
             if columns.is_wide:
-                taken = (*others, names.time)
-                shown = [c.name for c in table.columns if c.name not in taken and not is_clock_heading(c.name)]
-                outputs = list(filter(columns.is_output, shown))
+                other_names = (*others, names.time)
+                candidates = [
+                    c.name for c in table.columns if c.name not in other_names and not is_clock_heading(c.name)
+                ]
+                outputs = list(filter(columns.is_output, candidates))
                 if not outputs:
                     raise InputError(f"{path}: no column matches {columns.output!r}")
         except InputError as error:
@@ -246,10 +250,10 @@ def _build_unit(
     plan: ImportPlan, table: Table, t_s: Array, output: str, serial: str, start: Start | None
 ) -> ImportedUnit:
     lot, columns = plan.lot, plan.columns
-    facts = (serial, lot.sample_rate_Hz, lot.output_unit, columns.names(output, plan.table))
+    identity = (serial, lot.sample_rate_Hz, lot.output_unit, columns.names(output, plan.table))
 
     def build(*, with_reference: bool) -> FileRecording:
-        return replace(build_from_table(table, t_s, *facts, with_reference=with_reference), start=start)
+        return replace(build_from_table(table, t_s, *identity, with_reference=with_reference), start=start)
 
     if serial in plan.sources and columns.reference is not None:
         return ImportedUnit(build(with_reference=True))
@@ -257,13 +261,13 @@ def _build_unit(
     return ImportedUnit(build(with_reference=False), build(with_reference=True) if has_audit else None)
 
 
-def shown_rate_Hz(path: Path, columns: Columns, table: TableOptions = DETECT) -> float:
+def detect_rate_Hz(path: Path, columns: Columns, table: TableOptions = DETECT) -> float:
     """Return the sample rate that the time column of a table shows, rounded to five digits.
 
     Raises:
         InputError: there is no such column, it never advances, or nothing states its unit.
     """
-    read, names = read_timed(path, columns.names(columns.output, table), columns.is_requested)
+    read, names = read_timed_table(path, columns.names(columns.output, table), columns.is_requested)
     t_s, *_ = read_times(read, names, None)
     rate_Hz = median_rate_Hz(t_s)
     if not np.isfinite(rate_Hz):

@@ -11,7 +11,7 @@ from softcal.app.files.recording_file import ColumnNames, FileRecording, inspect
 from softcal.app.tables.read import read_table
 from softcal.core.inspection.comparison import compare_recordings
 from softcal.core.inspection.inspection import InspectionFinding
-from softcal.core.inspection.words import finding_reason
+from softcal.core.inspection.reasons import finding_reason
 from softcal.core.messages.reason import Reason
 from softcal.core.unit.findings import contradictions
 from softcal.core.unit.health import output_limits
@@ -67,20 +67,20 @@ def compare_files(source: FileRecording, file: FileRecording) -> list[str]:
     Raises:
         InputError: the source has no reference, or its reference can label nothing.
     """
-    known = source.labelled("N")
+    labelled_source = source.labelled("N")
     method, output = Method(), file.recording
-    limits = output_limits(output, known.unlabelled, known.direction > 0, method)
-    against: list[Reason] = [one.reason for one in contradictions(known.unlabelled, output, limits, method)]
+    limits = output_limits(output, labelled_source.unlabelled, labelled_source.direction > 0, method)
+    reasons: list[Reason] = [one.reason for one in contradictions(labelled_source.unlabelled, output, limits, method)]
     if file.inspected.reference is not None:
-        against += compare_recordings(known, file.labelled("N"))
-    return list(map(str, against))
+        reasons += compare_recordings(labelled_source, file.labelled("N"))
+    return list(map(str, reasons))
 
 
-def inspection_json(file: FileRecording, beside: Sequence[str] = ()) -> dict[str, object]:
+def inspection_json(file: FileRecording, source_remarks: Sequence[str] = ()) -> dict[str, object]:
     """Return the inspection of a table as the JSON of `softcal inspect --json` (schema `softcal.inspection/1`).
 
     Args:
-        beside: findings relative to the source's recording.
+        source_remarks: findings relative to the source's recording.
     """
     inspection = file.inspected.inspection
     return {
@@ -94,7 +94,7 @@ def inspection_json(file: FileRecording, beside: Sequence[str] = ()) -> dict[str
         "masked": inspection.masked.counts,
         "window_share": inspection.window_share,
         "findings": _findings(file),
-        "beside_source": list(beside),
+        "beside_source": list(source_remarks),
     }
 
 
@@ -127,8 +127,8 @@ def _range(file: FileRecording, name: str) -> str:
     return f"{values.min():.6g} to {values.max():.6g}"
 
 
-def _gaps(gaps: tuple[InspectionFinding, ...], what: str = "") -> str:
+def _gaps(gaps: tuple[InspectionFinding, ...], description: str = "") -> str:
     missing = sum(gap.amount for gap in gaps)
     longest = max((gap.value for gap in gaps), default=0.0)
-    what = what or f"samples missing {missing:.0f}"
-    return f"{len(gaps)}, longest {longest:.2f} s, {what}" if gaps else "none"
+    description = description or f"samples missing {missing:.0f}"
+    return f"{len(gaps)}, longest {longest:.2f} s, {description}" if gaps else "none"

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from softcal.app.files.anchors import read_anchors
 from softcal.app.files.lot_toml import NAME, LotToml, read_lot_toml
-from softcal.app.files.not_used import NotUsed
 from softcal.app.files.recording_file import FileRecording, inspect_recording
 from softcal.app.files.regular import read_regular
+from softcal.app.files.unused_input import UnusedInput
 from softcal.app.files.unused_parts import unused_of_lot
 from softcal.app.tables.read import READERS
 from softcal.core.errors import InputError
@@ -45,7 +45,7 @@ class LotFolder(LotToml):
     source_path: Path
     unit_paths: Mapping[str, Path]
     audit_paths: Mapping[str, Path]
-    not_used: tuple[NotUsed, ...] = ()
+    not_used: tuple[UnusedInput, ...] = ()
     golden_path: Path | None = None
     golden_serial: str = ""
     anchors_path: Path | None = None
@@ -104,8 +104,8 @@ class LotFolder(LotToml):
         return self._inspect(path, serial).labelled(self.lot.reference_unit)
 
     def _inspect(self, path: Path, serial: str, *, with_reference: bool = True) -> FileRecording:
-        facts = (serial, self.lot.sample_rate_Hz, self.lot.output_unit, read_regular(path, self.root))
-        return inspect_recording(path, *facts, self.names, with_reference=with_reference)
+        identity = (serial, self.lot.sample_rate_Hz, self.lot.output_unit, read_regular(path, self.root))
+        return inspect_recording(path, *identity, self.names, with_reference=with_reference)
 
 
 def open_lot_folder(folder: Path) -> LotFolder:
@@ -117,22 +117,22 @@ def open_lot_folder(folder: Path) -> LotFolder:
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such lot folder; make one with `softcal import`")
-    stated = read_lot_toml(folder)
-    lot, more = stated.lot, stated.more_sources
-    listed = {name: _recordings(folder / name) for name in ("source", "units", "audit", GOLDEN)}
-    sources = listed["source"].usable
+    lot_toml = read_lot_toml(folder)
+    lot, more = lot_toml.lot, lot_toml.more_sources
+    listings = {name: _recordings(folder / name) for name in ("source", "units", "audit", GOLDEN)}
+    sources = listings["source"].usable
     for serial in (lot.source, *more):
-        if problem := listed["source"].problems.get(serial):
+        if problem := listings["source"].problems.get(serial):
             raise InputError(problem)
         if serial not in sources:
-            seen = ", ".join(sources) or "nothing"
-            raise InputError(f"{folder / 'source'}: no recording of the source unit {serial!r}; found {seen}")
-    units, audits, problems = listed["units"].paths, listed["audit"].usable, listed["units"].problems
-    remarks = [*stated.remarks]
-    absent = sorted(set(stated.measured_at) - set(audits))
+            names = ", ".join(sources) or "nothing"
+            raise InputError(f"{folder / 'source'}: no recording of the source unit {serial!r}; found {names}")
+    units, audits, problems = listings["units"].paths, listings["audit"].usable, listings["units"].problems
+    remarks = [*lot_toml.remarks]
+    absent = sorted(set(lot_toml.measured_at) - set(audits))
     remarks += [f"{NAME}: [audit] {serial}: audit/ has no such recording" for serial in absent]
-    remarks += [line for name in ("source", "audit", GOLDEN) for line in listed[name].remarks(name)]
-    golden = listed[GOLDEN].usable
+    remarks += [line for name in ("source", "audit", GOLDEN) for line in listings[name].remarks(name)]
+    golden = listings[GOLDEN].usable
     if len(golden) > 1 or set(golden) - {lot.source, *units}:
         raise InputError(
             f"{folder / GOLDEN}: golden run of {', '.join(sorted(golden)[:5])}; one run was expected, of the source "
@@ -143,7 +143,7 @@ def open_lot_folder(folder: Path) -> LotFolder:
     golden_serial = next(iter(golden), "")
     not_used = unused_of_lot(folder, {lot.source: source, **further}, units)
     return LotFolder(
-        **vars(stated) | {"remarks": tuple(remarks)},
+        **vars(lot_toml) | {"remarks": tuple(remarks)},
         root=folder,
         source_path=source,
         unit_paths=units,
@@ -169,7 +169,7 @@ class _Listing:
         return {row: path for row, path in self.paths.items() if row not in self.problems}
 
     def remarks(self, folder: str) -> tuple[str, ...]:
-        return tuple(f"{folder}/{self.paths[row].name}: not used: {why}" for row, why in self.problems.items())
+        return tuple(f"{folder}/{self.paths[row].name}: not used: {cause}" for row, cause in self.problems.items())
 
 
 def _recordings(folder: Path) -> _Listing:
@@ -185,8 +185,8 @@ def _recordings(folder: Path) -> _Listing:
             row = row_name(path.stem)
             problems[row] = error.reason
         paths[row] = path
-    for same in files.values():
-        names = ", ".join(row_name(name) for _, name in same)
-        if len(same) > 1:
-            problems |= {row: reason("name.twice", serial=repr(row), files=names) for row, _ in same}
+    for entries_of_serial in files.values():
+        names = ", ".join(row_name(name) for _, name in entries_of_serial)
+        if len(entries_of_serial) > 1:
+            problems |= {row: reason("name.twice", serial=repr(row), files=names) for row, _ in entries_of_serial}
     return _Listing(paths, problems)

@@ -11,8 +11,8 @@ import tomlkit
 
 from softcal.app.files.atomic import write_text
 from softcal.app.files.measured_at import parse_instant
-from softcal.app.files.recording_file import PLAIN, ColumnNames, naming
-from softcal.app.files.toml_file import read_toml, typed
+from softcal.app.files.recording_file import PLAIN, ColumnNames, prefix_errors
+from softcal.app.files.toml_file import parse_value, read_toml
 from softcal.app.tables.options import TableOptions
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
@@ -22,17 +22,17 @@ from softcal.core.unit.line_spread import LineSpread
 
 NAME = "lot.toml"
 
-STATED = {one.name for one in fields(Reference)} - {"is_simulated"}
+REFERENCE_KEYS = {one.name for one in fields(Reference)} - {"is_simulated"}
 """What lot.toml says of the instrument behind the reference."""
 
 COLUMN_KEYS = ("output", "reference", "time", "stage")
 LAYOUT_KEYS = ("delimiter", "decimal", "encoding", "header_row", "sheet", "time_format")
 """Keys of [table] that name a column, and those that state its layout."""
 
-KNOWN_KEYS = {
+VALID_KEYS = {
     "": {"sample_rate_Hz", "source"},
     "lot": {"id", "sensor_model", "sample_rate_Hz", "source", "more_sources", "simulated"},
-    "reference": {"quantity", "unit", *STATED},
+    "reference": {"quantity", "unit", *REFERENCE_KEYS},
     "output": {"unit", "sample_rate_Hz", "source"},
     "limit": {"rmse"},
     "line": {"load_spread", "day_spread"},
@@ -75,36 +75,40 @@ def read_lot_toml(folder: Path) -> LotToml:
     """
     path = folder / NAME
     content = read_toml(path, "`softcal import` writes one", folder)
-    with naming(path):
-        tables = {name: content.get(name, {}) for name in KNOWN_KEYS if name}
+    with prefix_errors(path):
+        tables = {name: content.get(name, {}) for name in VALID_KEYS if name}
         for name, table in tables.items():
             if not isinstance(table, dict):
                 raise InputError(f"[{name}] must be a table")
         names = {"load_spread": "load", "day_spread": "day"}
         spreads = {
-            names[key]: typed(f"[line] {key}", float, tables["line"][key]) for key in names if key in tables["line"]
+            names[key]: parse_value(f"[line] {key}", float, tables["line"][key])
+            for key in names
+            if key in tables["line"]
         }
         line, reference = LineSpread(**spreads) if spreads else None, None
         is_simulated = tables["lot"].get("simulated", False)
         if not isinstance(is_simulated, bool):
             raise InputError(f"[lot] simulated is {is_simulated!r}; true or false was expected")
-        hints, stated = get_type_hints(Reference), tables["reference"].keys() & STATED
+        hints, declared_keys = get_type_hints(Reference), tables["reference"].keys() & REFERENCE_KEYS
         if is_simulated:
             reference = SIMULATED
-        elif stated:
-            facts = {key: value for key, value in tables["reference"].items() if key in stated}
-            reference = Reference(**{key: typed(f"[reference] {key}", hints[key], v) for key, v in facts.items()})
-        places = content, tables["lot"], tables["output"]
+        elif declared_keys:
+            declared = {key: value for key, value in tables["reference"].items() if key in declared_keys}
+            reference = Reference(
+                **{key: parse_value(f"[reference] {key}", hints[key], v) for key, v in declared.items()}
+            )
+        sections = content, tables["lot"], tables["output"]
         limit, family = tables["limit"].get("rmse"), tables["map"].get("family")
         lot = Lot(
-            id=typed("[lot] id", str, tables["lot"].get("id")),
-            source=typed("source", str, _only(places, "source")),
-            sample_rate_Hz=typed("sample_rate_Hz", float, _only(places, "sample_rate_Hz")),
+            id=parse_value("[lot] id", str, tables["lot"].get("id")),
+            source=parse_value("source", str, _require_single(sections, "source")),
+            sample_rate_Hz=parse_value("sample_rate_Hz", float, _require_single(sections, "sample_rate_Hz")),
             sensor_model=str(tables["lot"].get("sensor_model", "")),
             reference_quantity=str(tables["reference"].get("quantity", "force")),
             reference_unit=str(tables["reference"].get("unit", "N")),
             output_unit=str(tables["output"].get("unit", "V")),
-            limit_rmse=None if limit is None else typed("[limit] rmse", float, limit),
+            limit_rmse=None if limit is None else parse_value("[limit] rmse", float, limit),
         )
         more = tables["lot"].get("more_sources", [])
         if not isinstance(more, list) or not all(isinstance(serial, str) for serial in more):
@@ -118,44 +122,44 @@ def read_lot_toml(folder: Path) -> LotToml:
             reference=reference,
             more_sources=serials,
             names=_column_names(tables["table"], lot.sample_rate_Hz),
-            family=None if family is None else check_family(typed("[map] family", str, family)),
+            family=None if family is None else check_family(parse_value("[map] family", str, family)),
             measured_at={check_serial(s): parse_instant(f"[audit] {s}", str(at)) for s, at in tables["audit"].items()},
             remarks=tuple(_unknown_keys(path, content)),
         )
 
 
-def _column_names(stated: Mapping[str, object], rate_Hz: float) -> ColumnNames:
+def _column_names(declared: Mapping[str, object], rate_Hz: float) -> ColumnNames:
     """Return the columns and the layout that [table] states; the lot's rate makes stamps that such files lack."""
-    if not stated:
+    if not declared:
         return PLAIN
-    names = {key: typed(f"[table] {key}", str, stated[key]) for key in COLUMN_KEYS if key in stated}
+    names = {key: parse_value(f"[table] {key}", str, declared[key]) for key in COLUMN_KEYS if key in declared}
     hints = get_type_hints(TableOptions)
-    layout = {key: typed(f"[table] {key}", hints[key], stated[key]) for key in LAYOUT_KEYS if key in stated}
-    if "missing" in stated:
-        missing = stated["missing"] if isinstance(stated["missing"], list) else [stated["missing"]]
+    layout = {key: parse_value(f"[table] {key}", hints[key], declared[key]) for key in LAYOUT_KEYS if key in declared}
+    if "missing" in declared:
+        missing = declared["missing"] if isinstance(declared["missing"], list) else [declared["missing"]]
         layout["missing"] = tuple(str(text) for text in missing)
     return replace(PLAIN, **names, rate_Hz=rate_Hz, table=TableOptions(**layout))
 
 
-def _only(places: tuple[Mapping[str, object], ...], key: str) -> object:
-    given = [place[key] for place in places if key in place]
-    if len(set(map(str, given))) > 1:
+def _require_single(sections: tuple[Mapping[str, object], ...], key: str) -> object:
+    values = [section[key] for section in sections if key in section]
+    if len(set(map(str, values))) > 1:
         raise InputError(f"{key} is given more than once, with different values")
-    if not given:
+    if not values:
         raise InputError(f"{key} is missing")
-    return given[0]
+    return values[0]
 
 
 def _unknown_keys(path: Path, content: Mapping[str, object]) -> Iterator[str]:
     for key, value in content.items():
         if key == "audit":
             continue
-        if key in KNOWN_KEYS and isinstance(value, dict):
-            unknown = sorted(set(value) - KNOWN_KEYS[key])
+        if key in VALID_KEYS and isinstance(value, dict):
+            unknown = sorted(set(value) - VALID_KEYS[key])
             if unknown:
-                yield f"{path}: [{key}] {', '.join(unknown)} not used; known: {', '.join(sorted(KNOWN_KEYS[key]))}"
-        elif key not in KNOWN_KEYS[""]:
-            yield f"{path}: {key} not used; known: {', '.join(sorted(set(KNOWN_KEYS) - {''}))}, sample_rate_Hz, source"
+                yield f"{path}: [{key}] {', '.join(unknown)} not used; known: {', '.join(sorted(VALID_KEYS[key]))}"
+        elif key not in VALID_KEYS[""]:
+            yield f"{path}: {key} not used; known: {', '.join(sorted(set(VALID_KEYS) - {''}))}, sample_rate_Hz, source"
 
 
 def write_lot_toml(
@@ -172,7 +176,11 @@ def write_lot_toml(
     simulated = {"simulated": True} if reference is not None and reference.is_simulated else {}
     more = {"more_sources": list(more_sources)} if more_sources else {}
     document["lot"] = {"id": lot.id, "sensor_model": lot.sensor_model, **more, **simulated}
-    document["reference"] = {"quantity": lot.reference_quantity, "unit": lot.reference_unit, **_stated(reference)}
+    document["reference"] = {
+        "quantity": lot.reference_quantity,
+        "unit": lot.reference_unit,
+        **_reference_table(reference),
+    }
     document["output"] = {"unit": lot.output_unit}
     if lot.limit_rmse is not None:
         document["limit"] = {"rmse": lot.limit_rmse}
@@ -182,7 +190,7 @@ def write_lot_toml(
 
 
 @contextmanager
-def _opened(folder: Path) -> Iterator[tomlkit.TOMLDocument]:
+def _edit_document(folder: Path) -> Iterator[tomlkit.TOMLDocument]:
     """Yield the document of `lot.toml` for changes, then write it; comments and other keys stay."""
     path = folder / NAME
     document = tomlkit.parse(path.read_text(encoding="utf-8"))
@@ -190,30 +198,30 @@ def _opened(folder: Path) -> Iterator[tomlkit.TOMLDocument]:
     write_text(path, tomlkit.dumps(document))
 
 
-def restate_limit(folder: Path, rmse: float) -> None:
+def update_limit(folder: Path, rmse: float) -> None:
     """Write a limit into `lot.toml`, in the reference's unit."""
-    with _opened(folder) as document:
+    with _edit_document(folder) as document:
         document["limit"] = {"rmse": rmse}
 
 
-def restate_measured_at(folder: Path, measured_at: Mapping[str, datetime | None]) -> None:
+def update_measured_at(folder: Path, measured_at: Mapping[str, datetime | None]) -> None:
     """Write the times of audits into `lot.toml`, UTC; None removes the stated time of an older one."""
-    with _opened(folder) as document:
-        stated = {**document.get("audit", {}), **measured_at}
-        if stated := {serial: at for serial, at in stated.items() if at is not None}:
-            document["audit"] = stated
+    with _edit_document(folder) as document:
+        instants = {**document.get("audit", {}), **measured_at}
+        if instants := {serial: at for serial, at in instants.items() if at is not None}:
+            document["audit"] = instants
         else:
             document.pop("audit", None)
 
 
-def restate_reference(folder: Path, reference: Reference | None) -> None:
+def update_reference(folder: Path, reference: Reference | None) -> None:
     """Write the present reference of the source into `lot.toml`."""
-    if stated := _stated(reference):
-        with _opened(folder) as document:
-            document.setdefault("reference", tomlkit.table()).update(stated)
+    if declared := _reference_table(reference):
+        with _edit_document(folder) as document:
+            document.setdefault("reference", tomlkit.table()).update(declared)
 
 
-def _stated(reference: Reference | None) -> dict[str, object]:
+def _reference_table(reference: Reference | None) -> dict[str, object]:
     if reference is None or reference.is_simulated:
         return {}
     default = vars(Reference())

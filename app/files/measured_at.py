@@ -34,20 +34,20 @@ def parse_instant(name: str, text: str) -> datetime:
     return at
 
 
-def measured_at(file: FileRecording, stated: datetime | None = None) -> datetime | None:
+def measured_at(file: FileRecording, declared: datetime | None = None) -> datetime | None:
     """Return the time of measurement, UTC: by the recording's stamps, else as stated, else None.
 
     Raises:
         InputError: its stamps lie in the future, or contradict the stated time, by more than a day.
     """
     if file.start is None:
-        return stated
+        return declared
     at, cure = file.start.at, "correct the one that is wrong, or leave out the column of time and state the sample rate"
-    shown = f"{file.table.path}: the stamps begin at {at:%Y-%m-%d %H:%M:%S} UTC"
+    description = f"{file.table.path}: the stamps begin at {at:%Y-%m-%d %H:%M:%S} UTC"
     if at > datetime.now(UTC) + INSTANTS_AGREE:
-        raise InputError(f"{shown}, in the future; {cure}")
-    if stated is not None and abs(at - stated) > INSTANTS_AGREE:
-        raise InputError(f"{shown}, stated was {stated:%Y-%m-%d %H:%M:%S} UTC; {cure}")
+        raise InputError(f"{description}, in the future; {cure}")
+    if declared is not None and abs(at - declared) > INSTANTS_AGREE:
+        raise InputError(f"{description}, stated was {declared:%Y-%m-%d %H:%M:%S} UTC; {cure}")
     return at
 
 

@@ -23,15 +23,15 @@ def read_profile(path: Path) -> Profile:
     unknown = set(content) - set(KEYS)
     rows = content.get("moves")
     if unknown or not isinstance(rows, list) or not rows:
-        what = f"unknown key {min(unknown)!r}" if unknown else "no moves"
-        raise InputError(f"{path}: {what}; expected are name and moves = [[target mm, speed mm/s, hold s], ...]")
+        problem = f"unknown key {min(unknown)!r}" if unknown else "no moves"
+        raise InputError(f"{path}: {problem}; expected are name and moves = [[target mm, speed mm/s, hold s], ...]")
     for k, row in enumerate(rows, start=1):
         is_row = isinstance(row, list) and len(row) == 3 and all(isinstance(x, (int, float)) for x in row)
         if not is_row or not all(math.isfinite(x) for x in row):
             raise InputError(f"{path}: move {k} is {row!r}; [target mm, speed mm/s, hold s] was expected")
         if float(row[1]) <= 0 or float(row[2]) < 0:
-            what = "a speed above 0 mm/s and a hold of 0 s or more were expected"
-            raise InputError(f"{path}: move {k} is {row!r}; {what}")
+            problem = "a speed above 0 mm/s and a hold of 0 s or more were expected"
+            raise InputError(f"{path}: move {k} is {row!r}; {problem}")
     targets, speeds, holds = zip(*([float(x) for x in row] for row in rows), strict=True)
     return moves(str(content.get("name", path.stem)), targets, speeds, holds)
 

@@ -11,7 +11,7 @@ from unicodedata import normalize
 
 import numpy as np
 
-from softcal.app.files.atomic import whole_file
+from softcal.app.files.atomic import atomic_file
 from softcal.app.tables.options import DETECT, TableOptions
 from softcal.app.tables.read import PARQUET, read_table, table_pieces
 from softcal.app.tables.table import Table
@@ -28,7 +28,7 @@ from softcal.app.tables.timestamps import Clock, Start, median_rate_Hz
 from softcal.core.errors import InputError
 from softcal.core.inspection.build import InspectedRecording, build_recording
 from softcal.core.inspection.config import InspectionConfig
-from softcal.core.inspection.words import check_reference, summarise
+from softcal.core.inspection.reasons import check_reference, summarise
 from softcal.core.recording import RATE_TOLERANCE, Array, Indices, LabelledRecording, OutputRecording
 
 STAGE = "stage_mm"
@@ -111,7 +111,7 @@ class FileRecording:
         """
         if self.inspected.reference is None:
             raise InputError(f"{self.table.path}: the recording was read without its reference")
-        with naming(self.table.path):
+        with prefix_errors(self.table.path):
             check_reference(self.inspected.inspection, self.lines)
             return LabelledRecording(self.recording, self.inspected.reference, reference_unit)
 
@@ -125,7 +125,7 @@ def read_times(table: Table, names: ColumnNames, rate_Hz: float | None) -> tuple
     Raises:
         InputError: no column of time and no rate, or a column that cannot be read as time.
     """
-    clock = clock_of(table, names, rate_Hz)
+    clock = find_clock(table, names, rate_Hz)
     if clock is None:
         if not rate_Hz:
             raise InputError(f"{table.path}: {NO_TIME}; the file has: {', '.join(table.names[:12])}")
@@ -134,7 +134,7 @@ def read_times(table: Table, names: ColumnNames, rate_Hz: float | None) -> tuple
     return t_s, clock.remarks, clock.start
 
 
-def read_timed(
+def read_timed_table(
     path: Path, names: ColumnNames, is_requested: Callable[[str], bool], content: bytes | None = None
 ) -> tuple[Table, ColumnNames]:
     """Return the requested columns of a table; without a time heading the cells decide the time column.
@@ -146,16 +146,14 @@ def read_timed(
         InputError: the table cannot be read, or several columns may be the time.
     """
     table = read_table(path, names.table, content=content, is_requested=is_requested)
-    found, how = time_by_cells(table, names, is_requested, content)
-    if found is None:
+    time, remark = detect_time_column(table, names, is_requested, content)
+    if time is None:
         return table, names
-    table = read_table(
-        path, names.table, content=content, is_requested=lambda name: name == found or is_requested(name)
-    )
-    return replace(table, remarks=(*table.remarks, how)), replace(names, time=found)
+    table = read_table(path, names.table, content=content, is_requested=lambda name: name == time or is_requested(name))
+    return replace(table, remarks=(*table.remarks, remark)), replace(names, time=time)
 
 
-def time_by_cells(
+def detect_time_column(
     table: Table, names: ColumnNames, is_requested: Callable[[str], bool], content: bytes | None = None
 ) -> tuple[str | None, str]:
     """Return the time column by its cells, with a remark; None without one, or without need."""
@@ -170,26 +168,26 @@ def time_by_cells(
         read = next(table_pieces(table.path, names.table, others.__contains__, len(table)))
     else:
         read = read_table(table.path, names.table, content=content, is_requested=others.__contains__)
-    with naming(table.path):
-        found, how = find_time_by_cells(read.columns, outputs[0].cells, names.rate_Hz)
-    return found, f"column {found!r} is taken as the time: {how}"
+    with prefix_errors(table.path):
+        time, evidence = find_time_by_cells(read.columns, outputs[0].cells, names.rate_Hz)
+    return time, f"column {time!r} is taken as the time: {evidence}"
 
 
 def check_rate(path: Path, t_s: Array, rate_Hz: float) -> None:
     """Raise `InputError` if a declared rate contradicts the time stamps."""
-    shown_Hz = median_rate_Hz(t_s)
-    if abs(shown_Hz / rate_Hz - 1) > RATE_TOLERANCE:
+    median_Hz = median_rate_Hz(t_s)
+    if abs(median_Hz / rate_Hz - 1) > RATE_TOLERANCE:
         raise InputError(
-            f"{path}: the time stamps show {shown_Hz:.4g} Hz, the declared sample rate is {rate_Hz:.4g} Hz; "
+            f"{path}: the time stamps show {median_Hz:.4g} Hz, the declared sample rate is {rate_Hz:.4g} Hz; "
             "correct the one that is wrong"
         )
 
 
-def clock_of(table: Table, names: ColumnNames, rate_Hz: float | None) -> Clock | None:
+def find_clock(table: Table, names: ColumnNames, rate_Hz: float | None) -> Clock | None:
     """Return the clock of a table's named time column, else of its detected one; None without one."""
     name = names.time
     if name is None:
-        with naming(table.path):
+        with prefix_errors(table.path):
             others = [one for one in table.names if one not in (names.output, names.reference)]
             name = find_time_column(others, table.columns)
         if name is None or _is_empty(table, name):
@@ -197,12 +195,12 @@ def clock_of(table: Table, names: ColumnNames, rate_Hz: float | None) -> Clock |
     others = [other for other in table.names if other != name and table.has(other)]
     stamps = [other for other in others if is_time_heading(other)]
     parts = {one: per for one in (name, *stamps) if table.has(one) and (per := parts_per_second(table.column(one)))}
-    whole = [one for one in (name, *stamps) if one not in parts]
+    full_stamps = [one for one in (name, *stamps) if one not in parts]
     # The stamps count whole seconds, and the column beside them the rest of each.
-    rest = next(iter(parts.items())) if len(parts) == len(whole) == 1 else None
+    rest = next(iter(parts.items())) if len(parts) == len(full_stamps) == 1 else None
     dates = [other for other in others if is_date_heading(other)]
     return Clock(
-        whole[0] if rest else name,
+        full_stamps[0] if rest else name,
         names.table.time_format,
         rate_Hz,
         date=dates[0] if len(dates) == 1 else None,
@@ -235,7 +233,7 @@ def inspect_recording(
     Raises:
         InputError: the table cannot be read, or is no recording.
     """
-    table, names = read_timed(path, names, partial(names.is_requested, with_reference=with_reference), content)
+    table, names = read_timed_table(path, names, partial(names.is_requested, with_reference=with_reference), content)
     table.column(names.output)
     t_s, remarks, start = read_times(table, names, names.rate_Hz)
     if names.rate_Hz and sample_rate_Hz:
@@ -264,13 +262,13 @@ def build_from_table(
         InputError: a column is missing or contains text, or the remaining rows are no recording.
     """
     columns = {"t_s": t_s, **_columns(table, names, with_reference=with_reference)}
-    timed = np.flatnonzero(np.isfinite(t_s))
-    present = {name: values[timed] for name, values in columns.items()}
+    timed_rows = np.flatnonzero(np.isfinite(t_s))
+    present = {name: values[timed_rows] for name, values in columns.items()}
     remarks = list(table.remarks)
-    if len(timed) < len(t_s):
+    if len(timed_rows) < len(t_s):
         first = table.lines[np.flatnonzero(~np.isfinite(t_s))[0]]
-        remarks.append(f"{len(t_s) - len(timed)} rows have no time and are left out (line {first})")
-    with naming(table.path):
+        remarks.append(f"{len(t_s) - len(timed_rows)} rows have no time and are left out (line {first})")
+    with prefix_errors(table.path):
         inspected = build_recording(
             serial,
             present["t_s"],
@@ -279,10 +277,10 @@ def build_from_table(
             output_unit=output_unit,
             stage_mm=present.get(STAGE),
             reference=present.get("reference"),
-            lines=table.lines[timed],
+            lines=table.lines[timed_rows],
             config=config,
         )
-    return FileRecording(table, inspected, columns, timed[inspected.rows], tuple(remarks))
+    return FileRecording(table, inspected, columns, timed_rows[inspected.rows], tuple(remarks))
 
 
 def _columns(table: Table, names: ColumnNames, *, with_reference: bool) -> dict[str, Array]:
@@ -303,17 +301,17 @@ def read_columns(path: Path, names: ColumnNames, *, with_reference: bool) -> tup
     Raises:
         InputError: the file is no table, or lacks a column.
     """
-    table, names = read_timed(path, names, partial(names.is_requested, with_reference=with_reference))
+    table, names = read_timed_table(path, names, partial(names.is_requested, with_reference=with_reference))
     columns = {**_columns(table, names, with_reference=with_reference), "lines": table.lines.astype(np.float64)}
-    clock = clock_of(table, names, names.rate_Hz)
+    clock = find_clock(table, names, names.rate_Hz)
     if clock is not None:
         columns["t_s"] = clock.seconds(table)
-    timed = np.isfinite(columns.get("t_s", np.zeros(len(table))))
-    return {name: values[timed] for name, values in columns.items()}, None if clock is None else clock.start
+    has_time = np.isfinite(columns.get("t_s", np.zeros(len(table))))
+    return {name: values[has_time] for name, values in columns.items()}, None if clock is None else clock.start
 
 
 @contextmanager
-def naming(path: Path) -> Iterator[None]:
+def prefix_errors(path: Path) -> Iterator[None]:
     """Prepend the file's name to the text of any `InputError` raised inside the block."""
     try:
         yield
@@ -325,7 +323,7 @@ def naming(path: Path) -> Iterator[None]:
 
 def write_columns(path: Path, columns: Sequence[tuple[str, Array | Sequence[str]]]) -> None:
     """Write columns as CSV or, by the name, Parquet; whole or not at all. NaN stays empty."""
-    with whole_file(path) as part:
+    with atomic_file(path) as part:
         if path.suffix.lower() in PARQUET:
             import pandas as pd
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from softcal.core.errors import InputError
 
-MOST_BYTES = 1_000_000_000
+MAX_BYTES = 1_000_000_000
 """A recording is a few MB; more than this is something else, and would fill all memory."""
 
 KINDS = {
@@ -18,7 +18,7 @@ KINDS = {
 }
 
 
-def read_regular(path: Path, folder: Path, most_bytes: int = MOST_BYTES) -> bytes:
+def read_regular(path: Path, folder: Path, max_bytes: int = MAX_BYTES) -> bytes:
     """Return the content of a file that lies in a folder. It never waits, whatever the path names.
 
     Raises:
@@ -35,12 +35,12 @@ def read_regular(path: Path, folder: Path, most_bytes: int = MOST_BYTES) -> byte
         with os.fdopen(handle, "rb") as file:
             before = os.fstat(file.fileno())
             _check_kind(path, before.st_mode)
-            if before.st_size > most_bytes:
-                raise InputError(f"{path}: {before.st_size / 1e6:.0f} MB; at most {most_bytes / 1e6:.0f} MB are read")
+            if before.st_size > max_bytes:
+                raise InputError(f"{path}: {before.st_size / 1e6:.0f} MB; at most {max_bytes / 1e6:.0f} MB are read")
             # One byte more than there was shows that it grew.
-            content, left = b"", before.st_size + 1
-            while left and (part := os.read(file.fileno(), left)):
-                content, left = content + part, left - len(part)
+            content, remaining_bytes = b"", before.st_size + 1
+            while remaining_bytes and (part := os.read(file.fileno(), remaining_bytes)):
+                content, remaining_bytes = content + part, remaining_bytes - len(part)
             after = os.fstat(file.fileno())
     except (OSError, RuntimeError) as error:
         raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error

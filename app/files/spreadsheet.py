@@ -12,7 +12,7 @@ FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n")
 """Text that starts like this is run by a spreadsheet (OWASP, CSV Injection)."""
 
 
-def guarded(cell: object) -> object:
+def guard_cell(cell: object) -> object:
     """Return a cell that a spreadsheet shows as text: an apostrophe before a formula."""
     return f"'{cell}" if isinstance(cell, str) and cell.startswith(FORMULA_STARTS) else cell
 
@@ -20,7 +20,7 @@ def guarded(cell: object) -> object:
 def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Return a table as CSV text."""
     text = io.StringIO()
-    csv.writer(text).writerows([guarded(cell) for cell in row] for row in (header, *rows))
+    csv.writer(text).writerows([guard_cell(cell) for cell in row] for row in (header, *rows))
     return text.getvalue()
 
 
@@ -45,7 +45,7 @@ def excel_bytes(header: Sequence[str], rows: Iterable[Sequence[object]]) -> byte
     workbook = Workbook(write_only=True)
     sheet = workbook.create_sheet("softcal")
     for row in (header, *rows):
-        sheet.append([guarded(cell) for cell in row])
+        sheet.append([guard_cell(cell) for cell in row])
     content = io.BytesIO()
     workbook.save(content)
     return content.getvalue()

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from softcal.app.files.atomic import whole_file
-from softcal.app.files.recording_file import NO_TIME, PLAIN, ColumnNames, check_rate, clock_of, time_by_cells
+from softcal.app.files.atomic import atomic_file
+from softcal.app.files.recording_file import NO_TIME, PLAIN, ColumnNames, check_rate, detect_time_column, find_clock
 from softcal.app.tables.read import PARQUET, TEXT, table_pieces
 from softcal.app.tables.text_layout import HEAD_LINES
 from softcal.app.tables.timestamps import Clock
@@ -53,12 +53,12 @@ class Stream:
         Raises:
             InputError: no such file or columns, a text for a number, time that goes back, or fewer rows than a window.
         """
-        rows, path, names = 0, self._path, self._named()
+        rows, path, names = 0, self._path, self._find_names()
         clock: Clock | None = None
         for table in table_pieces(path, names.table, names.is_requested, PIECES_AT_ONCE * PIECE):
             if not rows:
                 table.column(names.output)
-                clock, self.layout = clock_of(table, names, names.rate_Hz), table.layout
+                clock, self.layout = find_clock(table, names, names.rate_Hz), table.layout
                 if clock is None and self._is_resumed:
                     raise InputError(
                         f"{path}: --resume goes on in time; name the column of the time with --time-column"
@@ -79,15 +79,15 @@ class Stream:
                 yield t_s[start : start + PIECE], output[start : start + PIECE]
         self.remarks += [] if clock is None else clock.remarks
 
-    def _named(self) -> ColumnNames:
+    def _find_names(self) -> ColumnNames:
         """Return the column names with the time column, which the first piece decides without a heading."""
         names = self._names
         if names.time is not None:
             return names
         head = next(table_pieces(self._path, names.table, names.is_requested, HEAD_LINES))
-        found, how = time_by_cells(head, names, names.is_requested)
-        self.remarks += [how] if found else []
-        return names if found is None else replace(names, time=found)
+        time, remark = detect_time_column(head, names, names.is_requested)
+        self.remarks += [remark] if time else []
+        return names if time is None else replace(names, time=time)
 
 
 def count_rows(path: Path) -> int:
@@ -111,7 +111,7 @@ def estimate_writer(path: Path) -> Iterator[Callable[[Estimate], None]]:
     import pandas as pd
 
     is_parquet, is_first = path.suffix.lower() in PARQUET, True
-    with whole_file(path) as part, ExitStack() as stack:
+    with atomic_file(path) as part, ExitStack() as stack:
         parquet: ParquetWriter | None = None
 
         def write(rows: Estimate) -> None:

@@ -79,7 +79,7 @@ def integrate_rhs(  # noqa: V103
     return run
 
 
-def run_command(words: Sequence[str], channels: Sequence[str], timeout_s: float = 600.0) -> Simulate:  # noqa: V103
+def run_command(command: Sequence[str], channels: Sequence[str], timeout_s: float = 600.0) -> Simulate:  # noqa: V103
     """Return a simulator's `run` that calls a command: `WORDS inputs.csv parameters.json outputs.csv`.
 
     The command reads the columns of a run and the parameters by name, and writes the channels as columns, a row a
@@ -92,18 +92,20 @@ def run_command(words: Sequence[str], channels: Sequence[str], timeout_s: float 
 
     def run(inputs: Columns, parameters: Parameters) -> Columns:
         with tempfile.TemporaryDirectory() as folder:
-            given, said, out = (Path(folder) / name for name in ("inputs.csv", "parameters.json", "outputs.csv"))
-            with given.open("w", newline="") as file:
+            inputs_file, parameters_file, outputs_file = (
+                Path(folder) / name for name in ("inputs.csv", "parameters.json", "outputs.csv")
+            )
+            with inputs_file.open("w", newline="") as file:
                 writer = csv.writer(file)
                 writer.writerow(inputs)
                 writer.writerows(zip(*(map(repr, np.asarray(v).tolist()) for v in inputs.values()), strict=True))
-            said.write_text(json.dumps({k: v if np.isfinite(v) else None for k, v in parameters.items()}))
-            called = [*words, str(given), str(said), str(out)]
-            done = subprocess.run(called, capture_output=True, text=True, timeout=timeout_s, check=False)
-            if done.returncode != 0:
-                last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-                raise RuntimeError(f"{words[0]} ended with exit code {done.returncode}: {last}")
-            with out.open(newline="") as file:
+            parameters_file.write_text(json.dumps({k: v if np.isfinite(v) else None for k, v in parameters.items()}))
+            call = [*command, str(inputs_file), str(parameters_file), str(outputs_file)]
+            process = subprocess.run(call, capture_output=True, text=True, timeout=timeout_s, check=False)
+            if process.returncode != 0:
+                last = (process.stderr.strip().splitlines() or ["no message"])[-1]
+                raise RuntimeError(f"{command[0]} ended with exit code {process.returncode}: {last}")
+            with outputs_file.open(newline="") as file:
                 rows = list(csv.DictReader(file))
         return {channel: np.array([float(row[channel]) for row in rows]) for channel in channels}
 
@@ -133,24 +135,24 @@ def run_fmu(  # noqa: V103
     except ImportError as error:
         raise InputError(f"{path}: {lacking('fmpy', 'a functional mock-up unit') or error}") from error
     try:
-        described, folder = fmpy.read_model_description(str(path)), fmpy.extract(str(path))
+        description, folder = fmpy.read_model_description(str(path)), fmpy.extract(str(path))
     except Exception as error:
         raise InputError(f"{path}: no functional mock-up unit that can be read: {error}") from error
     of_inputs, of_parameters = dict(inputs or {}), dict(parameters or {})
-    names = {variable.name for variable in described.modelVariables}
+    names = {variable.name for variable in description.modelVariables}
     if missing := sorted({*channels.values(), *of_inputs.values(), *of_parameters.values()} - names):
         raise InputError(f"{path}: has no variable {', '.join(missing)}; it has {', '.join(sorted(names)[:20])}")
 
-    def run(given: Columns, values: Parameters) -> Columns:
-        t_s = np.asarray(given["t_s"], dtype=np.float64)
+    def run(columns: Columns, values: Parameters) -> Columns:
+        t_s = np.asarray(columns["t_s"], dtype=np.float64)
         rows = np.zeros(len(t_s), dtype=[("time", float), *((variable, float) for variable in of_inputs.values())])
         rows["time"] = t_s - t_s[0]
         for column, variable in of_inputs.items():
-            rows[variable] = given[column]
+            rows[variable] = columns[column]
         step_s = max_step_s or float(np.min(np.diff(t_s)))
-        done = fmpy.simulate_fmu(
+        result = fmpy.simulate_fmu(
             folder,
-            model_description=described,
+            model_description=description,
             start_time=0.0,
             stop_time=float(rows["time"][-1]),
             output_interval=step_s,
@@ -159,6 +161,6 @@ def run_fmu(  # noqa: V103
             input=rows if of_inputs else None,
             output=list(channels.values()),
         )
-        return {column: np.interp(rows["time"], done["time"], done[of]) for column, of in channels.items()}
+        return {column: np.interp(rows["time"], result["time"], result[of]) for column, of in channels.items()}
 
     return run

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from softcal.app.bootstrap import current_user
-from softcal.app.files.atomic import whole_folder, write_text
+from softcal.app.files.atomic import atomic_folder, write_text
 from softcal.app.files.case_folder import read_json
 from softcal.app.files.lot_toml import write_lot_toml
 from softcal.app.files.recording_file import write_columns
-from softcal.app.gap.sealed_file import key_beside, read_sealed, write_sealed
-from softcal.core.challenge.case_generator import LINES, SEED_BITS, draw_case, draw_challenge, drawn_seed
+from softcal.app.gap.sealed_file import default_key_path, read_sealed, write_sealed
+from softcal.core.challenge.case_generator import LINES, SEED_BITS, draw_case, draw_challenge, draw_seed
 from softcal.core.challenge.cases import EXPERIMENTS, RunPlan, SealedCase, press_lot
 from softcal.core.challenge.explained_fraction import explained_fraction
 from softcal.core.challenge.recording_mistakes import RunOnFile
@@ -34,7 +34,7 @@ DECIMALS = {"t_s": 5, "stage_mm": 5, "force_N": 5, "output_V": 7, "temperature_C
 
 
 @dataclass(frozen=True)
-class MadeChallenge:
+class ChallengeSummary:
     """The commitment of a challenge to publish, and its cases."""
 
     commitment: str
@@ -49,7 +49,7 @@ def make_challenge(
     line: str | None = None,
     on_case: Callable[[str], None] = lambda name: None,
     key_file: Path | None = None,
-) -> MadeChallenge:
+) -> ChallengeSummary:
     """Draw sealed cases, write recordings into a folder and labels into a separate file.
 
     Args:
@@ -65,19 +65,19 @@ def make_challenge(
         raise InputError(f"--cases {count}: at least one case was expected")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder}: is not an empty folder; nothing was written; name a new one")
-    key_file = key_file or key_beside(seal_file)
-    for what, path in (("seal", seal_file), ("key", key_file)):
+    key_file = key_file or default_key_path(seal_file)
+    for label, path in (("seal", seal_file), ("key", key_file)):
         if path.resolve().is_relative_to(folder.resolve()):
-            raise InputError(f"{path}: the {what} must not lie in the folder that is handed over; name another place")
+            raise InputError(f"{path}: the {label} must not lie in the folder that is handed over; name another place")
         if path.exists():
-            raise InputError(f"{path}: exists; a {what} is never overwritten; name another file")
+            raise InputError(f"{path}: exists; a {label} is never overwritten; name another file")
     origin = "drawn" if seed is None else "stated"
     seed = secrets.randbits(SEED_BITS) if seed is None else seed
     if line is None:
         cases = draw_challenge(seed, count)
     elif line in LINES:
         rng, width = np.random.default_rng([seed, 20_011]), max(3, len(str(count)))
-        cases = [draw_case(drawn_seed(rng), f"case-{k:0{width}d}", line) for k in range(1, count + 1)]
+        cases = [draw_case(draw_seed(rng), f"case-{k:0{width}d}", line) for k in range(1, count + 1)]
     else:
         raise InputError(f"--line {line}: not known; known are {', '.join(LINES)}")
     contents = {}
@@ -88,7 +88,7 @@ def make_challenge(
     write_sealed(seal_file, key_file, seal)
     published = {"schema": SCHEMA, "cases": contents, "commitment": seal.commitment, "hash": "sha256"}
     write_text(folder / FOLDER_FILE, json.dumps(published, indent=2) + "\n")
-    return MadeChallenge(seal.commitment, tuple(contents))
+    return ChallengeSummary(seal.commitment, tuple(contents))
 
 
 def write_case(folder: Path, case: SealedCase) -> str:
@@ -138,22 +138,22 @@ def ask_rig(folder: Path, ask: Callable[[str, str, int], dict[str, str]], case_n
     """Have one more experiment run on a sealed rig; it is added to the case as `runs/asked-<n>`.
 
     Args:
-        ask: returns the files of the run: `asked_run` with the seal, or a process of the examiner that has it.
+        ask: returns the files of the run: `record_experiment` with the seal, or a process of the examiner that has it.
 
     Raises:
         InputError: no such case in the folder, or whoever is asked refuses.
     """
     runs = folder / case_name / "runs"
     if not runs.is_dir():
-        known = sorted(path.parent.name for path in folder.glob("*/runs"))
-        raise InputError(f"{case_name}: no case of {folder}; known are {', '.join(known)}")
+        case_names = sorted(path.parent.name for path in folder.glob("*/runs"))
+        raise InputError(f"{case_name}: no case of {folder}; known are {', '.join(case_names)}")
     number = 1 + sum(path.name.startswith("asked") for path in runs.iterdir())
     for name, content in ask(case_name, experiment, number).items():
         write_text(runs / f"asked-{number}" / Path(name).name, content)
     return runs / f"asked-{number}"
 
 
-def asked_run(
+def record_experiment(
     folder: Path, seal_file: Path, case_name: str, experiment: str, number: int, key_file: Path | None = None
 ) -> dict[str, str]:
     """Return the files of one more run of a sealed rig, as the examiner records it.
@@ -161,11 +161,11 @@ def asked_run(
     Raises:
         InputError: the seal is broken, no such case, or an experiment that is not on the menu.
     """
-    case = _labelled(folder, seal_file, case_name, key_file).case
+    case = _find_label(folder, seal_file, case_name, key_file).case
     if experiment not in EXPERIMENTS:
         raise InputError(f"{experiment}: not on the menu; known are {', '.join(EXPERIMENTS)}")
-    asked = case.measure(RunPlan(experiment, case.kept_back.seed + number))
-    return run_files(case, RunOnFile(asked, case.rig.sample_rate_Hz))
+    measured = case.measure(RunPlan(experiment, case.kept_back.seed + number))
+    return run_files(case, RunOnFile(measured, case.rig.sample_rate_Hz))
 
 
 def press_rig_lot(
@@ -178,19 +178,19 @@ def press_rig_lot(
     """
     if units < 1:
         raise InputError(f"--units {units}: at least one unit was expected")
-    case = _labelled(folder, seal_file, case_name, key_file).case
-    with whole_folder(out) as part:
+    case = _find_label(folder, seal_file, case_name, key_file).case
+    with atomic_folder(out) as part:
         write_lot_toml(part, Lot(case_name, "R00", case.rig.sample_rate_Hz, "sealed rig"))
         for run in press_lot(case, units):
             columns = run.measured.columns
-            written = [("t_s", columns["t_s"]), ("output", columns["output_V"]), ("stage_mm", columns["stage_mm"])]
-            if run.place != "units":
-                written.append(("reference", columns["force_N"]))
-            write_columns(part / run.place / f"{run.serial}.csv", written)
+            table = [("t_s", columns["t_s"]), ("output", columns["output_V"]), ("stage_mm", columns["stage_mm"])]
+            if run.folder != "units":
+                table.append(("reference", columns["force_N"]))
+            write_columns(part / run.folder / f"{run.serial}.csv", table)
     return out
 
 
-def _labelled(folder: Path, seal_file: Path, case_name: str, key_file: Path | None = None) -> Label:
+def _find_label(folder: Path, seal_file: Path, case_name: str, key_file: Path | None = None) -> Label:
     labels = {label.case.name: label for label in open_challenge(folder, seal_file, key_file)}
     if case_name not in labels:
         raise InputError(f"{case_name}: no case of {folder}; known are {', '.join(labels)}")
@@ -212,7 +212,7 @@ def open_challenge(
     published = read_json(folder / FOLDER_FILE)
     if published.get("schema") != SCHEMA:
         raise InputError(f"{folder / FOLDER_FILE}: schema {published.get('schema')!r}; {SCHEMA!r} was expected")
-    text = read_sealed(seal_file, key_file or key_beside(seal_file))
+    text = read_sealed(seal_file, key_file or default_key_path(seal_file))
     labels = open_seal(text, commitment or str(published.get("commitment")))
     for label in labels:
         case_folder = folder / label.case.name
@@ -227,20 +227,20 @@ class ScoredChallenge:
 
     Args:
         commitment: of the labels it was scored by.
-        is_stated: whether the commitment came from whoever scores, not from the folder of the examinee.
+        has_commitment: whether the commitment came from whoever scores, not from the folder of the examinee.
         seed_origin: `drawn` in secret, or `stated` by whoever made the cases, who can make them again.
     """
 
     sheet: ScoreSheet
     commitment: str
-    is_stated: bool
+    has_commitment: bool
     seed_origin: str
     provenance: Provenance
 
     def to_json(self) -> dict[str, Any]:
         return self.sheet.to_record() | {
             "commitment": self.commitment,
-            "commitment_from": "stated" if self.is_stated else "folder",
+            "commitment_from": "stated" if self.has_commitment else "folder",
             "seed_origin": self.seed_origin,
             "provenance": self.provenance.to_json(),
         }
@@ -258,17 +258,17 @@ def score_challenge(
         InputError: the seal is broken, a case was changed, or the folder has no report.
     """
     labels = open_challenge(folder, seal_file, key_file, commitment)
-    text = read_sealed(seal_file, key_file or key_beside(seal_file))
+    text = read_sealed(seal_file, key_file or default_key_path(seal_file))
     paths = {label.case.name: reports / f"{label.case.name}.json" for label in labels}
-    read: dict[str, dict[str, Any]] = {}
+    contents: dict[str, dict[str, Any]] = {}
     for name, path in paths.items():
         if path.exists():
-            read[name] = {}
+            contents[name] = {}
             with suppress(InputError):
-                read[name] = read_json(path)
-    if not read:
+                contents[name] = read_json(path)
+    if not contents:
         raise InputError(f"{reports}: no report of this challenge; expected files such as {labels[0].case.name}.json")
-    sheet = score_reports(labels, read, lambda label, report: explained_fraction(label.case, report))
+    sheet = score_reports(labels, contents, lambda label, report: explained_fraction(label.case, report))
     files = [path for path in paths.values() if path.exists()]
     provenance = record_provenance(METHOD.id, hash_files(reports, files), current_user())
     return ScoredChallenge(sheet, Seal(text).commitment, commitment is not None, seed_origin(text), provenance)

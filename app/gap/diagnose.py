@@ -29,40 +29,40 @@ if TYPE_CHECKING:
     from softcal.app.charts.gap import RunView
 
 
-def open_place(place: Path, readout: ReadoutMetadata | None = None, table: TableOptions = DETECT) -> Case:
+def open_case_or_table(path: Path, readout: ReadoutMetadata | None = None, table: TableOptions = DETECT) -> Case:
     """Read a case.
 
     Args:
-        place: folder of a case, or a plain table.
+        path: folder of a case, or a plain table.
         readout: the electronics of a plain table; a case folder states its own.
         table: the declared layout of a plain table.
 
     Raises:
         InputError: the case cannot be read, or a table comes without its electronics.
     """
-    if not place.is_file():
-        return open_case(place)
+    if not path.is_file():
+        return open_case(path)
     if readout is None:
-        raise InputError(f"{place}: a plain table does not say its electronics; give vref_V, adc_bits and rate_Hz")
-    return open_table(place, readout, table)
+        raise InputError(f"{path}: a plain table does not say its electronics; give vref_V, adc_bits and rate_Hz")
+    return open_table(path, readout, table)
 
 
 def diagnose_case(
-    place: Path,
+    path: Path,
     progress: Callable[[str], None] | None = None,
     readout: ReadoutMetadata | None = None,
     table: TableOptions = DETECT,
     with_calibration: bool = False,
 ) -> Diagnosis[TwinModel]:
-    """Read a case as `open_place` does and diagnose it; the diagnosis knows what it was made from.
+    """Read a case as `open_case_or_table` does and diagnose it; the diagnosis knows what it was made from.
 
     Args:
         with_calibration: with what the gap costs a calibration; not where the recordings hold a mistake.
     """
-    diagnosis = diagnose(open_place(place, readout, table), progress)
+    diagnosis = diagnose(open_case_or_table(path, readout, table), progress)
     if with_calibration and diagnosis.verdict != "data":
         diagnosis = replace(diagnosis, calibration=calibration_gap(diagnosis, progress or (lambda _: None)))
-    return replace(diagnosis, provenance=case_provenance(place).to_json())
+    return replace(diagnosis, provenance=case_provenance(path).to_json())
 
 
 def write_page(path: Path, diagnosis: Diagnosis[Any]) -> None:
@@ -110,12 +110,12 @@ def apply_report(
     """
     if report.get("verdict") == "data":
         raise InputError(f"{source}: the recordings hold a mistake, so there is no twin of them; repair it first")
-    held = report.get("residual") if empirical else report
-    if not isinstance(held, Mapping):
+    content = report.get("residual") if empirical else report
+    if not isinstance(content, Mapping):
         raise InputError(f"{source}: {NO_TERMS}")
-    if not isinstance(held.get("twin"), dict):
+    if not isinstance(content.get("twin"), dict):
         raise InputError(f"{source}: holds no twin; diagnose the case again with softcal gap diagnose --json")
-    twin = twin_from_record(held["twin"], source)
+    twin = twin_from_record(content["twin"], source)
     write_twin(out, twin, provenance)
     return twin
 

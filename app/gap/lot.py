@@ -9,7 +9,7 @@ from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.gap.diagnose import read_twin
 from softcal.core.errors import InputError
 from softcal.core.gap.case import CHANNELS, Case
-from softcal.core.lot_diagnosis import FEWEST_UNITS, LotDiagnosis, diagnose_lot
+from softcal.core.lot_diagnosis import MIN_UNITS, LotDiagnosis, diagnose_lot
 from softcal.core.transfer import CalibrationWorth, LotUnit, PressedLot, Transfer, calibration_worth, transfer
 
 AUDIT = "audit"
@@ -27,7 +27,7 @@ class LotReport:
         return {**self.diagnosis.report(), "calibration": [one.record() for one in self.calibration]}
 
 
-def diagnose_lot_folder(folder: Path, say: Callable[[str], None] = lambda _: None) -> LotReport:
+def diagnose_lot_folder(folder: Path, on_progress: Callable[[str], None] = lambda _: None) -> LotReport:
     """Read every unit's case, diagnose them together, and train f where a unit has an audit.
 
     Args:
@@ -38,11 +38,11 @@ def diagnose_lot_folder(folder: Path, say: Callable[[str], None] = lambda _: Non
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such folder; a lot holds one case folder per unit")
-    places = sorted(p for p in folder.iterdir() if p.is_dir() and (p / "runs").is_dir())
-    if len(places) < FEWEST_UNITS:
-        seen = f"{len(places)} case folder{'' if len(places) == 1 else 's'}"
-        raise InputError(f"{folder}: {seen} with runs/<n>/; a lot holds at least {FEWEST_UNITS}, one per unit")
-    cases = {place.name: open_case(place) for place in places}
+    folders = sorted(p for p in folder.iterdir() if p.is_dir() and (p / "runs").is_dir())
+    if len(folders) < MIN_UNITS:
+        count = f"{len(folders)} case folder{'' if len(folders) == 1 else 's'}"
+        raise InputError(f"{folder}: {count} with runs/<n>/; a lot holds at least {MIN_UNITS}, one per unit")
+    cases = {case_folder.name: open_case(case_folder) for case_folder in folders}
     serials: dict[str, str] = {}
     for name, case in cases.items():
         if case.serial in serials:
@@ -51,24 +51,24 @@ def diagnose_lot_folder(folder: Path, say: Callable[[str], None] = lambda _: Non
         serials[case.serial] = name
     first, *others = cases
     for name in others:
-        for what, mine, other in zip(_WHAT, _protocol(cases[first]), _protocol(cases[name]), strict=True):
-            if mine != other:
+        for part, expected, other in zip(_PROTOCOL_PARTS, _protocol(cases[first]), _protocol(cases[name]), strict=True):
+            if expected != other:
                 raise InputError(
-                    f"{folder / name}: {what} {other}, but {mine} in {first}; "
+                    f"{folder / name}: {part} {other}, but {expected} in {first}; "
                     "the units of a lot are pressed by one protocol; put the others into a folder of their own"
                 )
     # Audits are read first: a bad one is told before the long part.
     audits = {name: open_case(folder / name / AUDIT) for name in cases if (folder / name / AUDIT).is_dir()}
-    found = diagnose_lot(cases, say)
-    worth = [
-        calibration_worth(m.name, m.diagnosis.case, audits[m.name], m.fit, say=say)
-        for m in found.members
-        if found.verdict in ("explained", "ambiguous") and m.follows and m.fit is not None and m.name in audits
+    diagnosis = diagnose_lot(cases, on_progress)
+    calibration = [
+        calibration_worth(m.name, m.diagnosis.case, audits[m.name], m.fit, report=on_progress)
+        for m in diagnosis.members
+        if diagnosis.verdict in ("explained", "ambiguous") and m.follows and m.fit is not None and m.name in audits
     ]
-    return LotReport(found, tuple(worth))
+    return LotReport(diagnosis, tuple(calibration))
 
 
-_WHAT = ("runs are", "channels are", "electronics are")
+_PROTOCOL_PARTS = ("runs are", "channels are", "electronics are")
 
 
 def _protocol(case: Case) -> tuple[str, str, str]:
@@ -80,7 +80,7 @@ def _protocol(case: Case) -> tuple[str, str, str]:
     return runs, channels, f"{supply}, {readout.sensor_type}"
 
 
-def check_transfer(report: Path, lot_folder: Path, seed: int, say: Callable[[str], None]) -> Transfer:
+def check_transfer(report: Path, lot_folder: Path, seed: int, on_progress: Callable[[str], None]) -> Transfer:
     """Compare what the twins of a report foretell of calibration results with those on the rig.
 
     Args:
@@ -99,4 +99,4 @@ def check_transfer(report: Path, lot_folder: Path, seed: int, say: Callable[[str
             units.append(LotUnit(folder.read_unit(serial), audit))
     if not units:
         raise InputError(f"{lot_folder}: no unit has a recording under audit/; the truth of at least one is needed")
-    return transfer(PressedLot(folder.read_source(), tuple(units)), base, explained, seed, say)
+    return transfer(PressedLot(folder.read_source(), tuple(units)), base, explained, seed, on_progress)

@@ -101,8 +101,8 @@ def _check(free: Sequence[Any], neutral: Mapping[str, float], transform: Any) ->
     sizes = {p.name: p.size for p in free}
     for name in neutral:
         if sizes.get(name) != 1:
-            known = ", ".join(n for n, size in sizes.items() if size == 1)
-            raise InputError(f"neutral names {name}; a free parameter of one number was expected: {known}")
+            scalar_names = ", ".join(n for n, size in sizes.items() if size == 1)
+            raise InputError(f"neutral names {name}; a free parameter of one number was expected: {scalar_names}")
     for _, name, target in (*getattr(transform, "_gains", ()), *getattr(transform, "_biases", ())):
         if target != "predicted":
             raise InputError(
@@ -149,9 +149,9 @@ class _Rollout:
 def _channels(series: Any) -> dict[str, Array]:
     """Return every component of every signal, (n,), by its name."""
     out = {}
-    for name, (_, places) in series.signal_mapping.items():
-        for k, place in enumerate(places):
-            out[name if len(places) == 1 else f"{name}[{k}]"] = np.array(series.data[:, place], dtype=np.float64)
+    for name, (_, columns) in series.signal_mapping.items():
+        for k, column in enumerate(columns):
+            out[name if len(columns) == 1 else f"{name}[{k}]"] = np.array(series.data[:, column], dtype=np.float64)
     return out
 
 
@@ -162,8 +162,8 @@ def _names(parameter: Any) -> list[str]:
 def _parameters(parameter: Any) -> list[Parameter]:
     low, high, usual = (v.flatten() for v in (parameter.min_value, parameter.max_value, parameter.nominal))
     parameters = []
-    for name, least, most, nominal in zip(_names(parameter), low, high, usual, strict=True):
-        scale: Scale = "log" if least > 0.0 and most > LOG * least else "linear"
-        size = float(nominal) or USUAL * float(most - least)
-        parameters.append(Parameter(name, "", float(least), float(most), size, scale=scale))
+    for name, lower, upper, nominal in zip(_names(parameter), low, high, usual, strict=True):
+        scale: Scale = "log" if lower > 0.0 and upper > LOG * lower else "linear"
+        size = float(nominal) or USUAL * float(upper - lower)
+        parameters.append(Parameter(name, "", float(lower), float(upper), size, scale=scale))
     return parameters

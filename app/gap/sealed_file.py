@@ -16,11 +16,11 @@ from softcal.core.challenge.seal import Seal
 from softcal.core.errors import InputError
 
 SCHEMA = "softcal.sealed/1"
-LONGEST_ANSWER = 64 * 2**20
+MAX_REPLY_BYTES = 64 * 2**20
 TIMEOUT_s = 120.0
 
 
-def key_beside(seal_file: Path) -> Path:
+def default_key_path(seal_file: Path) -> Path:
     """Return where the key of a seal lies unless another place is named."""
     return seal_file.with_name(f"{seal_file.name.removesuffix('.json')}.key")
 
@@ -71,7 +71,7 @@ class Examiner(socketserver.ThreadingTCPServer):
 
     def __init__(self, answer: Callable[[str, str, int], dict[str, str]], port: int = 0) -> None:
         self.answer, self.token = answer, secrets.token_urlsafe(12)
-        super().__init__(("127.0.0.1", port), _Asked)
+        super().__init__(("127.0.0.1", port), _RequestHandler)
 
     @property
     def address(self) -> str:
@@ -79,23 +79,23 @@ class Examiner(socketserver.ThreadingTCPServer):
         return f"127.0.0.1:{self.server_address[1]}:{self.token}"
 
 
-class _Asked(socketserver.StreamRequestHandler):
+class _RequestHandler(socketserver.StreamRequestHandler):
     server: Examiner
 
     def handle(self) -> None:
         self.connection.settimeout(TIMEOUT_s)
         try:
-            asked = json.loads(self.rfile.readline(4096))
-            if asked["token"] != self.server.token:
+            request = json.loads(self.rfile.readline(4096))
+            if request["token"] != self.server.token:
                 raise InputError("the examiner does not know this word")
-            said: dict[str, object] = {
-                "files": self.server.answer(str(asked["case"]), str(asked["experiment"]), int(asked["number"]))
+            reply: dict[str, object] = {
+                "files": self.server.answer(str(request["case"]), str(request["experiment"]), int(request["number"]))
             }
         except InputError as error:
-            said = {"error": str(error)}
+            reply = {"error": str(error)}
         except (KeyError, TypeError, ValueError) as error:
-            said = {"error": f"no request: {error!r}; case, experiment, number and token were expected"}
-        self.wfile.write(json.dumps(said).encode() + b"\n")
+            reply = {"error": f"no request: {error!r}; case, experiment, number and token were expected"}
+        self.wfile.write(json.dumps(reply).encode() + b"\n")
 
 
 def ask_examiner(address: str, case: str, experiment: str, number: int) -> dict[str, str]:
@@ -105,13 +105,13 @@ def ask_examiner(address: str, case: str, experiment: str, number: int) -> dict[
         InputError: nobody answers, or the examiner refuses.
     """
     host, port, token = (address.split(":") + ["", ""])[:3]
-    asked = {"case": case, "experiment": experiment, "number": number, "token": token}
+    request = {"case": case, "experiment": experiment, "number": number, "token": token}
     try:
         with create_connection((host, int(port)), timeout=TIMEOUT_s) as line, line.makefile("rb") as answers:
-            line.sendall(json.dumps(asked).encode() + b"\n")
-            said: dict[str, Any] = json.loads(answers.readline(LONGEST_ANSWER))
+            line.sendall(json.dumps(request).encode() + b"\n")
+            reply: dict[str, Any] = json.loads(answers.readline(MAX_REPLY_BYTES))
     except (OSError, ValueError) as error:
         raise InputError(f"--examiner {address}: no answer ({error}); host:port:word was expected") from error
-    if "error" in said:
-        raise InputError(f"{case}: {said['error']}")
-    return {str(name): str(text) for name, text in said["files"].items()}
+    if "error" in reply:
+        raise InputError(f"{case}: {reply['error']}")
+    return {str(name): str(text) for name, text in reply["files"].items()}

@@ -48,35 +48,35 @@ def load_simulator(reference: str) -> Simulator:
     module_name, _, name = reference.partition(":")
     if not module_name or not name:
         raise InputError(f"--simulator {reference}: module:name was expected, such as my_rig:SIMULATOR")
-    here = str(Path.cwd())
-    sys.path.insert(0, here)
+    folder = str(Path.cwd())
+    sys.path.insert(0, folder)
     try:
         module = importlib.import_module(module_name)
     except (Exception, SystemExit) as error:
         raise InputError(
             f"--simulator {reference}: {module_name} cannot be imported ({type(error).__name__}: {error}); "
-            f"it is looked for in {here} and among installed packages"
+            f"it is looked for in {folder} and among installed packages"
         ) from error
     finally:
-        sys.path.remove(here)
+        sys.path.remove(folder)
     simulator = getattr(module, name, None)
     try:
-        made = simulator() if callable(simulator) and not isinstance(simulator, Simulator) else simulator
+        declared = simulator() if callable(simulator) and not isinstance(simulator, Simulator) else simulator
     except Exception as error:
         raise InputError(
             f"--simulator {reference}: {name}() raises {type(error).__name__}: {error}; it must return a Simulator"
         ) from error
-    if isinstance(made, Mapping):
-        return simulator_of(made, module_name)
-    if not isinstance(made, Simulator):
+    if isinstance(declared, Mapping):
+        return simulator_of(declared, module_name)
+    if not isinstance(declared, Simulator):
         raise InputError(
-            f"--simulator {reference}: {name} is {type(made).__name__}; a dictionary, a "
+            f"--simulator {reference}: {name} is {type(declared).__name__}; a dictionary, a "
             "softcal.core.gap.simulator.Simulator, or a function without arguments that returns one, was expected"
         )
-    return made
+    return declared
 
 
-PLAIN = ("run", "inputs", "channels", "base", "candidates")
+REQUIRED_KEYS = ("run", "inputs", "channels", "base", "candidates")
 """What a dictionary must say of a simulator."""
 
 
@@ -93,26 +93,29 @@ def simulator_of(declared: Mapping[str, Any], name: str) -> Simulator:
         InputError: a key is missing or none of these, or a parameter is none.
     """
     field_names = [f.name for f in fields(Simulator)]
-    if wrong := sorted({*PLAIN} - set(declared)) or sorted(set(declared) - set(field_names)):
-        raise InputError(f"simulator {name}: {', '.join(wrong)} missing or unknown; known are {', '.join(field_names)}")
-    given = {"name": name, **declared}
-    given |= {key: tuple(given[key]) for key in ("inputs", "channels") if not isinstance(given[key], str)}
+    if faulty_keys := sorted({*REQUIRED_KEYS} - set(declared)) or sorted(set(declared) - set(field_names)):
+        raise InputError(
+            f"simulator {name}: {', '.join(faulty_keys)} missing or unknown; known are {', '.join(field_names)}"
+        )
+    values = {"name": name, **declared}
+    values |= {key: tuple(values[key]) for key in ("inputs", "channels") if not isinstance(values[key], str)}
     for key in ("base", "run_parameters"):
-        if isinstance(given.get(key), Mapping):
-            given[key] = tuple(_parameter(name, one, row) for one, row in given[key].items())
-    if isinstance(given["candidates"], Mapping):
-        given["candidates"] = tuple(_candidate(name, one, rows) for one, rows in given["candidates"].items())
-    given["experiments"] = {
-        one: Experiment(**row) if isinstance(row, Mapping) else row for one, row in given.get("experiments", {}).items()
+        if isinstance(values.get(key), Mapping):
+            values[key] = tuple(_parameter(name, one, row) for one, row in values[key].items())
+    if isinstance(values["candidates"], Mapping):
+        values["candidates"] = tuple(_candidate(name, one, rows) for one, rows in values["candidates"].items())
+    values["experiments"] = {
+        one: Experiment(**row) if isinstance(row, Mapping) else row
+        for one, row in values.get("experiments", {}).items()
     }
-    return Simulator(**given)
+    return Simulator(**values)
 
 
 def _candidate(simulator: str, name: str, rows: Mapping[str, Any]) -> Effect:
-    place = str(rows.get("place", name))
+    location = str(rows.get("place", name))
     first, *others = (_parameter(simulator, one, row) for one, row in rows.items() if one != "place")
     first = replace(first, neutral=0.0) if first.neutral is None else first
-    return candidate(name, place, first, *others)
+    return candidate(name, location, first, *others)
 
 
 def _parameter(simulator: str, name: str, row: Any) -> Parameter:
@@ -140,9 +143,9 @@ def foretell_duration(simulator: Simulator, runs: Sequence[SimulatorRun], proces
     """Call a simulator on every run, and return how long a diagnosis will take; empty where that is no minute."""
     parameters = {name: p.usual for name, p in simulator.every_parameter.items()} | simulator.neutral_values
     try:
-        each_s = _seconds(simulator, runs, parameters)
+        each_s = _measure_seconds(simulator, runs, parameters)
         # A simulator that is compiled when it is first called takes longer once.
-        each_s = _seconds(simulator, runs, parameters) if each_s < COMPILED_s else each_s
+        each_s = _measure_seconds(simulator, runs, parameters) if each_s < COMPILED_s else each_s
     except SimulatorFailed:
         return ""
     several = each_s * len(simulator.every_parameter) / processes
@@ -155,7 +158,7 @@ def foretell_duration(simulator: Simulator, runs: Sequence[SimulatorRun], proces
     )
 
 
-def _seconds(simulator: Simulator, runs: Sequence[SimulatorRun], parameters: Mapping[str, float]) -> float:
+def _measure_seconds(simulator: Simulator, runs: Sequence[SimulatorRun], parameters: Mapping[str, float]) -> float:
     started = perf_counter()
     for run in runs:
         simulator.predict(run, parameters)
@@ -170,10 +173,10 @@ def _load_in_process(reference: str) -> None:
     _OF_PROCESS[:] = [load_simulator(reference)]
 
 
-def _answer(asked: tuple[Columns, Mapping[str, float]]) -> Columns | Exception:
+def _answer(call: tuple[Columns, Mapping[str, float]]) -> Columns | Exception:
     try:
         with np.errstate(all="ignore"):
-            return dict(_OF_PROCESS[0].run(*asked))
+            return dict(_OF_PROCESS[0].run(*call))
     except (Exception, SystemExit) as error:
         return RuntimeError(f"{type(error).__name__}: {error}")
 
@@ -189,9 +192,9 @@ def in_processes(reference: str, simulator: Simulator, count: int) -> Iterator[S
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(count, context, _load_in_process, (reference,)) as pool:
 
-        def run_many(asked: Sequence[tuple[Columns, Mapping[str, float]]]) -> list[Columns | Exception]:
+        def run_many(calls: Sequence[tuple[Columns, Mapping[str, float]]]) -> list[Columns | Exception]:
             try:
-                return list(pool.map(_answer, asked, chunksize=max(1, len(asked) // (4 * count))))
+                return list(pool.map(_answer, calls, chunksize=max(1, len(calls) // (4 * count))))
             except BrokenProcessPool as error:
                 raise InputError(
                     f"--simulator {reference}: a process that called it ended; leave --processes out"
@@ -200,31 +203,31 @@ def in_processes(reference: str, simulator: Simulator, count: int) -> Iterator[S
         yield replace(simulator, run_many=run_many)
 
 
-def read_runs(place: Path, simulator: Simulator, options: TableOptions = DETECT) -> tuple[list[SimulatorRun], str]:
+def read_runs(source: Path, simulator: Simulator, options: TableOptions = DETECT) -> tuple[list[SimulatorRun], str]:
     """Return the runs of a mechanism and its serial number.
 
     Args:
-        place: folder with runs/<n>/recording.csv, one such run, or one table; columns are `t_s`, the inputs and the
+        source: folder with runs/<n>/recording.csv, one such run, or one table; columns are `t_s`, the inputs and the
             channels of the simulator. A recording.json beside it may say `profile` and `serial`.
 
     Raises:
         InputError: there is no run, or a column is missing.
     """
-    if place.is_file():
-        paths = [place]
-    elif (place / RECORDING).is_file():
-        paths = [place / RECORDING]
+    if source.is_file():
+        paths = [source]
+    elif (source / RECORDING).is_file():
+        paths = [source / RECORDING]
     else:
-        tables = (place / "runs").glob(f"*/{RECORDING}")
+        tables = (source / "runs").glob(f"*/{RECORDING}")
         paths = sorted(tables, key=lambda path: (len(path.parent.name), path.parent.name))
     if not paths:
-        raise InputError(f"{place}: neither a table nor runs/<n>/{RECORDING}; record the mechanism first")
+        raise InputError(f"{source}: neither a table nor runs/<n>/{RECORDING}; record the mechanism first")
     runs = []
     for path in paths:
-        name = path.parent.name if place.is_dir() else path.stem
+        name = path.parent.name if source.is_dir() else path.stem
         columns = _columns(path, simulator, options)
-        runs.append(recorded(simulator, name, columns, str(_said(path).get("profile", ""))))
-    return runs, str(_said(paths[0]).get("serial", place.stem))
+        runs.append(recorded(simulator, name, columns, str(_read_metadata(path).get("profile", ""))))
+    return runs, str(_read_metadata(paths[0]).get("serial", source.stem))
 
 
 def _columns(path: Path, simulator: Simulator, options: TableOptions) -> dict[str, Array]:
@@ -236,13 +239,13 @@ def _columns(path: Path, simulator: Simulator, options: TableOptions) -> dict[st
         columns["t_s"] = table.numbers("t_s")
     elif (time := find_time_column([name for name in table.names if name not in columns])) is not None:
         columns["t_s"], *_ = read_times(table, ColumnNames("", time, table=options), None)
-    is_whole = np.all([np.isfinite(values) for values in columns.values()], axis=0) if columns else slice(None)
-    return {name: values[is_whole] for name, values in columns.items()}
+    is_complete = np.all([np.isfinite(values) for values in columns.values()], axis=0) if columns else slice(None)
+    return {name: values[is_complete] for name, values in columns.items()}
 
 
-def _said(path: Path) -> dict[str, object]:
-    beside = path.parent / METADATA
-    return read_json(beside) if beside.is_file() else {}
+def _read_metadata(path: Path) -> dict[str, object]:
+    metadata_path = path.parent / METADATA
+    return read_json(metadata_path) if metadata_path.is_file() else {}
 
 
 def write_parameters(
@@ -260,10 +263,10 @@ def write_parameters(
     if content.get("verdict") == "data":
         raise InputError(f"{source}: the recordings hold a mistake, so there are no parameters; repair it first")
     parameters = content.get("parameters")
-    described = content.get("residual") if empirical else {}
-    if not isinstance(described, Mapping):
+    residual = content.get("residual") if empirical else {}
+    if not isinstance(residual, Mapping):
         raise InputError(f"{source}: {NO_TERMS}")
-    parameters, terms = described.get("parameters", parameters), described.get("added", [])
+    parameters, terms = residual.get("parameters", parameters), residual.get("added", [])
     if not isinstance(parameters, Mapping) or not all(v is None or _is_number(v) for v in parameters.values()):
         raise InputError(f"{source}: holds no parameters; diagnose the simulator again with --json")
     record = {"schema": PARAMETERS_SCHEMA, "simulator": content.get("simulator"), "parameters": dict(parameters)}
@@ -286,16 +289,16 @@ def read_parameters(path: str | Path, simulator: Simulator) -> dict[str, float]:
     parameters = content.get("parameters")
     if not isinstance(parameters, dict) or content.get("schema") != PARAMETERS_SCHEMA:
         raise InputError(f"{path}: holds no parameters of a simulator; write it with softcal gap apply")
-    named = content.get("simulator")
-    if named != simulator.name:
-        raise InputError(f"{path}: parameters of simulator {named}; those of {simulator.name} were expected")
-    own = {p.name for p in simulator.run_parameters}
-    wanted = [*simulator.parameter_names, *(name for name in parameters if name.partition("@")[0] in own)]
-    if set(parameters) != set(wanted):
-        other = ", ".join(sorted(set(parameters) ^ set(wanted)))
+    simulator_name = content.get("simulator")
+    if simulator_name != simulator.name:
+        raise InputError(f"{path}: parameters of simulator {simulator_name}; those of {simulator.name} were expected")
+    run_names = {p.name for p in simulator.run_parameters}
+    expected = [*simulator.parameter_names, *(name for name in parameters if name.partition("@")[0] in run_names)]
+    if set(parameters) != set(expected):
+        other = ", ".join(sorted(set(parameters) ^ set(expected)))
         raise InputError(f"{path}: {other} stands on one side alone; diagnose simulator {simulator.name} again")
     off = {name: value for name, value in simulator.neutral_values.items() if not np.isfinite(value)}
-    values: dict[str, Any] = {n: off.get(n) if parameters[n] is None else parameters[n] for n in wanted}
+    values: dict[str, Any] = {n: off.get(n) if parameters[n] is None else parameters[n] for n in expected}
     for name, value in values.items():
         if not _is_number(value):
             raise InputError(f"{path}: {name} is {json.dumps(parameters[name])}; a number was expected")

@@ -14,13 +14,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from softcal.app.batch.lot_work import BatchConfig, Watch
+from softcal.app.batch.lot_work import BatchConfig, Callbacks
 from softcal.app.bootstrap import data_folder
 from softcal.app.jobs.launch import DEMO
 from softcal.app.logs import log_crash
 from softcal.core.errors import InputError, SoftcalError
 from softcal.core.identity import content_sha256
-from softcal.core.messages.reason import packed, to_kept
+from softcal.core.messages.reason import pack_reasons, to_stored
 from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.orders import RunState
 from softcal.core.recording import LabelledRecording
@@ -30,8 +30,8 @@ from softcal.db.registry import Registry
 if TYPE_CHECKING:
     from softcal.db.schema.arrays import Arrays
 
-BEAT_S = 1.0
-KEPT_S = 24 * 3600.0
+HEARTBEAT_S = 1.0
+MAX_ARCHIVE_AGE_S = 24 * 3600.0
 """An archive stays for a day; it can be made again at any time."""
 
 PRESSING, TRAINING = 0.35, 0.3
@@ -56,16 +56,16 @@ class Steps(Protocol):
     def step(self, fraction: float, name: str, **values: object) -> None: ...
 
 
-class Teller:
+class JobProgress:
     """Writes how far a job is, at most every `REPORT_S`."""
 
     def __init__(self, board: JobBoard, job_id: str) -> None:
-        self._board, self._job_id, self._told_s = board, job_id, 0.0
+        self._board, self._job_id, self._reported_s = board, job_id, 0.0
 
     def __call__(self, fraction: float, message: str, trace: Mapping[str, Any] | None = None) -> None:
         """Report the completed fraction (0 ... 1), a sentence and live values."""
-        if time.monotonic() - self._told_s >= REPORT_S:
-            self._told_s = time.monotonic()
+        if time.monotonic() - self._reported_s >= REPORT_S:
+            self._reported_s = time.monotonic()
             self._board.report(self._job_id, fraction, message, trace)
 
     def step(self, fraction: float, name: str, **values: object) -> None:
@@ -83,11 +83,13 @@ def run_job(registry: Registry, job_id: str, on_cancel: Callable[[], None]) -> R
     """
     board = registry.job_board
     job = board.take(job_id)
-    over = threading.Event()
-    beater = threading.Thread(target=_beat, args=(board, job_id, over, on_cancel), name="job beat", daemon=True)
-    beater.start()
+    stop = threading.Event()
+    thread = threading.Thread(
+        target=_send_heartbeats, args=(board, job_id, stop, on_cancel), name="job beat", daemon=True
+    )
+    thread.start()
     try:
-        works = {
+        handlers = {
             "train": train,
             "compare": compare,
             "diagnose": diagnose,
@@ -96,22 +98,22 @@ def run_job(registry: Registry, job_id: str, on_cancel: Callable[[], None]) -> R
             "calibrate": calibrate,
             "archive": archive,
         }
-        if job.kind not in works:
-            raise InputError(f"jobs of kind {job.kind!r} are unknown to this version; known: {', '.join(works)}")
-        outcome = works[job.kind](registry, job, Teller(board, job_id))
+        if job.kind not in handlers:
+            raise InputError(f"jobs of kind {job.kind!r} are unknown to this version; known: {', '.join(handlers)}")
+        outcome = handlers[job.kind](registry, job, JobProgress(board, job_id))
         board.end(job_id, RunState.DONE, outcome.message, outcome.result, outcome.arrays)
     except SoftcalError as error:
-        board.end(job_id, RunState.ERROR, packed([error.reason]))
+        board.end(job_id, RunState.ERROR, pack_reasons([error.reason]))
     except Exception as error:
         board.end(job_id, RunState.ERROR, log_crash(error, f"job {job.kind}"))
     finally:
-        over.set()
-        beater.join()
+        stop.set()
+        thread.join()
     return board.job(job_id).state
 
 
-def _beat(board: JobBoard, job_id: str, over: threading.Event, on_cancel: Callable[[], None]) -> None:
-    while not over.wait(BEAT_S):
+def _send_heartbeats(board: JobBoard, job_id: str, stop: threading.Event, on_cancel: Callable[[], None]) -> None:
+    while not stop.wait(HEARTBEAT_S):
         try:
             if board.beat(job_id):
                 board.end(job_id, RunState.CANCELLED, "cancelled")
@@ -121,7 +123,7 @@ def _beat(board: JobBoard, job_id: str, over: threading.Event, on_cancel: Callab
             continue  # Away for a moment: the next beat tries again.
 
 
-def train(registry: Registry, job: Job, tell: Teller) -> Outcome:
+def train(registry: Registry, job: Job, progress: JobProgress) -> Outcome:
     """Train f on a lot's newest source; request: lot, hidden, seed, members, max_epochs."""
     from softcal.app.batch.train import provide_network
 
@@ -140,9 +142,9 @@ def train(registry: Registry, job: Job, tell: Teller) -> Outcome:
         trace["train"].append(round(report.train_rmse, 6))
         trace["validation"].append(round(report.validation_rmse, 6))
         done = (report.member + report.epoch / report.max_epochs) / config.members
-        tell(done, f"{report.epoch} / {report.max_epochs}, {report.best_validation_rmse:.4g}", trace)
+        progress(done, f"{report.epoch} / {report.max_epochs}, {report.best_validation_rmse:.4g}", trace)
 
-    tell(0.0, "")
+    progress(0.0, "")
     network = provide_network(lot, newest_source(registry, lot.id), registry, config, job.actor, on_epoch)
     result = {"network": network.network.id, "is_new": network.is_new, "trace": trace, **network.metrics}
     return Outcome(network.network.id[:12], result)
@@ -163,65 +165,66 @@ def newest_source(registry: Registry, lot_id: str) -> LabelledRecording:
     return source
 
 
-def compare(registry: Registry, job: Job, tell: Teller) -> Outcome:
+def compare(registry: Registry, job: Job, progress: JobProgress) -> Outcome:
     """Map units with several networks and families; request: lot, networks, families, units."""
     from softcal.app.calibration.comparison import compare_on_lot
 
-    rows = compare_on_lot(registry, job.request, tell)
+    rows = compare_on_lot(registry, job.request, progress)
     return Outcome("", {"rows": rows})
 
 
-def diagnose(registry: Registry, job: Job, tell: Teller) -> Outcome:
+def diagnose(registry: Registry, job: Job, progress: JobProgress) -> Outcome:
     """Diagnose a case; request: case, experiment to press once more on a sealed rig."""
-    from softcal.app.gap.desk import ask_case, kept_of
     from softcal.app.gap.diagnose import diagnose_case
+    from softcal.app.gap.page_cases import ask_case, pack_diagnosis
 
     folder = Path(job.request["case"])
     if experiment := job.request.get("experiment"):
-        tell(0.05, "pressing the proposed run")
+        progress(0.05, "pressing the proposed run")
         ask_case(folder, experiment)
     steps = 0
 
     def on_step(text: str) -> None:
         nonlocal steps
         steps += 1
-        tell(min(0.95, 1 - 0.9**steps), text)
+        progress(min(0.95, 1 - 0.9**steps), text)
 
-    report, arrays = kept_of(diagnose_case(folder, on_step))
+    report, arrays = pack_diagnosis(diagnose_case(folder, on_step))
     return Outcome(report["verdict"], report, arrays)
 
 
-def check(registry: Registry, job: Job, tell: Teller) -> Outcome:
+def check(registry: Registry, job: Job, progress: JobProgress) -> Outcome:
     """Find and test the devices of a rig; request: file or simulated, ports, may_move."""
     from softcal.app.line.rig import check_station
-    from softcal.station.devices.station_file import station_toml
+    from softcal.station.bench.station_file import station_toml
 
     request = job.request
     file = None if request["file"] is None else Path(request["file"])
-    tell(0.1, "")
-    checked = check_station(request["ports"], file, request["simulated"], request["may_move"])
+    progress(0.1, "")
+    result = check_station(request["ports"], file, request["simulated"], request["may_move"])
     findings = [
-        [to_kept(f.device), to_kept(f.what), to_kept(f.value), f.cure and to_kept(f.cure)] for f in checked.findings
+        [to_stored(f.device), to_stored(f.what), to_stored(f.value), f.cure and to_stored(f.cure)]
+        for f in result.findings
     ]
-    ports = [[d.port, d.role, d.kind, to_kept(d.says)] for d in checked.devices]
-    return Outcome("", checked.as_json() | {"ports": ports, "found": findings, "toml": station_toml(checked.config)})
+    ports = [[d.port, d.role, d.kind, to_stored(d.says)] for d in result.devices]
+    return Outcome("", result.as_json() | {"ports": ports, "found": findings, "toml": station_toml(result.config)})
 
 
-def lot_watch(tell: Steps, begin: float = 0.0) -> Watch:
+def lot_callbacks(progress: Steps, begin: float = 0.0) -> Callbacks:
     """Return callbacks that map training and units of a lot to one progress from `begin` to 1."""
     trained = begin + TRAINING * (1 - begin)
 
     def on_epoch(report: EpochReport) -> None:
         done = report.epoch / report.max_epochs
-        tell.step(begin + (trained - begin) * done, "train", epoch=report.epoch, most=report.max_epochs)
+        progress.step(begin + (trained - begin) * done, "train", epoch=report.epoch, most=report.max_epochs)
 
     def on_done(done: int, units: int) -> None:
-        tell.step(trained + (1 - trained) * done / max(units, 1), "units", done=done, total=units)
+        progress.step(trained + (1 - trained) * done / max(units, 1), "units", done=done, total=units)
 
-    return Watch(on_epoch=on_epoch, on_done=on_done)
+    return Callbacks(on_epoch=on_epoch, on_done=on_done)
 
 
-def demo(registry: Registry, job: Job, tell: Teller) -> Outcome:
+def demo(registry: Registry, job: Job, progress: JobProgress) -> Outcome:
     """Press the demo's lot on a simulated station and calibrate it; request: units."""
     from softcal.app.batch.batch import run_batch
     from softcal.app.batch.lot_intake import lots_folder
@@ -233,23 +236,23 @@ def demo(registry: Registry, job: Job, tell: Teller) -> Outcome:
     def on_run(_: str) -> None:
         nonlocal runs
         runs = min(runs + 1, total)
-        tell.step(PRESSING * runs / total, "press", done=runs, total=total)
+        progress.step(PRESSING * runs / total, "press", done=runs, total=total)
 
-    tell.step(0.0, "press", done=0, total=total)
+    progress.step(0.0, "press", done=0, total=total)
     folder = press_demo_lot(config, lots_folder() / DEMO, on_run)
-    report = run_batch(folder, registry, config.batch, lot_watch(tell, PRESSING))
+    report = run_batch(folder, registry, config.batch, lot_callbacks(progress, PRESSING))
     return Outcome("", {"lot": report.lot_id, "counts": report.counts})
 
 
-def calibrate(registry: Registry, job: Job, tell: Teller) -> Outcome:
+def calibrate(registry: Registry, job: Job, progress: JobProgress) -> Outcome:
     """Calibrate every unit of a lot; request: lot, map. Stored results are not computed again."""
     from softcal.app.batch.batch import run_batch
     from softcal.app.batch.lot_intake import lot_files, network_of
 
     lot_id = job.request["lot"]
     config = BatchConfig(network=network_of(registry, lot_id), family=job.request.get("map"), actor=job.actor)
-    with lot_files(registry, lot_id, lambda done, total: tell.step(0.0, "read", done=done, total=total)) as folder:
-        report = run_batch(folder, registry, config, lot_watch(tell))
+    with lot_files(registry, lot_id, lambda done, total: progress.step(0.0, "read", done=done, total=total)) as folder:
+        report = run_batch(folder, registry, config, lot_callbacks(progress))
     new = sum(unit.is_new for unit in report.units)
     return Outcome("", {"lot": lot_id, "counts": report.counts, "new": new, "known": len(report.units) - new})
 
@@ -272,7 +275,7 @@ def archived_state(registry: Registry, lot_id: str) -> str:
     return content_sha256({}, {"units": units})
 
 
-def archive(registry: Registry, job: Job, tell: Teller) -> Outcome:
+def archive(registry: Registry, job: Job, progress: JobProgress) -> Outcome:
     """Pack files and certificates of a lot; request: lot, serials, formats, release.
 
     `serials` None takes every calibrated unit; a unit whose device files are refused has its reports, and its reason.
@@ -284,12 +287,14 @@ def archive(registry: Registry, job: Job, tell: Teller) -> Outcome:
     request = job.request
     lot_id = request["lot"]
     state = archived_state(registry, lot_id)
-    known = [unit.serial for unit in registry.lots.units(lot_id) if unit.role == "target" and unit.revision is not None]
-    serials = request["serials"] or known
+    calibrated = [
+        unit.serial for unit in registry.lots.units(lot_id) if unit.role == "target" and unit.revision is not None
+    ]
+    serials = request["serials"] or calibrated
     if not serials:
         raise InputError(f"lot {lot_id!r} has no calibrated unit yet; there is nothing to pack")
     for file in archives_folder().glob("*.zip"):
-        if time.time() - file.stat().st_mtime > KEPT_S:
+        if time.time() - file.stat().st_mtime > MAX_ARCHIVE_AGE_S:
             file.unlink(missing_ok=True)
     options = ExportOptions(release=Release(request["release"]), lot_id=lot_id)
     done = 0
@@ -297,18 +302,18 @@ def archive(registry: Registry, job: Job, tell: Teller) -> Outcome:
     def on_unit(_: ExportedUnit) -> None:
         nonlocal done
         done += 1
-        tell.step(0.95 * done / len(serials), "files", done=done, total=len(serials))
+        progress.step(0.95 * done / len(serials), "files", done=done, total=len(serials))
 
-    tell.step(0.0, "files", done=0, total=len(serials))
-    with tempfile.TemporaryDirectory(prefix="softcal-archive-") as place:
-        folder = Path(place) / "files"
+    progress.step(0.0, "files", done=0, total=len(serials))
+    with tempfile.TemporaryDirectory(prefix="softcal-archive-") as scratch:
+        folder = Path(scratch) / "files"
         exported = export_units(registry, serials, request["formats"], folder, options, on_unit, folder_name="archive")
-        packed = Path(place) / "files.zip"
-        with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as into:
+        zip_path = Path(scratch) / "files.zip"
+        with zipfile.ZipFile(zip_path, "w", zipfile.ZIP_DEFLATED) as bundle:
             for file in sorted(folder.iterdir()):
-                into.write(file, file.name)
-        shutil.move(packed, archive_path(job))
-    facts = {"lot": lot_id, "units": len(serials), "formats": request["formats"]}
-    registry.trail.add("export", "lots", (lot_id,), facts, actor=job.actor)
+                bundle.write(file, file.name)
+        shutil.move(zip_path, archive_path(job))
+    content = {"lot": lot_id, "units": len(serials), "formats": request["formats"]}
+    registry.trail.add("export", "lots", (lot_id,), content, actor=job.actor)
     refused = [[unit.serial, unit.refusal] for unit in exported if unit.refusal]
     return Outcome("", {"lot": lot_id, "units": len(exported), "refused": refused, "state": state})

@@ -31,19 +31,19 @@ def launch(job_id: str, on_end: Callable[[], None] = lambda: None) -> None:
 
     `on_end` is called in a thread once the process has ended, however it did.
     """
-    _detached(["softcal.app.jobs.process", job_id], "jobs.log", f"job {job_id}", ONE_THREAD, on_end)
+    _start_process(["softcal.app.jobs.process", job_id], "jobs.log", f"job {job_id}", ONE_THREAD, on_end)
 
 
 def start_simulated_station(name: str) -> None:
     """Start a simulated station's service on the registry of the environment."""
-    _detached(["softcal.app.cli.main", "station", "serve", "--simulated", "--name", name], "station.log", name)
+    _start_process(["softcal.app.cli.main", "station", "serve", "--simulated", "--name", name], "station.log", name)
 
 
-def _detached(
+def _start_process(
     arguments: list[str],
     log_name: str,
     name: str,
-    more: Mapping[str, str] = MappingProxyType({}),
+    environment: Mapping[str, str] = MappingProxyType({}),
     on_end: Callable[[], None] = lambda: None,
 ) -> None:
     with (log_folder() / log_name).open("ab") as log:
@@ -53,7 +53,7 @@ def _detached(
             stdout=log,
             stderr=log,
             start_new_session=True,
-            env={**os.environ, **more},
+            env={**os.environ, **environment},
         )
 
     # Somebody has to take note of its end, or it stays in the table of processes for as long as the screens run.

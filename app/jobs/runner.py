@@ -57,7 +57,7 @@ class JobRunner:
                     launch.launch(job_id, partial(self._end, job_id))
         finally:
             if self._waiting and self._timer is None:
-                self._timer = threading.Timer(START_WITHIN.total_seconds() / 3, self._beat)
+                self._timer = threading.Timer(START_WITHIN.total_seconds() / 3, self._send_heartbeats)
                 self._timer.daemon = True
                 self._timer.start()
 
@@ -69,7 +69,7 @@ class JobRunner:
                 self._board.end(job_id, RunState.ERROR, "its process ended before it began; jobs.log says why")
             self._start()
 
-    def _beat(self) -> None:
+    def _send_heartbeats(self) -> None:
         """Write a heartbeat for waiting jobs, so that they do not count as lost."""
         with self._lock, suppress(SoftcalError):
             self._timer = None

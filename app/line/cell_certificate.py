@@ -10,7 +10,7 @@ from softcal.core.errors import InputError
 from softcal.core.unit.budget import COVERAGE
 from softcal.db.entries import CellCertificate
 
-NEEDED = ("cell_serial", "number", "issued_on", "due_on", "capacity_N", "uncertainty_N")
+REQUIRED_FIELDS = ("cell_serial", "number", "issued_on", "due_on", "capacity_N", "uncertainty_N")
 
 PER_UNIT_N = {r"\newton": 1.0, r"\milli\newton": 1e-3, r"\kilo\newton": 1e3}
 """D-SI names of the units in which a load cell's certificate may state forces."""
@@ -18,7 +18,7 @@ PER_UNIT_N = {r"\newton": 1.0, r"\milli\newton": 1e-3, r"\kilo\newton": 1e3}
 RECALIBRATION, DATES = "basic_recalibration", ("date", "dateTime", "valueXMLList")
 
 
-def certificate_from(given: Mapping[str, Any], dcc: Path | None) -> CellCertificate:
+def certificate_from(options: Mapping[str, Any], dcc: Path | None) -> CellCertificate:
     """Return the certificate of the options, or None without options. The DCC gives the values that the options lack.
 
     Raises:
@@ -28,16 +28,16 @@ def certificate_from(given: Mapping[str, Any], dcc: Path | None) -> CellCertific
         document = None if dcc is None else dcc.read_bytes()
     except OSError as error:
         raise InputError(f"{dcc}: {error.strerror}") from error
-    facts = {} if document is None else dict(_facts(document, dcc))
-    facts |= {name: value for name, value in given.items() if value is not None}
-    missing = [name for name in NEEDED if facts.get(name) is None]
+    fields = {} if document is None else dict(_dcc_fields(document, dcc))
+    fields |= {name: value for name, value in options.items() if value is not None}
+    missing = [name for name in REQUIRED_FIELDS if fields.get(name) is None]
     if missing:
         where = "" if dcc is None else f"{dcc}: "
         raise InputError(f"{where}the certificate lacks {', '.join(missing)}; state them beside it, nothing was stored")
-    return CellCertificate(**{"laboratory": "", **facts}, document=document)
+    return CellCertificate(**{"laboratory": "", **fields}, document=document)
 
 
-def _facts(document: bytes, path: Path | None) -> Iterator[tuple[str, Any]]:
+def _dcc_fields(document: bytes, path: Path | None) -> Iterator[tuple[str, Any]]:
     try:
         root = ET.fromstring(document)
     except ET.ParseError as error:

@@ -4,11 +4,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from softcal.core.errors import InputError
+from softcal.station.bench.bench import open_force
+from softcal.station.bench.station_file import with_driver_keys
 from softcal.station.clock import HostClock
-from softcal.station.devices.bench import open_force
 from softcal.station.devices.cell_calibration import CellCalibration, fit_cell, read_steady
 from softcal.station.devices.config import StationConfig
-from softcal.station.devices.station_file import with_own_keys
 from softcal.station.drivers.hx711 import Hx711Config
 
 
@@ -25,7 +25,7 @@ def calibrate_cell(
         InputError: the station has no raw load cell, or too few weights.
         DeviceError: the cell does not answer, or does not follow the weights.
     """
-    cell = None if config.force is None else with_own_keys(config.force)
+    cell = None if config.force is None else with_driver_keys(config.force)
     if not isinstance(cell, Hx711Config):
         raise InputError("the station has no HX711 load cell; other gauges carry their own scale")
     raw = replace(cell, counts_per_N=1.0, zero_counts=0.0)

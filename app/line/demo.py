@@ -12,7 +12,7 @@ import numpy as np
 
 from softcal.app.batch.engine import EngineChoice, WorkerLost, run_all
 from softcal.app.batch.lot_work import BatchConfig
-from softcal.app.files.atomic import whole_folder
+from softcal.app.files.atomic import atomic_folder
 from softcal.app.files.lot_folder import LotFolder, open_lot_folder
 from softcal.app.files.lot_toml import write_lot_toml
 from softcal.app.files.recording_file import write_recording
@@ -25,7 +25,7 @@ from softcal.core.simulated_lot import draw_twins
 from softcal.core.twin.simulate import Twin
 from softcal.core.unit.budget import SIMULATED
 from softcal.db.entries import UnitResult
-from softcal.station.devices.bench import Bench, open_simulated_bench
+from softcal.station.bench.bench import Bench, open_simulated_bench
 from softcal.station.record.recording import StationRecording
 from softcal.station.tasks.acquisition import RunProgress, record
 
@@ -112,7 +112,7 @@ def press_demo_lot(
         "simulated eGaIn channel",
         limit_rmse=LimitText(LIMIT_PERCENT, is_percent=True).rmse(float(np.ptp(source.reference))),
     )
-    with whole_folder(folder) as part:
+    with atomic_folder(folder) as part:
         write_lot_toml(part, lot, SIMULATED)
         write_recording(part / "source" / f"{lot.source}.csv", pressed.source)
         for serial, unit in pressed.units.items():
@@ -137,7 +137,7 @@ def press_simulated_lot(
     Raises:
         DeviceError: a station failed.
     """
-    tell, times = on_run or (lambda sentence: None), times or PressTimes()
+    report, times = on_run or (lambda sentence: None), times or PressTimes()
     pressed: dict[str, _Recorded] = {}
     runs = [(serial, twin, seed + k) for k, (serial, twin) in enumerate(zip(serials, twins, strict=True))]
     done_s = multiprocessing.get_context("spawn").Value("d", 0.0)
@@ -150,10 +150,10 @@ def press_simulated_lot(
             serial, recorded = answer
             pressed[serial] = recorded
             if serial == serials[0]:
-                tell(f"source unit {serial}: pressed with the load cell")
+                report(f"source unit {serial}: pressed with the load cell")
                 continue
-            tell(f"unit {serial}: pressed, output only")
-            tell(f"unit {serial}: audited with the load cell")
+            report(f"unit {serial}: pressed, output only")
+            report(f"unit {serial}: audited with the load cell")
     units = {serial: pressed[serial].run.output_recording() for serial in serials[1:]}
     audits = {serial: pressed[serial].labelled.labelled_recording() for serial in serials[1:]}
     return RecordedLot(pressed[serials[0]].labelled.labelled_recording(), units, audits)

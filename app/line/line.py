@@ -10,8 +10,8 @@ import uuid
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
-from softcal.app.line.facts import LineFacts, Note, Place, Screen, read_line, read_place, write_place
-from softcal.app.line.scan_codes import Scan, is_unheard_of, lots_of, read_scan
+from softcal.app.line.scan_codes import Scan, is_unfamiliar, lots_of, read_scan
+from softcal.app.line.status import LineSession, LineStatus, Note, Screen, read_line, read_session, write_session
 from softcal.core.errors import InputError, StationBusy
 from softcal.core.lot import check_serial
 from softcal.core.messages.reason import Reason
@@ -20,12 +20,12 @@ from softcal.core.quality.known_loads import load_order
 from softcal.db.registry import Registry
 
 NEWEST_LOTS = 8
-MOST_CONFLICTS = 5
+MAX_CONFLICTS = 5
 
 START_S = 2.5
 """A start that could not be ordered for so long moves nothing: nobody expects it then."""
 
-NOBODY = "operator"
+DEFAULT_OPERATOR = "operator"
 """Who presses where nobody has signed in or scanned a badge."""
 
 BADGE_MARK = " (badge)"
@@ -36,11 +36,11 @@ BADGE_MARK = " (badge)"
 class Step:
     """Result of a scan; its order is sent once the session is written."""
 
-    place: Place
+    session: LineSession
     order: Order | None = None
 
 
-def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") -> LineFacts:
+def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") -> LineStatus:
     """Perform the action of a scan and store the result at the line, for every screen.
 
     `actor` has signed in at this screen; "" leaves the name to the badge.
@@ -52,12 +52,12 @@ def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") ->
     scan, until_s = read_scan(text), time.monotonic() + START_S
     # A browser's deadline can only be the shorter one: it may know another clock.
     screen = replace(screen, until_s=until_s if screen.until_s is None else min(until_s, screen.until_s))
-    for _ in range(MOST_CONFLICTS):
-        facts = read_line(registry, screen)
-        if facts.heartbeat is None:
+    for _ in range(MAX_CONFLICTS):
+        line = read_line(registry, screen)
+        if line.heartbeat is None:
             raise InputError(Reason("line.no_station"))
-        step = _step(registry, facts, screen, scan, actor or _badged(facts.operator))
-        if write_place(registry.line_places, facts.station, step.place):
+        step = _step(registry, line, screen, scan, actor or _badged(line.operator))
+        if write_session(registry.line_places, line.station, step.session):
             break
     else:
         raise InputError(Reason("line.other_screens"))
@@ -71,9 +71,9 @@ def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") ->
     except StationBusy:
         refusal = Note("busy_key", _running(read_line(registry, screen)))
     # Why nothing moved is said also where another screen writes at the same time.
-    for _ in range(MOST_CONFLICTS):
-        facts = read_line(registry, screen)
-        if write_place(registry.line_places, facts.station, _told(facts, refusal)):
+    for _ in range(MAX_CONFLICTS):
+        line = read_line(registry, screen)
+        if write_session(registry.line_places, line.station, _with_note(line, refusal)):
             return read_line(registry, screen)
     raise InputError(Reason("line.other_screens"))
 
@@ -88,79 +88,83 @@ def order_stop(registry: Registry, station: str) -> bool:
         RegistryError: the registry is away; nothing was ordered.
     """
     queue = registry.order_queue
-    beats = [] if station else queue.stations()
-    station = beats[0].station if len(beats) == 1 else station
+    heartbeats = [] if station else queue.stations()
+    station = heartbeats[0].station if len(heartbeats) == 1 else station
     active = queue.active(station)
     if active is None:
         return False
-    place = read_place(registry.line_places, station)
-    operator = "" if place.is_badge_over(datetime.now(UTC)) else place.operator
+    session = read_session(registry.line_places, station)
+    operator = "" if session.is_badge_over(datetime.now(UTC)) else session.operator
     queue.place(_stop_order(station, active[0], _badged(operator)))
     return True
 
 
-def _stop_order(station: str, run: Order, who: str) -> Order:
-    return Order(f"stop-{run.order_id}"[:64], station, OrderKind.STOP, actor=who)
+def _stop_order(station: str, run: Order, actor: str) -> Order:
+    return Order(f"stop-{run.order_id}"[:64], station, OrderKind.STOP, actor=actor)
 
 
-def _step(registry: Registry, facts: LineFacts, screen: Screen, scan: Scan, who: str) -> Step:
+def _step(registry: Registry, line: LineStatus, screen: Screen, scan: Scan, actor: str) -> Step:
     if scan.kind == "command":
-        return _COMMANDS[scan.value](facts, screen, who)
+        return _COMMANDS[scan.value](line, screen, actor)
     if scan.kind == "badge":
         # One that opens more than the line needs its PIN.
         name = scan.value
         if not name:
-            return Step(_told(facts, Note("badge_off", {}, False), replace(facts.place, operator="", badged_at=None)))
+            return Step(
+                _with_note(line, Note("badge_off", {}, False), replace(line.session, operator="", badged_at=None))
+            )
         if any(user.name.lower() == name.lower() and user.role != "operator" for user in registry.people.all()):
-            return Step(_told(facts, Note("badge_needs_pin", {"name": name[:60]})))
-        badged = replace(facts.place, operator=name[:60], badged_at=facts.now)
-        return Step(_told(facts, Note("badge", {"name": name[:60]}, False), badged))
-    if facts.active is not None:
-        return Step(_told(facts, Note("busy", {**_running(facts), "scanned": scan.value[:40]})))
-    if facts.is_stopped:
-        return Step(_told(facts, Note("acknowledge_first")))
-    place = _unit(registry, facts, scan)
-    if isinstance(place, Note):
+            return Step(_with_note(line, Note("badge_needs_pin", {"name": name[:60]})))
+        badged = replace(line.session, operator=name[:60], badged_at=line.now)
+        return Step(_with_note(line, Note("badge", {"name": name[:60]}, False), badged))
+    if line.active is not None:
+        return Step(_with_note(line, Note("busy", {**_running(line), "scanned": scan.value[:40]})))
+    if line.is_stopped:
+        return Step(_with_note(line, Note("acknowledge_first")))
+    session = _unit(registry, line, scan)
+    if isinstance(session, Note):
         # Whatever it was, it is not the unit that was shown: no key may press that one now.
-        return Step(_told(facts, place, facts.place.emptied(facts.newest_run)))
-    beat = facts.heartbeat
-    place = replace(place, process=beat.process if beat else "", tab=screen.tab, note=None)
-    return Step(_told(facts, Note("lot", {"lot": place.lot_id}, False), place) if scan.kind == "lot" else place)
+        return Step(_with_note(line, session, line.session.emptied(line.newest_run)))
+    heartbeat = line.heartbeat
+    session = replace(session, process=heartbeat.process if heartbeat else "", tab=screen.tab, note=None)
+    return Step(
+        _with_note(line, Note("lot", {"lot": session.lot_id}, False), session) if scan.kind == "lot" else session
+    )
 
 
-def _told(facts: LineFacts, note: Note, place: Place | None = None) -> Place:
-    said = replace(note, run=facts.newest_run, is_meanwhile=facts.active is not None)
-    return replace(place or facts.place, note=said)
+def _with_note(line: LineStatus, note: Note, session: LineSession | None = None) -> LineSession:
+    noted = replace(note, run=line.newest_run, is_during_run=line.active is not None)
+    return replace(session or line.session, note=noted)
 
 
-def _running(facts: LineFacts) -> dict[str, str]:
-    return {"serial": facts.active[0].serial if facts.active else ""}
+def _running(line: LineStatus) -> dict[str, str]:
+    return {"serial": line.active[0].serial if line.active else ""}
 
 
 def _badged(operator: str) -> str:
-    return f"{operator}{BADGE_MARK}" if operator else NOBODY
+    return f"{operator}{BADGE_MARK}" if operator else DEFAULT_OPERATOR
 
 
-def _unit(registry: Registry, facts: LineFacts, scan: Scan) -> Place | Note:
-    emptied = facts.place.emptied(facts.newest_run)
+def _unit(registry: Registry, line: LineStatus, scan: Scan) -> LineSession | Note:
+    emptied = line.session.emptied(line.newest_run)
     if scan.kind == "unreadable":
         return Note("unreadable", {"text": scan.value[:40]})
     if scan.kind == "lot":
-        lot_id = next((known for known in facts.lots if known.lower() == scan.value.lower()), None)
+        lot_id = next((listed for listed in line.lots if listed.lower() == scan.value.lower()), None)
         if lot_id is None:
-            known = ", ".join(facts.lots[:NEWEST_LOTS]) or "–"
-            return Note("unknown_lot", {"lot": scan.value[:40], "known": known})
+            listed = ", ".join(line.lots[:NEWEST_LOTS]) or "–"
+            return Note("unknown_lot", {"lot": scan.value[:40], "known": listed})
         return replace(emptied, lot_id=lot_id)
-    golden = {run.lot_id for run in registry.stations.golden_runs(facts.station, scan.value)}
-    is_here = facts.lot is not None and facts.lot.id not in golden and facts.lot.id in lots_of(registry, scan.value)
-    if scan.kind == "golden" or (golden and not is_here):
+    golden = {run.lot_id for run in registry.stations.golden_runs(line.station, scan.value)}
+    is_in_lot = line.lot is not None and line.lot.id not in golden and line.lot.id in lots_of(registry, scan.value)
+    if scan.kind == "golden" or (golden and not is_in_lot):
         return replace(emptied, serial=scan.value, is_golden=True)
-    if facts.lot is None:
+    if line.lot is None:
         return Note("no_lot", {"serial": scan.value[:40]})
-    if scan.lot_id and scan.lot_id.lower() != facts.lot.id.lower():
-        return Note("other_lot", {"serial": scan.value, "other": scan.lot_id, "lot": facts.lot.id})
-    lot = facts.lot
-    serial = lot.rules.spelled(scan.value)
+    if scan.lot_id and scan.lot_id.lower() != line.lot.id.lower():
+        return Note("other_lot", {"serial": scan.value, "other": scan.lot_id, "lot": line.lot.id})
+    lot = line.lot
+    serial = lot.rules.spell(scan.value)
     try:
         serial = check_serial(serial)
     except InputError:
@@ -171,85 +175,85 @@ def _unit(registry: Registry, facts: LineFacts, scan: Scan) -> Place | Note:
     if lot.id not in holders and (holders or not fits):
         # It belongs to the lot that it stands in, or the only one that it fits.
         rules = ((other.id, registry.lots.line_rules(other)) for other in registry.lots.all() if other.id != lot.id)
-        fitting = (lot_id for lot_id, other in rules if other.serial_pattern and other.fits(other.spelled(serial)))
+        fitting = (lot_id for lot_id, other in rules if other.serial_pattern and other.fits(other.spell(serial)))
         if other := min(holders) if holders else next(fitting, ""):
             return Note("other_lot", {"serial": serial, "other": other, "lot": lot.id})
     if not fits:
         return Note("bad_serial", {"serial": serial, "lot": lot.id})
-    pressed = {run[0].serial for run in facts.runs if run[0].lot_id == lot.id}
-    is_new = is_unheard_of(registry, lot.lot, lot.rules, serial, pressed)
+    pressed = {run[0].serial for run in line.runs if run[0].lot_id == lot.id}
+    is_new = is_unfamiliar(registry, lot.lot, lot.rules, serial, pressed)
     return replace(emptied, lot_id=lot.id, serial=serial, is_new=is_new)
 
 
-def _start(facts: LineFacts, screen: Screen, who: str) -> Step:
+def _start(line: LineStatus, screen: Screen, actor: str) -> Step:
     """Press the unit that waits, or read the load that is asked for; the only way to either."""
-    refusal = _start_refusal(facts, screen)
-    if refusal is None and who == NOBODY and facts.lot is not None and facts.lot.rules.is_badge_needed:
-        refusal = Note("badge_first", {"lot": facts.lot.id})
+    refusal = _start_refusal(line, screen)
+    if refusal is None and actor == DEFAULT_OPERATOR and line.lot is not None and line.lot.rules.is_badge_needed:
+        refusal = Note("badge_first", {"lot": line.lot.id})
     if refusal is not None:
-        return Step(_told(facts, refusal))
-    if facts.load is not None and facts.newest is not None:
-        pressed, loaded = facts.newest[0], load_order(facts.load_step, facts.load)
-        unit = (pressed.serial, pressed.lot_id, who, loaded)
-        return Step(replace(facts.place, note=None), Order(uuid.uuid4().hex, facts.station, OrderKind.LOAD, *unit))
-    is_of_lot = facts.lot is not None and (not facts.is_golden or facts.serial == facts.lot.lot.source)
-    lot_id = facts.lot.id if facts.lot and is_of_lot else ""
-    kind = OrderKind.GOLDEN if facts.is_golden else OrderKind.UNIT
-    reason = f"re-test after {facts.results[-1].verdict}" if facts.results and not facts.is_golden else ""
-    order = Order(uuid.uuid4().hex, facts.station, kind, facts.serial, lot_id, who, reason)
-    return Step(replace(facts.place.emptied(facts.newest_run), note=None), order)
+        return Step(_with_note(line, refusal))
+    if line.load is not None and line.newest is not None:
+        pressed, loaded = line.newest[0], load_order(line.load_step, line.load)
+        unit = (pressed.serial, pressed.lot_id, actor, loaded)
+        return Step(replace(line.session, note=None), Order(uuid.uuid4().hex, line.station, OrderKind.LOAD, *unit))
+    is_of_lot = line.lot is not None and (not line.is_golden or line.serial == line.lot.lot.source)
+    lot_id = line.lot.id if line.lot and is_of_lot else ""
+    kind = OrderKind.GOLDEN if line.is_golden else OrderKind.UNIT
+    reason = f"re-test after {line.results[-1].verdict}" if line.results and not line.is_golden else ""
+    order = Order(uuid.uuid4().hex, line.station, kind, line.serial, lot_id, actor, reason)
+    return Step(replace(line.session.emptied(line.newest_run), note=None), order)
 
 
-def _start_refusal(facts: LineFacts, screen: Screen) -> Note | None:
-    if facts.active is not None:
-        return Note("busy_key", _running(facts))
-    if facts.is_stopped:
+def _start_refusal(line: LineStatus, screen: Screen) -> Note | None:
+    if line.active is not None:
+        return Note("busy_key", _running(line))
+    if line.is_stopped:
         return Note("acknowledge_first")
-    if facts.load is not None:
+    if line.load is not None:
         # Whoever has not seen which load is asked for has not put it on.
-        is_seen = screen.seen is None or screen.seen == facts.place.version
-        return None if facts.is_answering and is_seen else Note("look_at_load" if facts.is_answering else "silent")
-    if not facts.serial:
+        is_load_shown = screen.version is None or screen.version == line.session.version
+        return None if line.is_answering and is_load_shown else Note("look_at_load" if line.is_answering else "silent")
+    if not line.serial:
         return Note("scan_first")
-    if facts.open_question:
-        return Note(f"{facts.open_question}_first", {"serial": facts.serial})
-    if not facts.is_answering:
+    if line.open_question:
+        return Note(f"{line.open_question}_first", {"serial": line.serial})
+    if not line.is_answering:
         return Note("silent")
-    if not facts.may_press:
+    if not line.may_press:
         return Note("closed")
-    is_shown = screen.seen is None or screen.seen == facts.place.version
-    return None if is_shown or screen.tab == facts.place.tab else Note("look_again", {"serial": facts.serial})
+    is_shown = screen.version is None or screen.version == line.session.version
+    return None if is_shown or screen.tab == line.session.tab else Note("look_again", {"serial": line.serial})
 
 
-def _confirm(facts: LineFacts, screen: Screen, who: str) -> Step:
+def _confirm(line: LineStatus, screen: Screen, actor: str) -> Step:
     """Confirm a stop, an aborted run, or a question. Nothing moves."""
-    if facts.active is not None:
-        return Step(_told(facts, Note("busy_key", _running(facts))))
-    emptied = facts.place.emptied(facts.newest_run)
-    if facts.is_stopped:
-        order = Order(uuid.uuid4().hex, facts.station, OrderKind.ACKNOWLEDGE, actor=who)
-        return Step(_told(facts, Note("acknowledged", {}, False), emptied), order)
-    if facts.open_question in ("ask", "ask_new"):
-        return Step(replace(facts.place, is_confirmed=True, note=None))
-    if facts.open_question:
-        return Step(_told(facts, Note("used_up_first", {"serial": facts.serial})))
-    if facts.newest is not None and not facts.is_in_doubt and facts.newest[1].state is not RunState.DONE:
+    if line.active is not None:
+        return Step(_with_note(line, Note("busy_key", _running(line))))
+    emptied = line.session.emptied(line.newest_run)
+    if line.is_stopped:
+        order = Order(uuid.uuid4().hex, line.station, OrderKind.ACKNOWLEDGE, actor=actor)
+        return Step(_with_note(line, Note("acknowledged", {}, False), emptied), order)
+    if line.open_question in ("ask", "ask_new"):
+        return Step(replace(line.session, is_confirmed=True, note=None))
+    if line.open_question:
+        return Step(_with_note(line, Note("used_up_first", {"serial": line.serial})))
+    if line.newest is not None and not line.is_unit_uncertain and line.newest[1].state is not RunState.DONE:
         return Step(replace(emptied, note=None))
-    return Step(_told(facts, Note("nothing_to_confirm", {}, False)))
+    return Step(_with_note(line, Note("nothing_to_confirm", {}, False)))
 
 
-def _stop(facts: LineFacts, screen: Screen, who: str) -> Step:
-    if facts.active is None:
-        return Step(_told(facts, Note("nothing_runs", {}, False)))
-    return Step(_told(facts, Note("stopping", {}, False)), _stop_order(facts.station, facts.active[0], who))
+def _stop(line: LineStatus, screen: Screen, actor: str) -> Step:
+    if line.active is None:
+        return Step(_with_note(line, Note("nothing_runs", {}, False)))
+    return Step(_with_note(line, Note("stopping", {}, False)), _stop_order(line.station, line.active[0], actor))
 
 
-def _cancel(facts: LineFacts, screen: Screen, who: str) -> Step:
+def _cancel(line: LineStatus, screen: Screen, actor: str) -> Step:
     """Discard the waiting unit; the unit in the hand is then uncertain."""
-    if facts.active is not None:
-        return Step(_told(facts, Note("busy_key", _running(facts))))
-    is_open = bool(facts.serial) or facts.load is not None
-    return Step(replace(facts.place.emptied(facts.newest_run), note=None) if is_open else facts.place)
+    if line.active is not None:
+        return Step(_with_note(line, Note("busy_key", _running(line))))
+    is_open = bool(line.serial) or line.load is not None
+    return Step(replace(line.session.emptied(line.newest_run), note=None) if is_open else line.session)
 
 
 _COMMANDS = {"START": _start, "STOP": _stop, "REPEAT": _confirm, "OK": _confirm, "CANCEL": _cancel}

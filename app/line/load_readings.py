@@ -10,13 +10,13 @@ from softcal.core.maps.config import AnchorConfig
 from softcal.core.maps.interface import Anchors
 from softcal.core.messages.reason import Reason, Value, reason
 from softcal.core.orders import Order
-from softcal.core.quality.known_loads import FROM_START, READ, WANTED, KnownLoad, loads_text, ordered_load
+from softcal.core.quality.known_loads import FROM_START, READ, REQUESTED, KnownLoad, loads_text, ordered_load
 from softcal.core.quality.reading_at_rest import ReadingConfig, level_at_rest
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.budget import COVERAGE
 from softcal.core.unit.source_model import SourceModel
 
-NOTHING = "nothing was pressed"
+NOT_PRESSED = "nothing was pressed"
 DIGITS = 7
 """As many decimals of a level as the files of recordings keep."""
 
@@ -40,7 +40,7 @@ class LoadReadings:
         self.forget()
         self._unit, self._lot_id, self._reference_unit = unit, order.lot_id, reference_unit
         self._loads = tuple(loads)
-        return reason(WANTED, step=0, **self._asked)
+        return reason(REQUESTED, step=0, **self._request_values)
 
     def check(self, order: Order) -> None:
         """Refuse a reading of another unit, step or load than the next."""
@@ -64,17 +64,17 @@ class LoadReadings:
         try:
             level = level_at_rest(output, recorded.output, load, list(self._levels.values()), self._config)
         except InputError as error:
-            return reason(error.reason.code, **{**error.reason.values, "step": step, **self._asked})
+            return reason(error.reason.code, **{**error.reason.values, "step": step, **self._request_values})
         self._levels[step] = round(level, DIGITS)
         if len(self._levels) < len(self._loads):
-            return reason(READ, step=step, level=level, **self._asked)
+            return reason(READ, step=step, level=level, **self._request_values)
         loads = Anchors(np.array(list(self._levels.values())), np.array([load.value for load in self._loads]))
         if model is not None:
             try:
                 check_loads(model.source, loads, "the unit was not calibrated", model.method.map.anchors)
             except InputError as error:
                 self._levels = {}
-                return reason(FROM_START, step=step, why=str(error), **self._asked)
+                return reason(FROM_START, step=step, why=str(error), **self._request_values)
         return recorded, loads
 
     @property
@@ -84,20 +84,22 @@ class LoadReadings:
         return self._unit
 
     @property
-    def _asked(self) -> dict[str, Value]:
+    def _request_values(self) -> dict[str, Value]:
         """Return the common part of every answer: the loads at the time of the press."""
         return {"loads": loads_text(self._loads), "of": len(self._loads), "unit": self._reference_unit}
 
 
-def check_stated(loads: Sequence[KnownLoad], source: LabelledRecording, config: AnchorConfig) -> None:
+def check_declared_loads(loads: Sequence[KnownLoad], source: LabelledRecording, config: AnchorConfig) -> None:
     """Refuse loads, before any was read, that the calibration could not use.
 
     Raises:
         InputError: out of the source's range, a repeated load, or too large an uncertainty.
     """
-    check_values(source, np.array([load.value for load in loads]), NOTHING, config)
-    most = COVERAGE * config.load_error * float(np.ptp(source.reference))
+    check_values(source, np.array([load.value for load in loads]), NOT_PRESSED, config)
+    max_expanded = COVERAGE * config.load_error * float(np.ptp(source.reference))
     for load in loads:
-        if load.expanded is not None and load.expanded > most:
+        if load.expanded is not None and load.expanded > max_expanded:
             unit = source.reference_unit
-            raise InputError(reason("load.uncertain", value=load.value, expanded=load.expanded, most=most, unit=unit))
+            raise InputError(
+                reason("load.uncertain", value=load.value, expanded=load.expanded, most=max_expanded, unit=unit)
+            )

@@ -92,15 +92,15 @@ class QualificationPage:
         }
 
 
-def keep_qualification(registry: Registry, page: QualificationPage, actor: str | None = None) -> None:
+def store_qualification(registry: Registry, page: QualificationPage, actor: str | None = None) -> None:
     """Store a qualification for the gate of its station; the newest is in force."""
-    facts = {"station": page.station, "is_passed": page.qualification.is_passed, "due_on": page.due_on}
+    fields = {"station": page.station, "is_passed": page.qualification.is_passed, "due_on": page.due_on}
     registry.declarations.declare(
-        "station_qualifications", facts | {"page": page.to_json()}, action="qualify", actor=actor
+        "station_qualifications", fields | {"page": page.to_json()}, action="qualify", actor=actor
     )
 
 
 def newest_qualification(registry: Registry, station: str) -> QualificationAtGate | None:
     """Return the newest qualification of a station, or None."""
-    kept = registry.declarations.newest("station_qualifications", station)
-    return None if kept is None else QualificationAtGate(kept["is_passed"], kept["due_on"])
+    stored = registry.declarations.newest("station_qualifications", station)
+    return None if stored is None else QualificationAtGate(stored["is_passed"], stored["due_on"])

@@ -8,7 +8,7 @@ import numpy as np
 
 from softcal.app.files.recording_file import write_columns
 from softcal.app.line.rig import SERIALS_APART, columns
-from softcal.app.line.scan_codes import numbered
+from softcal.app.line.scan_codes import channel_serial
 from softcal.core.errors import BadReply, InputError
 from softcal.core.lot import check_serial
 from softcal.station.interfaces import Sample
@@ -17,7 +17,7 @@ from softcal.station.record.spool import SpooledRun, read_spool
 
 
 @dataclass(frozen=True)
-class Recovered:
+class RecoveredRun:
     """One recovered spool: "done" or its end, and one file per channel of a finished run."""
 
     spool: Path
@@ -28,7 +28,7 @@ class Recovered:
     files: tuple[Path, ...]
 
 
-def recover(folder: Path, out: Path) -> list[Recovered]:
+def recover(folder: Path, out: Path) -> list[RecoveredRun]:
     """Write the content of the spools of a folder: finished runs as recordings, others marked.
 
     Spools stay where they are: deleting them is a decision of a person. One that cannot be read is
@@ -43,39 +43,39 @@ def recover(folder: Path, out: Path) -> list[Recovered]:
     return [_recover(path, out) for path in sorted(folder.glob("*.spool"))]
 
 
-def _recover(path: Path, out: Path) -> Recovered:
+def _recover(path: Path, out: Path) -> RecoveredRun:
     try:
         run = read_spool(path)
         serial = check_serial(run.header.get("serial", "unknown"))
     except InputError as error:
-        return Recovered(path, "", "", f"not readable: {error}", 0, ())
+        return RecoveredRun(path, "", "", f"not readable: {error}", 0, ())
     profile = run.header.get("profile", "")
     try:
         recording = restore(run)
         channels = recording.output.shape[1]
         names = run.header.get("serials", serial).split(SERIALS_APART)
         if len(names) != channels:
-            names = [numbered(serial, channel) for channel in range(channels)]
+            names = [channel_serial(serial, channel) for channel in range(channels)]
         serials = [check_serial(name) for name in names]
     except (BadReply, InputError) as error:
-        end = str(error) if run.is_whole else str(run.end)
+        end = str(error) if run.is_complete else str(run.end)
         file = out / f"{path.stem}.aborted.csv"
         write_columns(file, _aborted_columns(run, end))
-        return Recovered(path, serial, profile, end, len(run.output), (file,))
+        return RecoveredRun(path, serial, profile, end, len(run.output), (file,))
     files = []
     for channel, name in enumerate(serials):
         # Under its serial, or its spool where that file is another recording
-        file, own = out / f"{name}.csv", out / f"{path.stem}-{name}.csv"
+        file, spool_file = out / f"{name}.csv", out / f"{path.stem}-{name}.csv"
         if file.exists():
-            write_columns(own, columns(recording, channel))
-            if own.read_bytes() != file.read_bytes():
-                files.append(own)
+            write_columns(spool_file, columns(recording, channel))
+            if spool_file.read_bytes() != file.read_bytes():
+                files.append(spool_file)
                 continue
-            own.unlink()
+            spool_file.unlink()
         else:
             write_columns(file, columns(recording, channel))
         files.append(file)
-    return Recovered(path, serial, profile, str(run.end), len(recording.t_s), tuple(files))
+    return RecoveredRun(path, serial, profile, str(run.end), len(recording.t_s), tuple(files))
 
 
 def _aborted_columns(run: SpooledRun, end: str) -> list[tuple[str, Any]]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from softcal.app.bootstrap import data_folder
 from softcal.app.files.lot_folder import FOLDER_OF
-from softcal.app.files.lot_toml import read_lot_toml, restate_reference, write_lot_toml
+from softcal.app.files.lot_toml import read_lot_toml, update_reference, write_lot_toml
 from softcal.app.files.profile_file import read_profile
 from softcal.app.files.recording_file import write_columns
 from softcal.core.errors import InputError, NoReply
@@ -20,10 +20,10 @@ from softcal.core.messages.reason import Reason, reason, several
 from softcal.core.profiles import Profile, source_profile, unit_profile
 from softcal.core.recording import Array
 from softcal.core.unit.budget import SIMULATED, Reference
+from softcal.station.bench.bench import SIMULATED_NAME, Bench, open_bench, open_simulated_bench
+from softcal.station.bench.station_file import read_station_file
 from softcal.station.clock import HostClock
-from softcal.station.devices.bench import SIMULATED_NAME, Bench, open_bench, open_simulated_bench
 from softcal.station.devices.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig
-from softcal.station.devices.station_file import read_station_file
 from softcal.station.record.method import METHOD
 from softcal.station.record.recording import StationRecording
 from softcal.station.record.response import check_error
@@ -62,7 +62,7 @@ def chosen_bench(
 
         rng, count = np.random.default_rng(simulated_seed), simulated_channels
         twins = draw_lot(rng, count) if twin is None else (twin, *draw_lot(rng, count - 1, twin))
-        with open_simulated_bench(twins[0], simulated_seed, beside=twins[1:]) as (bench, _):
+        with open_simulated_bench(twins[0], simulated_seed, other_units=twins[1:]) as (bench, _):
             yield bench
     elif station_file is None:
         raise InputError(
@@ -108,15 +108,15 @@ def station_of(devices: Sequence[DeviceIdentity], choose: Choose | None = None) 
     Raises:
         NoReply: a part is missing, or two could be one; all that is missing is named.
     """
-    taken: list[DeviceIdentity] = []
-    stage, readout, force = (_only(devices, role, taken, choose) for role in PARTS)
+    assigned: list[DeviceIdentity] = []
+    stage, readout, force = (_only(devices, role, assigned, choose) for role in PARTS)
     if force is None and stage is not None and stage.kind == "esm" and stage.channels:
         force = stage  # The gauge on the stand, behind the same port.
     if stage is None or readout is None or force is None:
         missing = [part for part, device in zip(PARTS.values(), (stage, readout, force), strict=True) if device is None]
-        looked_at = ", ".join(device.port for device in devices)
+        port_names = ", ".join(device.port for device in devices)
         unclear = [reason("port.at", port=device.port, why=device.says) for device in devices if not device.role]
-        raise NoReply(several([reason("port.missing", parts=_and(missing), ports=looked_at), *unclear]))
+        raise NoReply(several([reason("port.missing", parts=_and(missing), ports=port_names), *unclear]))
     return StationConfig(
         StageConfig(stage.port, stage.kind),
         ReadoutConfig(readout.port, rate_Hz=round(readout.rate_Hz, 1), channels=readout.channels),
@@ -125,12 +125,12 @@ def station_of(devices: Sequence[DeviceIdentity], choose: Choose | None = None) 
 
 
 def _only(
-    devices: Sequence[DeviceIdentity], role: str, taken: list[DeviceIdentity], choose: Choose | None
+    devices: Sequence[DeviceIdentity], role: str, assigned: list[DeviceIdentity], choose: Choose | None
 ) -> DeviceIdentity | None:
     """Return the only device of a role; of two candidates a person chooses."""
     matching = [device for device in devices if device.role == role]
-    streams = [device for device in devices if not device.role and device.channels and device not in taken]
-    if len(matching) == 1 or not (matching or (streams and role in BARE and choose)):
+    streams = [device for device in devices if not device.role and device.channels and device not in assigned]
+    if len(matching) == 1 or not (matching or (streams and role in TEXT_STREAM_KINDS and choose)):
         return matching[0] if matching else None
     if choose is None:
         first, second, *_ = (reason("port.at", port=device.port, why=device.says) for device in matching)
@@ -138,12 +138,12 @@ def _only(
     candidates = matching or streams
     chosen = choose(PARTS[role], candidates)
     if chosen is None:
-        return replace(candidates[0], port="", role=role, kind=BARE.get(role, candidates[0].kind))
-    taken.append(chosen)
-    return replace(chosen, role=role, kind=chosen.kind or BARE[role])
+        return replace(candidates[0], port="", role=role, kind=TEXT_STREAM_KINDS.get(role, candidates[0].kind))
+    assigned.append(chosen)
+    return replace(chosen, role=role, kind=chosen.kind or TEXT_STREAM_KINDS[role])
 
 
-BARE = {"readout": "arduino", "force": "hx711"}
+TEXT_STREAM_KINDS = {"readout": "arduino", "force": "hx711"}
 """What a bare text stream of counts is, as either part."""
 
 
@@ -245,16 +245,16 @@ def record_to_files(
         is_simulated = bench.config.name == SIMULATED_NAME
         reference = SIMULATED if is_simulated else station_reference(bench.config)
         remarks += _state_source(paths[0], recording, with_response(reference, recording))
-    force, behind_s = bench.config.force, recording.alignment.force_behind_s
+    force, force_delay_s = bench.config.force, recording.alignment.force_behind_s
     if constant_s := recording.alignment.force_time_constant_s:
         remarks.append(
             f"the load cell follows the force through a low pass of {constant_s:.3f} s; labels are wrong by "
             f"{recording.alignment.force_response_N:.3g} N RMS, which counts as uncertainty of the reference"
         )
-    if force is not None and not force.is_latency_stated and np.isfinite(behind_s):
+    if force is not None and not force.is_latency_declared and np.isfinite(force_delay_s):
         remarks.append(
-            f"the load cell was found {behind_s:.3f} s behind the stage, which was taken off; write "
-            f"latency_s = {max(0.0, behind_s):.2f} into [force] of the station file"
+            f"the load cell was found {force_delay_s:.3f} s behind the stage, which was taken off; write "
+            f"latency_s = {max(0.0, force_delay_s):.2f} into [force] of the station file"
         )
     spool_path.unlink()
     return WrittenRun(recording, tuple(paths), bench.clock.now_s() - began_s, tuple(remarks))
@@ -311,7 +311,7 @@ def _state_source(source: Path, recording: StationRecording, reference: Referenc
         return []
     lot = read_lot_toml(folder).lot
     if lot.source == source.stem:
-        restate_reference(folder, reference)
+        update_reference(folder, reference)
         return []
     return [
         f"{folder / 'lot.toml'} names {lot.source} as the source; {source.stem} lies beside it and is not used; to use "
@@ -346,10 +346,10 @@ def run_json(run: WrittenRun) -> dict[str, object]:
 
 def columns(recording: StationRecording, channel: int = 0) -> list[tuple[str, Array]]:
     """Return the columns of a lot folder's file, rounded far below the devices' resolution."""
-    named = [("t_s", np.round(recording.t_s, 6)), ("output", np.round(recording.output[:, channel], 7))]
+    named_columns = [("t_s", np.round(recording.t_s, 6)), ("output", np.round(recording.output[:, channel], 7))]
     if recording.force_N is not None:
-        named.append(("reference", np.round(recording.force_N, 6)))
-    return [*named, ("stage_mm", np.round(recording.stage_mm, 5))]
+        named_columns.append(("reference", np.round(recording.force_N, 6)))
+    return [*named_columns, ("stage_mm", np.round(recording.stage_mm, 5))]
 
 
 def profile_for(kind: str, seed: int, seconds: float | None, depth_mm: float, file: Path | None = None) -> Profile:

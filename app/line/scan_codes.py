@@ -42,10 +42,10 @@ def read_scan(text: str) -> Scan:
     """Return the meaning of a scan."""
     raw = text.strip(" \t\r\n")
     prefix = AIM_PREFIX.match(raw)
-    bare = raw[prefix.end() :] if prefix else raw
-    is_gs1 = SEPARATOR in bare or bool(PRINTED_FIELD.match(bare)) or bool(prefix and prefix.group() in GS1_AIM)
+    payload = raw[prefix.end() :] if prefix else raw
+    is_gs1 = SEPARATOR in payload or bool(PRINTED_FIELD.match(payload)) or bool(prefix and prefix.group() in GS1_AIM)
     if not is_gs1:
-        text = "".join(letter for letter in bare if letter.isprintable()).strip()
+        text = "".join(letter for letter in payload if letter.isprintable()).strip()
         head, colon, rest = text.partition(":")
         kind, value = head.strip().upper(), rest.strip()
         if not colon and text:
@@ -55,8 +55,8 @@ def read_scan(text: str) -> Scan:
         if colon and (kind == "BADGE" or (kind in ("LOT", "GOLDEN") and value)):
             return Scan(kind.lower(), value)
         return Scan("unreadable", text)
-    fields, rest = dict(PRINTED_FIELD.findall(bare)), bare.lstrip(SEPARATOR)
-    if not bare.startswith("("):
+    fields, rest = dict(PRINTED_FIELD.findall(payload)), payload.lstrip(SEPARATOR)
+    if not payload.startswith("("):
         fields = {}
         while rest:
             name, rest = rest[:2], rest[2:]
@@ -66,10 +66,10 @@ def read_scan(text: str) -> Scan:
     serial, lot_id = fields.get(SERIAL_FIELD, "").strip(), fields.get(LOT_FIELD, "").strip()
     if serial:
         return Scan("serial", serial, lot_id)
-    return Scan("lot", lot_id) if lot_id else Scan("unreadable", bare.replace(SEPARATOR, "|"))
+    return Scan("lot", lot_id) if lot_id else Scan("unreadable", payload.replace(SEPARATOR, "|"))
 
 
-def is_unheard_of(registry: Registry, lot: Lot, rules: LineRules, serial: str, pressed: Set[str]) -> bool:
+def is_unfamiliar(registry: Registry, lot: Lot, rules: LineRules, serial: str, pressed: Set[str]) -> bool:
     """Whether a person should be asked before a serial becomes a unit of a lot.
 
     Not for a unit that the lot knows. Where the lot's units were registered by name, for every
@@ -82,7 +82,7 @@ def is_unheard_of(registry: Registry, lot: Lot, rules: LineRules, serial: str, p
     waiting = registry.pages.unit_page(lot.id, UnitFilter(verdicts=("none",)), size=1).units
     if any(not registry.recordings.of_lot(lot.id, unit.serial) for unit in waiting):
         return True
-    return not rules.serial_pattern and shape(serial) not in {shape(known) for known in {lot.source, *pressed}}
+    return not rules.serial_pattern and shape(serial) not in {shape(other) for other in {lot.source, *pressed}}
 
 
 def shape(serial: str) -> str:
@@ -98,6 +98,6 @@ def lots_of(registry: Registry, serial: str) -> set[str]:
         return set()
 
 
-def numbered(serial: str, channel: int) -> str:
+def channel_serial(serial: str, channel: int) -> str:
     """Return the serial of one of several units pressed at once; channels count from 0."""
     return f"{serial}-{channel + 1}"

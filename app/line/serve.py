@@ -7,10 +7,10 @@ from functools import partial
 from pathlib import Path
 
 from softcal.app.bootstrap import current_user
-from softcal.app.line.gate_facts import SHIFT, GateRules, StationGate
-from softcal.app.line.host import Fixture, HandFixture, StationHost
-from softcal.app.line.pressed_run import RunKeeper
+from softcal.app.line.host import Fixture, ManualFixture, StationHost
+from softcal.app.line.pressed_run import RunStore
 from softcal.app.line.rig import profile_for, station_reference
+from softcal.app.line.station_gate import SHIFT, GateRules, StationGate
 from softcal.app.logs import start_logging
 from softcal.core.errors import InputError
 from softcal.core.network.config import NetworkConfig
@@ -18,9 +18,9 @@ from softcal.core.orders import OrderKind, Progress
 from softcal.core.profiles import Profile
 from softcal.core.unit.budget import SIMULATED, Reference
 from softcal.db.registry import Registry
-from softcal.station.devices.bench import SIMULATED_NAME, Bench, open_bench
+from softcal.station.bench.bench import SIMULATED_NAME, Bench, open_bench
+from softcal.station.bench.station_file import read_station_file
 from softcal.station.devices.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig
-from softcal.station.devices.station_file import read_station_file
 from softcal.station.tasks.service import Hooks, StationService
 
 SIMULATED_RIG = StationConfig(
@@ -62,8 +62,8 @@ class Serving:
         return {OrderKind.SOURCE: source, OrderKind.UNIT: unit, OrderKind.GOLDEN: unit}
 
 
-def serve(registry: Registry, serving: Serving, spools: Path, goes_on: Callable[[], bool]) -> None:
-    """Own the ports of a station and perform its orders until `goes_on` returns False.
+def serve(registry: Registry, serving: Serving, spools: Path, should_run: Callable[[], bool]) -> None:
+    """Own the ports of a station and perform its orders until `should_run` returns False.
 
     Raises:
         InputError: no station is named, its file cannot be read, or another process serves it.
@@ -80,7 +80,7 @@ def serve(registry: Registry, serving: Serving, spools: Path, goes_on: Callable[
     elif serving.station_file is None:
         raise InputError("which station? give --station FILE or --simulated")
     else:
-        config, fixture = read_station_file(serving.station_file), HandFixture()
+        config, fixture = read_station_file(serving.station_file), ManualFixture()
         opened, reference = partial(open_bench, config), station_reference(config)
     gate = StationGate(registry, serving.station, config, serving.rules)
     if serving.override:
@@ -88,11 +88,11 @@ def serve(registry: Registry, serving: Serving, spools: Path, goes_on: Callable[
     profiles = serving.profiles
     log = start_logging(command="station serve", station=serving.station)
 
-    def make_service(report: Callable[[Progress], None], is_stop_wanted: Callable[[], bool]) -> StationService:
-        return StationService(opened, profiles, spools, Hooks(report, is_stop_wanted, gate))
+    def make_service(report: Callable[[Progress], None], is_stop_requested: Callable[[], bool]) -> StationService:
+        return StationService(opened, profiles, spools, Hooks(report, is_stop_requested, gate))
 
     # A bench whose gate asks for no golden unit still has sittings.
     sitting = serving.rules.shift or SHIFT
-    keeper = RunKeeper(registry, serving.station, serving.network, reference=reference, sitting=sitting)
-    queue, write_log = registry.order_queue, lambda event, facts: log.info(event, **facts)
-    StationHost(queue, serving.station, keeper, gate.override, make_service, fixture, write_log).run(goes_on)
+    run_store = RunStore(registry, serving.station, serving.network, reference=reference, sitting=sitting)
+    queue, write_log = registry.order_queue, lambda event, details: log.info(event, **details)
+    StationHost(queue, serving.station, run_store, gate.override, make_service, fixture, write_log).run(should_run)

@@ -127,9 +127,9 @@ class Follower:
         changed: list[str] = []
         last = registry.adaptations.last_checkpoint(key, unit.revision, stream)
         # A file that was broken off is begun again, and so is one whose content names its stream.
-        is_named_by_content = is_repeatable and options.stream is None
-        has_begun = last is not None and not is_named_by_content if is_repeatable else newest is not None
-        if options.resume and last is not None and not is_named_by_content:
+        has_content_name = is_repeatable and options.stream is None
+        has_begun = last is not None and not has_content_name if is_repeatable else newest is not None
+        if options.resume and last is not None and not has_content_name:
             try:
                 changed = self._adapter.restore(last["state"])
             except InputError as error:
@@ -282,8 +282,8 @@ def _stream_of(source: Path, mode: str, names: ColumnNames) -> str:
         raise InputError(f"{source}: there is no such file")
     with source.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
-    read_as = "" if names == PLAIN else f" {content_sha256({}, {'names': repr(names)})[:8]}"
-    return f"{source.name[:40]} {digest[:16]} {mode}{read_as}"
+    suffix = "" if names == PLAIN else f" {content_sha256({}, {'names': repr(names)})[:8]}"
+    return f"{source.name[:40]} {digest[:16]} {mode}{suffix}"
 
 
 def report_json(report: AdaptReport, course: list[Mapping[str, Any]]) -> dict[str, object]:

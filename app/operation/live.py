@@ -72,7 +72,7 @@ def adapt_live(registry: Registry, serial: str, live: LiveOptions, options: Adap
         sink = stack.enter_context(open_sink(live.target, options.resume))
         writer = stack.enter_context(ThreadPoolExecutor(1))
         follower = Follower(registry, unit, stream, options, writer)
-        samples = _limited(samples, live.duration_s)
+        samples = _limit_duration(samples, live.duration_s)
         # The state is kept however the stream ends; Ctrl-C is the usual way.
         try:
             with _view(unit, live.has_view) as show:
@@ -112,12 +112,12 @@ def _continue_stream(follower: Follower, samples: Samples, existing: ExistingRow
         follower.reconnect()
         yield from _all_new(samples)
         return
-    taken = follower.rows_since_begin
-    if taken is None or taken > existing.rows:
+    input_rows = follower.rows_since_begin
+    if input_rows is None or input_rows > existing.rows:
         raise InputError("IN begins with the first row of OUT, which is not its alone; give OUT another name")
     rows_read = 0
     for piece in samples:
-        new = piece[max(0, taken - rows_read) :]
+        new = piece[max(0, input_rows - rows_read) :]
         rows_read += len(piece)
         # Rows after the last kept state are estimated again, for the state, but stand in the target.
         silent = max(0, len(new) - max(0, rows_read - existing.rows))
@@ -137,8 +137,8 @@ def _view(unit: UnitInUse, has_view: bool) -> Iterator[Show]:
         value, lower, upper = (float(rows_read[-1]) for rows_read in (rows.estimate, rows.lower, rows.upper))
         now = report.current
         table = Table(title=f"unit {unit.state.serial}", show_header=False)
-        shown = f"{value:8.3f} {load}   [{lower:.3f}, {upper:.3f}]" if value == value else "no estimate"
-        table.add_row("estimate", shown)
+        line = f"{value:8.3f} {load}   [{lower:.3f}, {upper:.3f}]" if value == value else "no estimate"
+        table.add_row("estimate", line)
         table.add_row(f"{span[0]:.3g} .. {span[1]:.3g} {load}", bar(value, lower, upper, span))
         table.add_row("row", f"{report.rows} at {float(rows.t_s[-1]):.2f} s   {rows.flag[-1] or 'trusted'}")
         table.add_row("drift", f"shift {now.shift:+.3f} ± {now.shift_sd:.3f}, log gain {now.log_gain:+.3f}")
@@ -151,7 +151,7 @@ def _view(unit: UnitInUse, has_view: bool) -> Iterator[Show]:
         yield draw
 
 
-def _limited(samples: Samples, duration_s: float | None) -> Samples:
+def _limit_duration(samples: Samples, duration_s: float | None) -> Samples:
     """Yield the pieces with samples, for so much time of the stream, or of the clock."""
     first_s: float | None = None
     start_s = time.monotonic()

@@ -28,7 +28,7 @@ from softcal.core.windows import TAPS, evenly
 
 Result = TypeVar("Result")
 
-OWN, BEFORE, POT = "own calibration", "before (no map)", "ot.da.EMDTransport"
+OWN_CALIBRATION, BEFORE, POT = "own calibration", "before (no map)", "ot.da.EMDTransport"
 SHARES = (0.05, 0.1, 0.25, 0.5, 1.0)
 """Of the unit's windows, as in Table 2."""
 
@@ -98,14 +98,14 @@ def compute_tables(
     """
     fit, _ = _cut(source, FIT_SHARE, "source")
     calibration, test = _cut(target, FIT_SHARE, "target")
-    network, train_s = _timed(lambda: fit_network(fit, config).network)
+    network, train_s = _measure_time(lambda: fit_network(fit, config).network)
     seconds = {"network": train_s}
-    own = fit_network(calibration, config).network
-    errors = {OWN: _error(own, test.windows, test), BEFORE: _error(network, test.windows, test)}
+    own_network = fit_network(calibration, config).network
+    errors = {OWN_CALIBRATION: _error(own_network, test.windows, test), BEFORE: _error(network, test.windows, test)}
     # First: what a solver takes to be loaded is no part of a map's time.
-    errors[POT] = _error(network, _by_pot(fit.windows, calibration.windows, test.windows), test)
+    errors[POT] = _error(network, _map_by_pot(fit.windows, calibration.windows, test.windows), test)
     for name in (EXACT, JOINT, DEFAULT):
-        unit_map, seconds[name] = _timed(lambda name=name: _map(fit, network, calibration, name))  # type: ignore[misc]
+        unit_map, seconds[name] = _measure_time(lambda name=name: _map(fit, network, calibration, name))  # type: ignore[misc]
         errors[name] = _error(network, unit_map.apply(test.windows), test)
     shares = {
         EXACT: [_share_by_plan(fit, network, calibration, test, share) for share in SHARES],
@@ -121,7 +121,7 @@ def _cut(recording: LabelledRecording, share: float, name: str) -> tuple[Labelle
     return recording.part(0, rows), recording.part(rows, len(recording))
 
 
-def _timed(work: Callable[[], Result]) -> tuple[Result, float]:
+def _measure_time(work: Callable[[], Result]) -> tuple[Result, float]:
     # Processor time: what else the computer does is no part of it.
     start_s = time.process_time()
     return work(), time.process_time() - start_s
@@ -135,7 +135,7 @@ def _error(network: Network, windows: Array, test: LabelledRecording) -> float:
     return rmse(network.evaluate(windows), test.window_reference)
 
 
-def _by_pot(source: Array, target: Array, test: Array) -> Array:
+def _map_by_pot(source: Array, target: Array, test: Array) -> Array:
     """Map by POT's domain adaptation and its own rule for unseen windows, as the published script does."""
     transport = ot.da.EMDTransport()
     rows = evenly(len(target), MAX_WINDOWS)
@@ -162,18 +162,18 @@ def _share_by_default(
 
 
 def _courses(stream: LabelledRecording, config: NetworkConfig) -> dict[str, list[float]]:
-    source, use = _cut(stream, CALIBRATED_SHARE, "stream")
+    source, rest = _cut(stream, CALIBRATED_SHARE, "stream")
     network = fit_network(source, config).network
     calibration = source_state(source, network)
-    courses, edges = {}, np.linspace(0, len(use), PARTS + 1).astype(int)
+    courses, edges = {}, np.linspace(0, len(rest), PARTS + 1).astype(int)
     for mode in COURSES:
         follower: StreamEstimator
         if mode in QUEUES:
             follower = QueuedTransport(network, calibration, source.unlabelled, source, AdaptConfig(mode))
         else:
             follower = Adapter(network, calibration, source.unlabelled, AdaptConfig(mode))
-        estimate = follower.advance(use.unlabelled.t_s, use.unlabelled.output).estimate
-        courses[mode] = [rmse(estimate[a:b], use.reference[a:b]) for a, b in pairwise(edges)]
+        estimate = follower.advance(rest.unlabelled.t_s, rest.unlabelled.output).estimate
+        courses[mode] = [rmse(estimate[a:b], rest.reference[a:b]) for a, b in pairwise(edges)]
     return courses
 
 

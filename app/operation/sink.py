@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 import pandas as pd
 
 from softcal.app.files.stream_file import COLUMNS, HEADER
-from softcal.app.output import say
+from softcal.app.output import echo
 from softcal.core.errors import InputError
 from softcal.core.unit.estimate import Estimate
 
@@ -76,7 +76,7 @@ def open_sink(target: str, append: bool) -> Iterator[Sink]:
     """
     if target == "-":
         sys.stdout.write(HEADER)
-        yield _Flushed(sys.stdout)
+        yield _FlushingFile(sys.stdout)
         return
     if target.startswith("tcp://"):
         with _Listener(target) as listener:
@@ -93,12 +93,12 @@ def open_sink(target: str, append: bool) -> Iterator[Sink]:
         with path.open("a", encoding="utf-8", newline="\n") as file:
             if is_new:
                 file.write(HEADER)
-            yield _Flushed(file)
+            yield _FlushingFile(file)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}; whole lines written so far are kept") from error
 
 
-class _Flushed:
+class _FlushingFile:
     def __init__(self, file: TextIO) -> None:
         self._file = file
 
@@ -121,7 +121,7 @@ class _Listener:
         self._socket = self._connect()
         if self._socket is None:
             raise InputError(f"{target}: nobody listens there; start the listener first")
-        self._last_attempt_s, self._lost = time.monotonic(), 0
+        self._last_attempt_s, self._dropped_rows = time.monotonic(), 0
 
     def __enter__(self) -> "_Listener":
         return self
@@ -134,17 +134,17 @@ class _Listener:
         if self._socket is None and time.monotonic() - self._last_attempt_s >= RETRY_S:
             self._socket, self._last_attempt_s = self._connect(), time.monotonic()
             if self._socket is not None:
-                say(f"listener is back; {self._lost} rows were lost")
-                self._lost = 0
+                echo(f"listener is back; {self._dropped_rows} rows were lost")
+                self._dropped_rows = 0
         if self._socket is not None:
             try:
                 self._socket.sendall(lines.encode())
                 return
             except OSError:
-                say("listener is gone; estimates go on, rows are lost until it is back")
+                echo("listener is gone; estimates go on, rows are lost until it is back")
                 self._socket.close()
                 self._socket = None
-        self._lost += lines.count("\n")
+        self._dropped_rows += lines.count("\n")
 
     def _connect(self) -> socket.socket | None:
         try:

@@ -11,12 +11,12 @@ from typing import IO, TypeAlias
 
 import numpy as np
 
-from softcal.app.output import say
+from softcal.app.output import echo
 from softcal.core.errors import BadReply, InputError, NoReply
+from softcal.station.bench.bench import open_readout, open_simulated_bench
+from softcal.station.bench.station_file import read_station_file
 from softcal.station.clock import HostClock
-from softcal.station.devices.bench import open_readout, open_simulated_bench
 from softcal.station.devices.config import ReadoutConfig
-from softcal.station.devices.station_file import read_station_file
 from softcal.station.interfaces import Clock, Move, Readout, Stage
 
 Sample: TypeAlias = tuple[float, float]
@@ -29,7 +29,7 @@ WAIT_S = 0.005
 SILENCE_S = 10.0
 """A sensor that says nothing for so long has stopped."""
 
-AWAY_S, REOPEN_S = 60.0, 0.5
+RECONNECT_TIMEOUT_S, REOPEN_S = 60.0, 0.5
 """A sensor that stopped or whose port is gone is waited for so long, and tried again so often."""
 
 PRESS_MM, PRESS_MM_S = 3.0, 4.0
@@ -60,7 +60,7 @@ def open_source(source: str, station_file: Path | None, output_unit: str) -> Ite
                 raise InputError(f"the unit was calibrated in {output_unit}; this sensor readout gives {readout.unit}")
             return readout
 
-        with closing(replugged(connect, clock)) as samples:
+        with closing(reconnecting_samples(connect, clock)) as samples:
             # The first step opens the port: one that is not there is refused before anything is written.
             next(samples)
             yield on_one_clock(samples, clock)
@@ -74,14 +74,14 @@ def open_source(source: str, station_file: Path | None, output_unit: str) -> Ite
     if not 0 < factor < float("inf"):
         raise InputError(f"{source}: `simulated` or `simulated:20` for 20 times real speed was expected")
     with open_simulated_bench(time_factor=factor) as (bench, _):
-        yield _pressed(bench.stage, bench.readout, bench.clock, bench.config.fixture.approach_mm)
+        yield _press_samples(bench.stage, bench.readout, bench.clock, bench.config.fixture.approach_mm)
 
 
-def replugged(open_readout: Callable[[], Readout], clock: Clock) -> Generator[list[Sample], None, None]:
+def reconnecting_samples(open_readout: Callable[[], Readout], clock: Clock) -> Generator[list[Sample], None, None]:
     """Yield what a readout sends, first nothing; when it goes, wait for it to come back.
 
     Raises:
-        NoReply: it is not there at the start, or was away for `AWAY_S`.
+        NoReply: it is not there at the start, or was away for `RECONNECT_TIMEOUT_S`.
     """
     readout, last_sample_s = open_readout(), clock.now_s()
     yield []
@@ -92,11 +92,11 @@ def replugged(open_readout: Callable[[], Readout], clock: Clock) -> Generator[li
                     last_sample_s = clock.now_s() if piece else last_sample_s
                     yield piece
         except NoReply as error:
-            gone = error
-        say(f"{gone}; waiting for it until it was away for {AWAY_S:g} s")
+            failure = error
+        echo(f"{failure}; waiting for it until it was away for {RECONNECT_TIMEOUT_S:g} s")
         while True:
-            if clock.now_s() - last_sample_s > AWAY_S:
-                raise gone
+            if clock.now_s() - last_sample_s > RECONNECT_TIMEOUT_S:
+                raise failure
             yield []
             clock.sleep_s(REOPEN_S)
             with suppress(NoReply):
@@ -143,7 +143,7 @@ def readings(readout: Readout, clock: Clock) -> Samples:
         yield [(s.host_s if s.device_s is None else s.device_s, s.values[0]) for s in samples]
 
 
-def _pressed(stage: Stage, readout: Readout, clock: Clock, free_mm: float) -> Samples:
+def _press_samples(stage: Stage, readout: Readout, clock: Clock, free_mm: float) -> Samples:
     """Yield what a readout sends while the stage presses the unit again and again."""
     stage.home()
     stage.begin(Move(free_mm, stage.max_speed_mm_s))

@@ -45,10 +45,10 @@ class _Axis:
     is_log: bool = False
 
     @classmethod
-    def of(cls, values: Sequence[Any], look: Any, margin: tuple[float, float], size: float) -> "_Axis":
+    def from_values(cls, values: Sequence[Any], look: Any, margin: tuple[float, float], size: float) -> "_Axis":
         first, last = look.domain or (0.0, 1.0)
-        room = size - sum(margin)
-        ends, is_log = (margin[0] + first * room, margin[0] + last * room), look.type == "log"
+        span = size - sum(margin)
+        ends, is_log = (margin[0] + first * span, margin[0] + last * span), look.type == "log"
         if len(values) and isinstance(values[0], str):
             names = tuple(dict.fromkeys(map(str, values)))
             return cls(-0.5, len(names) - 0.5, *ends, names[::-1] if look.autorange == "reversed" else names)
@@ -131,9 +131,9 @@ def draw(figure: go.Figure, width: float = WIDTH) -> Drawing:
     for (x_name, y_name), group in groupby(figure.data, key=lambda trace: (trace.xaxis or "x", trace.yaxis or "y")):
         traces = list(group)
         looks = x_look, y_look = layout["xaxis" + x_name[1:]], layout["yaxis" + y_name[1:]]
-        x = _Axis.of([v for t in traces for v in t.x], x_look, (margin["l"], margin["r"]), width)
+        x = _Axis.from_values([v for t in traces for v in t.x], x_look, (margin["l"], margin["r"]), width)
         levels = [shape.y0 for shape in layout.shapes if shape.yref == y_name]
-        y = _Axis.of([*_heights(traces), *levels], y_look, (margin["b"], margin["t"]), layout.height)
+        y = _Axis.from_values([*_heights(traces), *levels], y_look, (margin["b"], margin["t"]), layout.height)
         axes |= {x_name: x, y_name: y}
         _draw_frame(pen, x, y, *looks)
         below = np.zeros(len(traces[0].x))
@@ -147,7 +147,7 @@ def draw(figure: go.Figure, width: float = WIDTH) -> Drawing:
             else:
                 _draw_points(pen, trace, x, y)
 
-    def place(name: str, value: float, is_level: bool) -> float:
+    def to_position(name: str, value: float, is_level: bool) -> float:
         """Return where a place of an axis, or of all (`paper`), lies."""
         if axis := axes.get(name):
             return float(axis.at([value])[0])
@@ -156,15 +156,18 @@ def draw(figure: go.Figure, width: float = WIDTH) -> Drawing:
         return float(start + value * (end - start))
 
     for shape in layout.shapes:
-        ends = [place(*one) for one in ((shape.xref, shape.x0, False), (shape.yref, shape.y0, True))]
-        ends += [place(*one) for one in ((shape.xref, shape.x1, False), (shape.yref, shape.y1, True))]
+        ends = [to_position(*one) for one in ((shape.xref, shape.x0, False), (shape.yref, shape.y0, True))]
+        ends += [to_position(*one) for one in ((shape.xref, shape.x1, False), (shape.yref, shape.y1, True))]
         pen.line(ends, shape.line.color, shape.line.width, shape.line.dash)
     for note in layout.annotations:
         anchor = {"left": 0.0, "right": 1.0}.get(note.xanchor, 0.5)
         y_name = note.yref or "y"
         # As a shape does not, a note stands on such an axis by its logarithm.
         is_log = y_name in axes and axes[y_name].is_log
-        at = place(note.xref or "x", note.x, False), place(y_name, 10**note.y if is_log else note.y, True) + 8
+        at = (
+            to_position(note.xref or "x", note.x, False),
+            to_position(y_name, 10**note.y if is_log else note.y, True) + 8,
+        )
         pen.text(*at, note.text, anchor, note.font.color or INK)
     if scale := layout.coloraxis.colorbar.title.text:
         pen.text(width - margin["r"], 10, scale, 1.0)
@@ -178,7 +181,7 @@ def svg(figure: go.Figure) -> str:
     return re.sub(r"<svg [^>]*?(viewBox=\"[^\"]*\")[^>]*>", r"<svg class='drawing' \1 role='img'>", picture, count=1)
 
 
-def fitted(figure: go.Figure, width: float) -> Drawing:
+def fit_drawing(figure: go.Figure, width: float) -> Drawing:
     """Return a figure as a drawing for paper, `width` points wide."""
     scale = PAPER_SIZE / SIZE
     drawing = draw(figure, width / scale)

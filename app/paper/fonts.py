@@ -71,8 +71,8 @@ def _font_for(letter: str) -> str:
 
 
 def _font_files() -> Iterator[str]:
-    if named := os.environ.get(VARIABLE):
-        yield named
+    if configured := os.environ.get(VARIABLE):
+        yield configured
     yield KOREAN
     yield from filter(os.path.isfile, CANDIDATES.get(sys.platform, ()))
 
@@ -108,8 +108,8 @@ def writable(text: str) -> str:
 
 def marked_up(text: str) -> str:
     """Return a text as ReportLab's markup, every run of letters in a font that has them."""
-    marked = ""
+    markup = ""
     for font, letters in runs_of(text):
         escaped = html.escape(letters)
-        marked += escaped if font == PLAIN else f'<font name="{html.escape(font)}">{escaped}</font>'
-    return marked
+        markup += escaped if font == PLAIN else f'<font name="{html.escape(font)}">{escaped}</font>'
+    return markup

@@ -16,15 +16,15 @@ NAME = "audit-heads.jsonl"
 SCHEMA = "softcal.audit-heads/1"
 
 
-def anchor_json(registry: Registry, why: str) -> dict[str, object]:
+def anchor_json(registry: Registry, reason: str) -> dict[str, object]:
     """Return the last row of every chain as JSON values, to be stored elsewhere."""
     at = datetime.now(UTC).isoformat(timespec="seconds")
-    return {"schema": SCHEMA, "registry": registry.origin, "at": at, "why": why, "heads": registry.trail.heads()}
+    return {"schema": SCHEMA, "registry": registry.origin, "at": at, "why": reason, "heads": registry.trail.heads()}
 
 
-def remember(registry: Registry, why: str) -> None:
+def record_heads(registry: Registry, reason: str) -> None:
     """Append the last rows to the anchor file of this computer, if it is writable."""
-    line = json.dumps(anchor_json(registry, why), sort_keys=True)
+    line = json.dumps(anchor_json(registry, reason), sort_keys=True)
     try:
         with (data_folder() / NAME).open("a", encoding="utf-8") as file:
             file.write(line + "\n")
@@ -32,7 +32,7 @@ def remember(registry: Registry, why: str) -> None:
         return
 
 
-def remembered(registry: Registry) -> list[Anchor]:
+def read_recorded_heads(registry: Registry) -> list[Anchor]:
     """Return the anchors of a registry on this computer, as far as they can be read."""
     try:
         lines = (data_folder() / NAME).read_text(encoding="utf-8").splitlines()

@@ -14,21 +14,23 @@ from softcal.db.registry import Registry
 from softcal.db.schema.deadline import MAX_CLOCK_ERROR
 
 
-def golden_of(registry: Registry, lot_id: str, serials: Collection[str]) -> Mapping[str, tuple[str, str]]:
+def find_golden_runs(registry: Registry, lot_id: str, serials: Collection[str]) -> Mapping[str, tuple[str, str]]:
     """Return, by the hash of a unit's recording, its serial and its golden run's hash."""
     rows = registry.declarations.in_force("unit_golden_runs", lot_id, serials)
     return {row["recording_sha256"]: (row["serial"], row["golden_sha256"]) for row in rows}
 
 
-def store_golden_of(registry: Registry, lot_id: str, of: Mapping[str, tuple[str, str]], *, actor: str | None) -> None:
+def store_golden_runs(
+    registry: Registry, lot_id: str, golden_runs: Mapping[str, tuple[str, str]], *, actor: str | None
+) -> None:
     """Store the golden run of recordings; a stored golden run gets no second row.
 
     Args:
-        of: hash of a unit's recording → (serial, hash of the golden run).
+        golden_runs: hash of a unit's recording → (serial, hash of the golden run).
     """
     rows = (
         {"lot_id": lot_id, "serial": serial, "recording_sha256": sha256, "golden_sha256": golden}
-        for sha256, (serial, golden) in of.items()
+        for sha256, (serial, golden) in golden_runs.items()
     )
     registry.declarations.declare("unit_golden_runs", *rows, actor=actor)
 
@@ -42,8 +44,8 @@ def newest_golden(registry: Registry, station: str, lot_id: str, since: datetime
     runs = registry.stations.golden_runs(station, registry.lots.get(lot_id).source, since)
     latest = registry.settings.clock() + MAX_CLOCK_ERROR  # What is later was written by a clock that was ahead.
     runs = [run for run in reversed(runs) if run.passed and run.recording_sha256 and run.made_at <= latest]
-    own = (run for run in runs if run.lot_id == lot_id or pressed & sources_of(registry, run.lot_id))
-    return next((run.recording_sha256 for run in own), None)
+    lot_runs = (run for run in runs if run.lot_id == lot_id or pressed & sources_of(registry, run.lot_id))
+    return next((run.recording_sha256 for run in lot_runs), None)
 
 
 def sources_of(registry: Registry, lot_id: str) -> set[str]:
@@ -51,7 +53,7 @@ def sources_of(registry: Registry, lot_id: str) -> set[str]:
     return {entry.sha256 for entry in registry.recordings.of_lot(lot_id, kind="source")}
 
 
-def bridge_over(registry: Registry, model: SourceModel, golden_sha256: str) -> Bridge | str:
+def load_day_correction(registry: Registry, model: SourceModel, golden_sha256: str) -> Bridge | str:
     """Return a stored golden run in the form for comparison with the units of its sitting, or a refusal."""
     try:
         return make_bridge(model, registry.recordings.get(golden_sha256))

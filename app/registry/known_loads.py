@@ -38,13 +38,13 @@ def known_loads(registry: Registry, lot_id: str, serials: Collection[str] | None
     """
     if serials is None:
         serials = {entry.serial for entry in registry.recordings.of_lot(lot_id, kind="unit")}
-    found: dict[str, UnitLoads] = {}
+    by_recording: dict[str, UnitLoads] = {}
     for row in registry.declarations.in_force("known_loads", lot_id, serials):
         readings = [(one["output"], one["reference"]) for one in row["listed"]]
         loads = Anchors(*np.array(readings, np.float64).reshape(-1, 2).T)
-        made = (row["made_at"], row["actor"], row["brought_by"])
-        found[row["recording_sha256"]] = UnitLoads(row["serial"], row["recording_sha256"], loads, *made)
-    return found
+        origin = (row["made_at"], row["actor"], row["brought_by"])
+        by_recording[row["recording_sha256"]] = UnitLoads(row["serial"], row["recording_sha256"], loads, *origin)
+    return by_recording
 
 
 def store_loads(
@@ -55,11 +55,11 @@ def store_loads(
     Args:
         loads: hash of a recording → (serial, loads).
     """
-    before = known_loads(registry, lot_id, {serial for serial, _ in loads.values()})
+    stored = known_loads(registry, lot_id, {serial for serial, _ in loads.values()})
     rows = [
         {"lot_id": lot_id, "serial": serial, "recording_sha256": sha256, "brought_by": where} | _listed(anchors)
         for sha256, (serial, anchors) in loads.items()
-        if sha256 not in before or values(before[sha256].loads) != values(anchors)
+        if sha256 not in stored or values(stored[sha256].loads) != values(anchors)
     ]
     return registry.declarations.declare("known_loads", *rows, actor=actor)
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from softcal.app.texts.catalogue import here
+from softcal.app.texts.catalogue import format_local_instant
 from softcal.app.texts.reason_groups import reasons_by_verdict
 from softcal.core.messages.reason import Reason, plain
 from softcal.db.entries import StoredCalibration, UnitEntry
@@ -19,8 +19,8 @@ def unit_row(unit: UnitEntry) -> list[object]:
     """Return one row of the table under `UNIT_HEADER`."""
     reason = "; ".join(map(str, _remarks(unit)))
     errors = [unit.predicted_rmse, unit.before_rmse, unit.after_rmse, unit.own_rmse]
-    made = unit.made_at and here(unit.made_at)
-    return [unit.lot_id, unit.serial, unit.role, unit.verdict, unit.revision, unit.family, *errors, made, reason]
+    made_on = unit.made_at and format_local_instant(unit.made_at)
+    return [unit.lot_id, unit.serial, unit.role, unit.verdict, unit.revision, unit.family, *errors, made_on, reason]
 
 
 def first_reasons(units: Sequence[UnitEntry]) -> list[tuple[str, list[str]]]:
@@ -45,7 +45,7 @@ def _remarks(unit: UnitEntry) -> tuple[Reason, ...]:
 def unit_json(unit: UnitEntry) -> dict[str, object]:
     """Return a unit as JSON values."""
     return {name: value for name, value in vars(unit).items() if name != "state_sha256"} | {
-        "reasons": [str(why) for why in unit.reasons],
+        "reasons": [str(reason) for reason in unit.reasons],
         "made_at": unit.made_at and unit.made_at.isoformat(),
     }
 
@@ -62,8 +62,8 @@ def history_row(stored: StoredCalibration) -> list[object]:
         "yes" if stored.is_current else "",
         [state.errors[name] for name in ("predicted_rmse", "after_rmse")],
     )
-    made = [here(stored.made_at), stored.actor, stored.lot_id, state.verdict, state.fit.family]
-    return [stored.revision, stored.origin, in_use, *made, *errors, "; ".join(filter(None, remarks))]
+    details = [format_local_instant(stored.made_at), stored.actor, stored.lot_id, state.verdict, state.fit.family]
+    return [stored.revision, stored.origin, in_use, *details, *errors, "; ".join(filter(None, remarks))]
 
 
 def history_json(stored: StoredCalibration, proofs: Mapping[str, str | None]) -> dict[str, object]:
@@ -79,7 +79,7 @@ def history_json(stored: StoredCalibration, proofs: Mapping[str, str | None]) ->
         "made_at": stored.made_at.isoformat(),
         "serial": stored.serial,
         "verdict": str(state.verdict),
-        "reasons": [str(why) for why in state.decision.reasons],
+        "reasons": [str(reason) for reason in state.decision.reasons],
         "network_id": state.fit.network_id,
         "recording_sha256": state.fit.recording_sha256,
         "proof_method": proofs.get(state.fit.recording_sha256),

@@ -3,11 +3,11 @@
 from pathlib import Path
 
 from softcal.app.files.anchors import write_anchors
-from softcal.app.files.atomic import whole_folder
+from softcal.app.files.atomic import atomic_folder
 from softcal.app.files.lot_folder import ANCHOR_FILES, FOLDER_OF, GOLDEN
 from softcal.app.files.lot_toml import write_lot_toml
 from softcal.app.files.recording_file import write_recording
-from softcal.app.registry.golden import golden_of
+from softcal.app.registry.golden import find_golden_runs
 from softcal.app.registry.known_loads import known_loads
 from softcal.app.registry.reference import lot_reference
 from softcal.core.errors import InputError
@@ -30,7 +30,7 @@ def write_lot_folder(registry: Registry, lot_id: str, folder: Path) -> dict[str,
     if ("source", lot.source) not in newest:
         raise InputError(f"lot {lot_id!r}: its source {lot.source} has no recording yet; press it first")
     written: dict[str, list[str]] = {part: [] for part in FOLDER_OF.values()}
-    with whole_folder(folder) as part:
+    with atomic_folder(folder) as part:
         write_lot_toml(part, lot, lot_reference(registry, lot_id), measured_at=audits)
         for (kind, serial), sha256 in newest.items():
             if (kind, serial) == ("audit", lot.source):
@@ -38,13 +38,15 @@ def write_lot_folder(registry: Registry, lot_id: str, folder: Path) -> dict[str,
             write_recording(part / FOLDER_OF[kind] / f"{serial}.csv", registry.recordings.get(sha256))
             written[FOLDER_OF[kind]].append(serial)
         pressed = {sha256: serial for (kind, serial), sha256 in newest.items() if kind == "unit"}
-        of = golden_of(registry, lot_id, set(pressed.values()))
-        golden, *others = {of[sha256][1] if sha256 in of else None for sha256 in pressed} or {None}
+        golden_runs = find_golden_runs(registry, lot_id, set(pressed.values()))
+        golden, *others = {golden_runs[sha256][1] if sha256 in golden_runs else None for sha256 in pressed} or {None}
         if golden is not None and not others:
             write_recording(part / GOLDEN / f"{lot.source}.csv", registry.recordings.get(golden))
             written[GOLDEN] = [lot.source]
-        known = known_loads(registry, lot_id, set(pressed.values()))
-        loads = {s: known[sha].loads for (kind, s), sha in newest.items() if kind == "unit" and sha in known}
+        stored_loads = known_loads(registry, lot_id, set(pressed.values()))
+        loads = {
+            s: stored_loads[sha].loads for (kind, s), sha in newest.items() if kind == "unit" and sha in stored_loads
+        }
         if loads:
             write_anchors(part / ANCHOR_FILES[0], loads)
     return written

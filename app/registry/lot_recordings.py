@@ -1,6 +1,6 @@
 """Recordings of a lot in the registry: sources of networks, and audits."""
 
-from softcal.app.registry.golden import golden_of
+from softcal.app.registry.golden import find_golden_runs
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.messages.reason import reason
@@ -62,8 +62,8 @@ def newest_audits(registry: Registry, lot_id: str, serial: str | None = None) ->
     checks = {run.recording_sha256 for run in runs}
     units = {run.serial for run in runs if run.recording_sha256 is None} | {registry.lots.get(lot_id).source}
     entries = registry.recordings.of_lot(lot_id, serial, "audit")
-    given = golden_of(registry, lot_id, {one.serial for one in entries})
-    checks |= {golden for _, golden in given.values()}
+    golden_runs = find_golden_runs(registry, lot_id, {one.serial for one in entries})
+    checks |= {golden for _, golden in golden_runs.values()}
     return {one.serial: one for one in entries if one.serial not in units and one.sha256 not in checks}
 
 

@@ -5,7 +5,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from softcal.app.registry.anchors import read_anchor, remember, remembered
+from softcal.app.registry.anchors import read_anchor, read_recorded_heads, record_heads
 from softcal.db.connection import open_registry
 from softcal.db.entries import Heads
 from softcal.db.maintenance.backup import back_up
@@ -52,7 +52,7 @@ def verify(
         is_quick: leave out what reads every page and blob.
         files: backups and `audit.json` of exports to compare with.
     """
-    anchors = [*remembered(registry), *map(read_anchor, files)]
+    anchors = [*read_recorded_heads(registry), *map(read_anchor, files)]
     faults = tuple(registry.verify(is_quick=is_quick, anchors=anchors, on_step=on_step))
     heads = registry.trail.heads()
     return Verification(faults, sum(seq for seq, _ in heads.values()), heads)
@@ -61,7 +61,7 @@ def verify(
 def back_up_registry(registry: Registry, path: Path) -> None:
     """Write a backup while the registry is in use."""
     back_up(registry.database, path)
-    remember(registry, f"backup {path.absolute()}")
+    record_heads(registry, f"backup {path.absolute()}")
 
 
 def synchronise_with(registry: Registry, other_url: str) -> SyncReport:

@@ -64,8 +64,8 @@ def lot_yields(registry: Registry, lot_id: str, *, conditional_is_good: bool = F
     for run in registry.lots.runs(lot_id):
         runs.setdefault(run.serial, []).append(UnitRun(run.verdict, run.reasons))
     golden = {run.serial for run in registry.stations.golden_runs(lot_id=lot_id)}
-    asked = Release.CONDITIONAL if conditional_is_good else Release.PASS
-    good = [verdict for verdict in Verdict if asked.releases(verdict)]
+    release = Release.CONDITIONAL if conditional_is_good else Release.PASS
+    good = [verdict for verdict in Verdict if release.releases(verdict)]
     return yields(runs, golden, good)
 
 
@@ -78,7 +78,7 @@ def golden_charts(
         values.setdefault((run.station, run.lot_id, run.serial), []).append(run.value)
     if not values:
         raise InputError("the registry holds no checks with golden units that fit")
-    return {key: control_chart(np.array(found), baseline) for key, found in values.items()}
+    return {key: control_chart(np.array(series), baseline) for key, series in values.items()}
 
 
 def study_json(study: GaugeStudy) -> dict[str, object]:
@@ -94,19 +94,19 @@ def chart_json(chart: ControlChart) -> dict[str, object]:
     return limits | {"is_stable": chart.is_stable, "signals": signals, "values": chart.values.tolist()}
 
 
-def yields_json(found: Yields) -> dict[str, object]:
+def yields_json(counts: Yields) -> dict[str, object]:
     """Return yields as JSON values."""
     shares = {
         name: {"count": share.count, "of": share.of, "value": share.value, "interval": list(share.interval)}
-        for name, share in named_shares(found)
+        for name, share in list_shares(counts)
     }
-    return {**shares, "reasons": {kind(why): count for why, count in found.reasons}}
+    return {**shares, "reasons": {kind(reason): count for reason, count in counts.reasons}}
 
 
-def named_shares(found: Yields) -> list[tuple[str, Share]]:
+def list_shares(counts: Yields) -> list[tuple[str, Share]]:
     """Return the shares under the names of a report."""
     names = ("first_pass", "second_pass", "last_pass", "runs")
-    return [(name, getattr(found, name)) for name in names]
+    return [(name, getattr(counts, name)) for name in names]
 
 
 def _rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:

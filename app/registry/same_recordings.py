@@ -3,11 +3,11 @@
 from collections.abc import Collection, Iterable
 
 from softcal.core.messages.reason import Reason
-from softcal.core.quality.same_recording import Pressed, same_recordings
+from softcal.core.quality.duplicate_recordings import RecordedOutput, same_recordings
 from softcal.db.registry import Registry
 
 
-def same_recordings_with(registry: Registry, recordings: Iterable[Pressed]) -> tuple[Reason, ...]:
+def same_recordings_with(registry: Registry, recordings: Iterable[RecordedOutput]) -> tuple[Reason, ...]:
     """Return the remarks on recordings, compared with one another and with all that the registry has."""
     new = list(recordings)
     return same_recordings([*new, *_stored(registry, {one.output_sha256 for one in new})])
@@ -18,6 +18,6 @@ def same_recordings_of(registry: Registry, lot_id: str | None = None) -> tuple[R
     return same_recordings(_stored(registry, registry.recordings.shared_outputs(lot_id)))
 
 
-def _stored(registry: Registry, outputs: Collection[str]) -> list[Pressed]:
+def _stored(registry: Registry, outputs: Collection[str]) -> list[RecordedOutput]:
     entries = registry.recordings.same_outputs(outputs)
-    return [Pressed(one.serial, one.lot_id, one.output_sha256, one.kind) for one in entries]
+    return [RecordedOutput(one.serial, one.lot_id, one.output_sha256, one.kind) for one in entries]

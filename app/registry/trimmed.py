@@ -54,14 +54,14 @@ def trim_state(registry: Registry, stored: StoredCalibration, loads: Anchors) ->
     return replace(result, audit_sha256="" if entry is None else entry.sha256)
 
 
-def put_trim(registry: Registry, stored: StoredCalibration, new: Trim, why: str, actor: str | None) -> None:
+def put_trim(registry: Registry, stored: StoredCalibration, new: Trim, note: str, actor: str | None) -> None:
     """Put a unit with a trim into use; an audit newer than its loads measures the trimmed map."""
     state = replace(stored.state, trim=new)
     entry = newest_audits(registry, stored.lot_id, stored.serial).get(stored.serial)
     audit = None if entry is None or entry.sha256 == new.audit_sha256 else audit_of(registry, entry)
     if audit is not None and entry is not None and new.left_out is None and not state.fit.rules:
         state = measure_unit(registry, replace(state, unreadable_audit=None), audit)
-    registry.calibrations.put_state(stored.lot_id, state, DECIDED_BY, actor=actor, reason=why)
+    registry.calibrations.put_state(stored.lot_id, state, DECIDED_BY, actor=actor, reason=note)
 
 
 @contextmanager
@@ -71,28 +71,28 @@ def trim_stored(registry: Registry, lot_id: str, serial: str, actor: str | None)
     Loads of another recording are left out: they say how the unit was when that one was made. So are loads that the new
     map cannot take; the unit says why.
     """
-    before = _trim_in_use(registry, lot_id, serial)
+    older = _trim_in_use(registry, lot_id, serial)
     with registry.transaction():
         yield
-        if before is None:
+        if older is None:
             return
         stored = registry.calibrations.get(serial, lot_id=lot_id)
         if stored.state.trim is not None:
             return
-        new = before
-        why: Reason | None = reason("trim.older", loads=len(before.output))
-        if before.recording_sha256 == stored.state.fit.recording_sha256:
+        new = older
+        cause: Reason | None = reason("trim.older", loads=len(older.output))
+        if older.recording_sha256 == stored.state.fit.recording_sha256:
             try:
-                new = replace(trim_state(registry, stored, before.loads), audit_sha256=before.audit_sha256)
-                why = None
+                new = replace(trim_state(registry, stored, older.loads), audit_sha256=older.audit_sha256)
+                cause = None
             except NeedlessTrim:
-                why = reason("trim.read", loads=len(before.output))
+                cause = reason("trim.read", loads=len(older.output))
             except InputError as error:
-                why = reason("trim.left_out", error=str(error))
-        if why is not None:
-            new = replace(before, left_out=why, is_blocking=why.code != "trim.read")
-        said = "the trim of this recording, behind its new map" if why is None else why.code
-        put_trim(registry, stored, new, said, actor)
+                cause = reason("trim.left_out", error=str(error))
+        if cause is not None:
+            new = replace(older, left_out=cause, is_blocking=cause.code != "trim.read")
+        note = "the trim of this recording, behind its new map" if cause is None else cause.code
+        put_trim(registry, stored, new, note, actor)
 
 
 def _trim_in_use(registry: Registry, lot_id: str, serial: str) -> Trim | None:

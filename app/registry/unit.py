@@ -71,10 +71,10 @@ def _register_source(registry: Registry, serial: str, lot_id: str | None) -> Non
     """Store the calibration of a lot's source: f itself with the identity map."""
     lots = [lot for lot in registry.lots.all() if lot.source == serial and lot_id in (None, lot.id)]
     sources = {entry.sha256: lot.id for lot in lots for entry in registry.recordings.of_lot(lot.id, serial, "source")}
-    trained = [entry for entry in registry.networks.all() if entry.training.get("source_recording_sha256") in sources]
-    if not trained:
+    networks = [entry for entry in registry.networks.all() if entry.training.get("source_recording_sha256") in sources]
+    if not networks:
         return
-    network = trained[-1]
+    network = networks[-1]
     source = source_recording(registry, network.id)
     state = source_state(source, registry.networks.get(network.id))
     registry.calibrations.add(sources[source.sha256], state, reason=REASON)
@@ -83,9 +83,9 @@ def _register_source(registry: Registry, serial: str, lot_id: str | None) -> Non
 def source_state(source: LabelledRecording, network: Network) -> UnitState:
     """Return the state of the source unit itself, which f reads without a map."""
     model = make_source_model(source, network, method=Method())
-    error, known = model.held_out_rmse, source.unlabelled
+    error, output = model.held_out_rmse, source.unlabelled
     identity = AffineMap(1.0, 0.0, "identity")
-    limits = output_limits(known, known, model.interval.slope_limit > 0, model.method)
+    limits = output_limits(output, output, model.interval.slope_limit > 0, model.method)
     fit = Fit(
         id=content_sha256({}, {"source": source.sha256, "network": network.id, "method": model.method.id}),
         serial=source.serial,

@@ -73,12 +73,14 @@ TYPES = {"string": "str", "integer": "int", "number": "float", "boolean": "bool"
 
 def client_text(document: Schema) -> str:
     """Return the client as Python text: a type for each schema, a method for each path."""
-    left, ordered = dict(document["components"]["schemas"]), dict[str, Schema]()
+    remaining, ordered = dict(document["components"]["schemas"]), dict[str, Schema]()
     # Each schema stands behind those it names.
-    while left:
-        named = {name: {*re.findall(r"#/components/schemas/(\w+)", json.dumps(one))} for name, one in left.items()}
-        ready = [name for name, needs in named.items() if not (needs & left.keys()) - {name}]
-        ordered |= {name: left.pop(name) for name in ready}
+    while remaining:
+        references = {
+            name: {*re.findall(r"#/components/schemas/(\w+)", json.dumps(one))} for name, one in remaining.items()
+        }
+        ready = [name for name, needs in references.items() if not (needs & remaining.keys()) - {name}]
+        ordered |= {name: remaining.pop(name) for name in ready}
     types: list[str] = []
     for name, schema in ordered.items():
         if "enum" in schema:
@@ -91,8 +93,8 @@ def client_text(document: Schema) -> str:
         types.append("")
     methods = [
         line
-        for path, asked in document["paths"].items()
-        for method, operation in asked.items()
+        for path, operations in document["paths"].items()
+        for method, operation in operations.items()
         for line in _method(method.upper(), path, operation)
     ]
     head = HEAD.replace("{version}", document["info"]["version"])
@@ -119,27 +121,31 @@ def _type(schema: Schema) -> str:
 def _method(method: str, path: str, operation: Schema) -> Iterator[str]:
     """Yield the lines of one method: words of the path, the body, all else by its name."""
     parameters = operation.get("parameters", [])
-    words = [one["name"] for one in parameters if one["in"] == "path"]
-    named = [one for one in parameters if one["in"] != "path" and one["name"] != "If-None-Match"]
+    path_names = [one["name"] for one in parameters if one["in"] == "path"]
+    options = [one for one in parameters if one["in"] != "path" and one["name"] != "If-None-Match"]
     body = operation.get("requestBody", {}).get("content", {}).get("application/json")
-    answer = next(found for code, found in operation["responses"].items() if code.startswith("2"))
+    answer = next(response for code, response in operation["responses"].items() if code.startswith("2"))
     kind, content = next(iter(answer["content"].items()))
-    gives = _type(content["schema"]) if kind == "application/json" else "bytes"
-    given = ["self", *(f"{word}: str" for word in words), *([f"body: {_type(body['schema'])}"] if body else [])]
-    given += ["*"] if named else []
-    given += [f"{_name(one)}: {_type(one['schema']).removesuffix(' | None')} | None = None" for one in named]
-    yield f"    def {operation['operationId'].partition('_v1_')[0]}({', '.join(given)}) -> {gives}:"
+    return_type = _type(content["schema"]) if kind == "application/json" else "bytes"
+    signature = [
+        "self",
+        *(f"{path_name}: str" for path_name in path_names),
+        *([f"body: {_type(body['schema'])}"] if body else []),
+    ]
+    signature += ["*"] if options else []
+    signature += [f"{_name(one)}: {_type(one['schema']).removesuffix(' | None')} | None = None" for one in options]
+    yield f"    def {operation['operationId'].partition('_v1_')[0]}({', '.join(signature)}) -> {return_type}:"
     yield f'        """{_sentence(operation.get("description", operation["summary"]))}"""'
-    for word in words:
-        yield f'        {word} = urllib.parse.quote({word}, safe="")'
-    query = ", ".join(f'"{one["name"]}": {_name(one)}' for one in named if one["in"] == "query")
-    headers = "".join(f", {_name(one)}={_name(one)}" for one in named if one["in"] == "header")
-    sent = ", body" if body else ""
-    asked = f'self._ask("{method}", f"{path}", {{{query}}}{sent}{headers})'
-    if gives == "bytes":
-        yield f"        return {asked}\n"
+    for path_name in path_names:
+        yield f'        {path_name} = urllib.parse.quote({path_name}, safe="")'
+    query = ", ".join(f'"{one["name"]}": {_name(one)}' for one in options if one["in"] == "query")
+    headers = "".join(f", {_name(one)}={_name(one)}" for one in options if one["in"] == "header")
+    body_argument = ", body" if body else ""
+    call = f'self._ask("{method}", f"{path}", {{{query}}}{body_argument}{headers})'
+    if return_type == "bytes":
+        yield f"        return {call}\n"
     else:
-        yield f"        answer: {gives} = json.loads({asked})"
+        yield f"        answer: {return_type} = json.loads({call})"
         yield "        return answer\n"
 
 

@@ -9,7 +9,7 @@ from softcal.app.rest.v1 import ProblemAnswer
 
 PROBLEM = "application/problem+json"
 SIGN_IN = {"WWW-Authenticate": "Bearer"}
-AGAIN_AFTER_S = 5
+RETRY_AFTER_S = 5
 """After that time who was refused for now (429, 503) may ask again."""
 
 TITLES = {
@@ -32,8 +32,8 @@ TITLES = {
 def problem(status: int, detail: str, headers: Mapping[str, str] | None = None) -> JSONResponse:
     """Return an error as an answer; a transient error has a Retry-After header."""
     answer = ProblemAnswer(title=TITLES.get(status, "Error"), status=status, detail=detail)
-    later = {"Retry-After": str(AGAIN_AFTER_S)} if status in (429, 503) else {}
-    return JSONResponse(answer.model_dump(), status, {**later, **(headers or {})}, PROBLEM)
+    retry_header = {"Retry-After": str(RETRY_AFTER_S)} if status in (429, 503) else {}
+    return JSONResponse(answer.model_dump(), status, {**retry_header, **(headers or {})}, PROBLEM)
 
 
 class Headers:

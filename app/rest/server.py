@@ -18,7 +18,7 @@ from softcal.app.bootstrap import REGISTRY_VARIABLE, open_chosen_registry, regis
 from softcal.app.connect.settings import is_local
 from softcal.app.jobs.runner import JobRunner
 from softcal.app.logs import log_crash
-from softcal.app.rest.front import MAX_HEAD, BoundedProtocol, Front
+from softcal.app.rest.middleware import MAX_HEAD, BoundedProtocol, RequestGuard
 from softcal.app.rest.problem import PROBLEM, TITLES, problem
 from softcal.app.rest.routes import routes
 from softcal.app.rest.v1 import ProblemAnswer
@@ -26,7 +26,7 @@ from softcal.core.errors import InputError, NotInRegistry, RegistryError, Softca
 from softcal.db.queues.job_board import QueueFull
 from softcal.db.registry import Registry
 
-EVERYWHERE = (400, 401, 403, 408, 413, 422, 503)
+COMMON_STATUSES = (400, 401, 403, 408, 413, 422, 503)
 """Errors that any answer may be."""
 
 IF_NONE_MATCH = {
@@ -52,10 +52,10 @@ def rest_app(registry: Registry, hosts: Sequence[str] = ("127.0.0.1", "localhost
         description=DESCRIPTION,
         docs_url=None,  # Its page loads scripts from elsewhere; a plant has no internet.
         redoc_url=None,
-        responses={status: {"model": ProblemAnswer, "description": TITLES[status]} for status in EVERYWHERE},
+        responses={status: {"model": ProblemAnswer, "description": TITLES[status]} for status in COMMON_STATUSES},
     )
     app.state.registry, app.state.jobs = registry, JobRunner(registry)
-    app.add_middleware(Front, user_of=registry.tokens.user_of, hosts=hosts)
+    app.add_middleware(RequestGuard, user_of=registry.tokens.user_of, hosts=hosts)
     app.include_router(routes, prefix="/v1")
     for kind in (SoftcalError, RequestValidationError, HTTPException, Exception):
         app.add_exception_handler(kind, _answer)
@@ -72,8 +72,8 @@ def rest_app(registry: Registry, hosts: Sequence[str] = ("127.0.0.1", "localhost
 def openapi_document(app: FastAPI) -> dict[str, Any]:
     """Return the OpenAPI document, built once."""
     if app.openapi_schema is None:
-        made = get_openapi(title=app.title, version=app.version, description=app.description, routes=app.routes)
-        for path in made["paths"].values():
+        document = get_openapi(title=app.title, version=app.version, description=app.description, routes=app.routes)
+        for path in document["paths"].values():
             if "get" in path:
                 path["get"].setdefault("parameters", []).append(IF_NONE_MATCH)
                 path["get"]["responses"]["304"] = {"description": "the asker has this answer already"}
@@ -81,7 +81,7 @@ def openapi_document(app: FastAPI) -> dict[str, Any]:
                 for status, answer in operation["responses"].items():
                     if status[0] in "45" and "application/json" in answer.get("content", {}):
                         answer["content"] = {PROBLEM: answer["content"]["application/json"]}
-        app.openapi_schema = made
+        app.openapi_schema = document
     return app.openapi_schema
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softcal.app.tables.headings import IsRequested, refuse_doubles
+from softcal.app.tables.headings import IsRequested, refuse_duplicates
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.table import Column, Table
 from softcal.app.tables.time_column import is_clock_heading
@@ -35,7 +35,7 @@ class Channel:
     unit: str = ""
 
 
-def refused_channel(name: str, refusal: str, rows: int = 0) -> Channel:
+def unreadable_channel(name: str, refusal: str, rows: int = 0) -> Channel:
     """Return a channel that cannot be read; its error is raised on request."""
 
     def refuse() -> NDArray[Any]:
@@ -62,8 +62,8 @@ def choose_group(
     names = ", ".join(repr(name) for name in list(groups)[:8]) + (", ..." if len(groups) > 8 else "")
     if options.sheet is not None:
         if options.sheet not in groups:
-            has = f"it has {names}" if groups else "it has none with samples"
-            raise InputError(f"{path}: there is no {kind} {options.sheet!r}; {has}; name one with --sheet")
+            contents = f"it has {names}" if groups else "it has none with samples"
+            raise InputError(f"{path}: there is no {kind} {options.sheet!r}; {contents}; name one with --sheet")
         return options.sheet
     if not groups:
         raise InputError(f"{path}: there is no {kind} with columns of numbers in it; export the samples again")
@@ -72,9 +72,9 @@ def choose_group(
             name: {each.name for each in channels if is_requested(each.name) and not is_clock_heading(each.name)}
             for name, channels in groups.items()
         }
-        every = set().union(*requested.values())
-        matches = [name for name, present in requested.items() if present == every]
-        if every and not matches:
+        union = set().union(*requested.values())
+        matches = [name for name, present in requested.items() if present == union]
+        if union and not matches:
             where = ", ".join(
                 f"{', '.join(map(repr, sorted(each)))} in {name!r}" for name, each in requested.items() if each
             )
@@ -98,7 +98,7 @@ def read_channels(
         InputError: a name twice, requested channels of unequal length, too many cells, or cells that are no column.
     """
     names = tuple(channel.name for channel in channels)
-    refuse_doubles(names, path, is_requested)
+    refuse_duplicates(names, path, is_requested)
     requested = [channel for channel in channels if is_requested is None or is_requested(channel.name)]
     rows = max((channel.rows for channel in requested or channels), default=0)
     shorter = [f"{channel.name!r} ({channel.rows})" for channel in requested if channel.rows != rows]
@@ -129,9 +129,9 @@ def column_cells(path: Path, name: str, values: NDArray[Any]) -> NDArray[Any]:
         return values.astype("timedelta64[ns]")
     if kind in "bOUS":
         return np.array([_text(value) for value in values.tolist()], dtype=object)
-    what = "complex numbers" if kind == "c" else "records"
+    content = "complex numbers" if kind == "c" else "records"
     cure = "export the real part or the magnitude" if kind == "c" else "export its parts as columns"
-    raise InputError(f"{path}: column {name!r} holds {what} where numbers were expected; {cure}")
+    raise InputError(f"{path}: column {name!r} holds {content} where numbers were expected; {cure}")
 
 
 def _text(value: object) -> object:

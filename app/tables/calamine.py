@@ -46,14 +46,14 @@ def _sheets(path: Path, content: bytes, max_cells: int) -> dict[str, list[list[A
 
     command = [sys.executable, "-I", sheet_process.__file__, str(max_cells)]
     try:
-        done = subprocess.run(command, input=content, capture_output=True, timeout=MAX_READING_S, check=False)
+        process = subprocess.run(command, input=content, capture_output=True, timeout=MAX_READING_S, check=False)
     except subprocess.TimeoutExpired as error:
         raise InputError(f"{path}: not read within {MAX_READING_S} s; save it as CSV") from error
-    if done.returncode:
-        if b"PasswordError" in done.stderr:
+    if process.returncode:
+        if b"PasswordError" in process.stderr:
             raise InputError(f"{path}: it is protected by a password; save it without one")
         raise InputError(f"{path}: damaged, or not a workbook of its format; save it again as .xlsx or CSV")
-    sheets = json.loads(done.stdout, object_hook=sheet_process.decode)
+    sheets = json.loads(process.stdout, object_hook=sheet_process.decode)
     if isinstance(sheets, int):
         refuse_large(path, sheets, max_cells)
         raise InputError(f"{path}: there is no sheet in this workbook")

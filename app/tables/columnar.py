@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softcal.app.tables.arrays import column_cells, refuse_large
-from softcal.app.tables.headings import IsRequested, refuse_doubles
+from softcal.app.tables.headings import IsRequested, refuse_duplicates
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.table import Column, Table
 from softcal.core.errors import InputError
@@ -42,24 +42,24 @@ def read_parquet(file: BinaryIO, path: Path, options: TableOptions, is_requested
     text = [name for name in names if _is_text(schema.field(name).type)]
     file.seek(0)
     # Equal texts stay one text: a column of them may otherwise unpack to any size.
-    opened = pq.ParquetFile(file, page_checksum_verification=True, read_dictionary=text)
+    parquet_file = pq.ParquetFile(file, page_checksum_verification=True, read_dictionary=text)
     # The footer may lie: the row groups say it again, and pyarrow checks pages against them.
-    groups = [opened.metadata.row_group(k) for k in range(opened.metadata.num_row_groups)]
-    rows = max(int(opened.metadata.num_rows), sum(int(group.num_rows) for group in groups))
+    groups = [parquet_file.metadata.row_group(k) for k in range(parquet_file.metadata.num_row_groups)]
+    rows = max(int(parquet_file.metadata.num_rows), sum(int(group.num_rows) for group in groups))
     refuse_large(path, rows * sum(_width(schema.field(name).type) for name in names), options.max_cells)
     if text:
         # What the file unpacks to, with the columns that nobody asks for. A column's own facts are not looked at: where
         # they contradict the schema, pyarrow ends the whole process there; reading the column refuses them in order.
         # Numbers need no such count: their rows say how much they take.
-        unpacked = sum(int(group.total_byte_size) for group in groups)
-        refuse_large(path, unpacked // BYTES_PER_CELL, options.max_cells)
+        unpacked_bytes = sum(int(group.total_byte_size) for group in groups)
+        refuse_large(path, unpacked_bytes // BYTES_PER_CELL, options.max_cells)
     # Without a column the first one tells the number of rows.
-    table = opened.read(columns=names or schema.names[:1])
+    table = parquet_file.read(columns=names or schema.names[:1])
     for name in text:
         # What the texts would take one after another
         lengths = (pc.take(pc.binary_length(chunk.dictionary), chunk.indices) for chunk in table[name].chunks)
-        unpacked = sum(int(pc.sum(each).as_py() or 0) for each in lengths)
-        refuse_large(path, unpacked // BYTES_PER_CELL, options.max_cells)
+        unpacked_bytes = sum(int(pc.sum(each).as_py() or 0) for each in lengths)
+        refuse_large(path, unpacked_bytes // BYTES_PER_CELL, options.max_cells)
     return _table(table, names, schema, path)
 
 
@@ -91,8 +91,8 @@ def read_arrow(file: BinaryIO, path: Path, options: TableOptions, is_requested: 
 
 
 def _requested_names(schema: "pa.Schema", path: Path, is_requested: IsRequested) -> list[str]:
-    refuse_doubles(schema.names, path, is_requested)
-    names = [name for name in schema.names if is_requested is None or is_requested(_shown_name(name, schema))]
+    refuse_duplicates(schema.names, path, is_requested)
+    names = [name for name in schema.names if is_requested is None or is_requested(_column_name(name, schema))]
     for name in names:
         if not _is_column(schema.field(name).type):
             raise InputError(
@@ -102,7 +102,7 @@ def _requested_names(schema: "pa.Schema", path: Path, is_requested: IsRequested)
     return names
 
 
-def _shown_name(name: str, schema: "pa.Schema") -> str:
+def _column_name(name: str, schema: "pa.Schema") -> str:
     return "index" if name == UNNAMED_INDEX and "index" not in schema.names else name
 
 
@@ -120,7 +120,7 @@ def _is_column(kind: "pa.DataType") -> bool:
     if kinds.is_nested(kind) or kinds.is_run_end_encoded(kind):
         return False
     tests = (kinds.is_primitive, kinds.is_boolean, kinds.is_decimal, kinds.is_null, _is_text)
-    return any(is_such(kind) for is_such in (*tests, kinds.is_large_string, kinds.is_large_binary))
+    return any(is_kind(kind) for is_kind in (*tests, kinds.is_large_string, kinds.is_large_binary))
 
 
 def _width(kind: "pa.DataType") -> int:
@@ -131,15 +131,15 @@ def _width(kind: "pa.DataType") -> int:
 
 
 def _table(table: "pa.Table", names: list[str], schema: "pa.Schema", path: Path) -> Table:
-    shown = {name: _shown_name(name, schema) for name in schema.names}
+    column_names = {name: _column_name(name, schema) for name in schema.names}
     columns = []
     for name in names:
-        facts = schema.field(name).metadata or {}
-        unit = next((facts[key].decode("utf-8", "replace") for key in UNIT_KEYS if key in facts), "")
+        field_metadata = schema.field(name).metadata or {}
+        unit = next((field_metadata[key].decode("utf-8", "replace") for key in UNIT_KEYS if key in field_metadata), "")
         # What has a zone is stored in UTC.
         unit = "UTC" if getattr(schema.field(name).type, "tz", None) else unit
-        columns.append(Column(shown[name].strip(), unit.strip(), column_cells(path, name, _array(table[name]))))
-    return Table(path, tuple(columns), tuple(shown.values()), np.arange(1, table.num_rows + 1))
+        columns.append(Column(column_names[name].strip(), unit.strip(), column_cells(path, name, _array(table[name]))))
+    return Table(path, tuple(columns), tuple(column_names.values()), np.arange(1, table.num_rows + 1))
 
 
 def _array(column: "pa.ChunkedArray") -> NDArray[Any]:

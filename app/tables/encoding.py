@@ -80,13 +80,13 @@ def detect_encoding(file: BinaryIO, path: Path, declared: str | None) -> Encodin
             decoder.decode(block)
         decoder.decode(b"", final=True)
     except UnicodeDecodeError:
-        return _not_utf_8(file, path)
+        return _detect_legacy_encoding(file, path)
     finally:
         file.seek(0)
     return Encoding("utf-8")
 
 
-def _not_utf_8(file: BinaryIO, path: Path) -> Encoding:
+def _detect_legacy_encoding(file: BinaryIO, path: Path) -> Encoding:
     import charset_normalizer
 
     file.seek(0)
@@ -105,5 +105,5 @@ def _not_utf_8(file: BinaryIO, path: Path) -> Encoding:
         name = "cp1252"
     if CONTROL.search(sample.decode(name, errors="replace")):
         raise InputError(f"{path}: not a text file, or one of an encoding that is to be named with --encoding")
-    shown = "Latin-1" if name in ("cp1252", "latin-1") else name
-    return Encoding(name, f"{NOT_UTF_8}; read as {shown} (--encoding states another)")
+    label = "Latin-1" if name in ("cp1252", "latin-1") else name
+    return Encoding(name, f"{NOT_UTF_8}; read as {label} (--encoding states another)")

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softcal.app.tables.headings import IsRequested, data_rows, find_heading, refuse_doubles
-from softcal.app.tables.numbers import MAX_SUMMARY_ROWS, Kind, cell_kind, is_summary, shown
+from softcal.app.tables.headings import IsRequested, data_rows, find_heading, refuse_duplicates
+from softcal.app.tables.numbers import MAX_SUMMARY_ROWS, Kind, cell_kind, is_summary, show_cell
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.table import Column, Grid, Table
 from softcal.core.errors import InputError
@@ -35,35 +35,35 @@ def grid_table(grid: Grid, path: Path, options: TableOptions, is_requested: IsRe
     filled = [k for k, row in enumerate(grid.rows) if any(cell_kind(cell) is not Kind.EMPTY for cell in row)]
     rows, lines = [grid.rows[k] for k in filled], [int(grid.lines[k]) for k in filled]
     head = rows[:HEAD_ROWS]
-    decimal = _decimal(head, path, options)
+    decimal = _detect_decimal(head, path, options)
     heading = find_heading(head, lines, path, decimal=decimal, declared=options.header_row, is_requested=is_requested)
-    refuse_doubles(heading.names, path, is_requested)
+    refuse_duplicates(heading.names, path, is_requested)
     if heading.first >= len(rows):
         raise InputError(f"{path}: there is no row of data below the header")
     _, text_columns, _ = data_rows(head[heading.first :], decimal)
     remarks = list(grid.remarks)
     stop = _end_of_data(rows, heading.first, text_columns, decimal)
     if stop < len(rows):
-        left_out = next(shown(cell) for cell in rows[stop] if cell is not None)
-        remarks.append(f"rows {lines[stop]} to {lines[-1]}: no rows of data and left out ({left_out})")
+        skipped_cell = next(show_cell(cell) for cell in rows[stop] if cell is not None)
+        remarks.append(f"rows {lines[stop]} to {lines[-1]}: no rows of data and left out ({skipped_cell})")
     rows, lines = rows[heading.first : stop], lines[heading.first : stop]
     width = len(heading.names)
     for row, line in zip(rows, lines, strict=True):
         if any(cell_kind(cell) is not Kind.EMPTY for cell in row[width:]):
             raise InputError(
-                f"{path}: row {line} has cells right of the last heading ({shown(row[width])}); give every "
+                f"{path}: row {line} has cells right of the last heading ({show_cell(row[width])}); give every "
                 "column a name"
             )
-    places = [k for k, name in enumerate(heading.names) if is_requested is None or is_requested(name)] or [0]
-    columns = tuple(Column(heading.names[k], heading.units[k], _cells(rows, k)) for k in places)
+    indices = [k for k, name in enumerate(heading.names) if is_requested is None or is_requested(name)] or [0]
+    columns = tuple(Column(heading.names[k], heading.units[k], _cells(rows, k)) for k in indices)
     layout = [grid.layout] if grid.layout else []
     layout += ["decimal comma"] if decimal == "," else []
     layout += heading.describe([int(grid.lines[k]) for k in filled])
-    at = np.array(lines, dtype=np.int64)
-    return Table(path, columns, heading.names, at, "; ".join(layout), tuple(remarks), decimal)
+    line_numbers = np.array(lines, dtype=np.int64)
+    return Table(path, columns, heading.names, line_numbers, "; ".join(layout), tuple(remarks), decimal)
 
 
-def _decimal(rows: Sequence[Sequence[Any]], path: Path, options: TableOptions) -> str:
+def _detect_decimal(rows: Sequence[Sequence[Any]], path: Path, options: TableOptions) -> str:
     """Return the decimal mark of the numbers that a sheet stores as text."""
     if options.decimal is not None:
         return options.decimal

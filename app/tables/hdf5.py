@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from softcal.app.tables.arrays import Channel, choose_group, read_channels, refuse_large, refused_channel
+from softcal.app.tables.arrays import Channel, choose_group, read_channels, refuse_large, unreadable_channel
 from softcal.app.tables.headings import IsRequested
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.table import Table
@@ -34,10 +34,10 @@ def read_hdf5(file: BinaryIO, path: Path, options: TableOptions, is_requested: I
     """
     import h5py
 
-    with h5py.File(file, "r") as opened:
+    with h5py.File(file, "r") as hdf5_file:
         groups: Groups = {}
-        for name, group in _groups(path, opened):
-            groups |= _frame_of_pandas(path, name, group, options) or _plain(path, name, group, options)
+        for name, group in _groups(path, hdf5_file):
+            groups |= _frame_of_pandas(path, name, group, options) or _plain_channels(path, name, group, options)
         name = choose_group(path, groups, options, is_requested, "group")
         return read_channels(path, groups[name], options, is_requested, f"group {name!r}")
 
@@ -46,9 +46,9 @@ def _groups(path: Path, root: "h5py.Group") -> Iterator[tuple[str, "h5py.Group"]
     """Yield every group once, under its path without the first slash; the root is "/"."""
     import h5py
 
-    waiting, visited = [("/", root)], set()
-    while waiting:
-        name, group = waiting.pop(0)
+    pending, visited = [("/", root)], set()
+    while pending:
+        name, group = pending.pop(0)
         address = h5py.h5o.get_info(group.id).addr
         if address in visited:
             continue
@@ -57,7 +57,7 @@ def _groups(path: Path, root: "h5py.Group") -> Iterator[tuple[str, "h5py.Group"]
             raise InputError(f"{path}: more than {MAX_GROUPS} groups; export the samples of one run alone")
         yield name, group
         if "pandas_type" not in group.attrs:
-            waiting += [(f"{name}/{k}".lstrip("/"), group[k]) for k in members(path, group, h5py.Group)]
+            pending += [(f"{name}/{k}".lstrip("/"), group[k]) for k in members(path, group, h5py.Group)]
 
 
 def members(path: Path, group: "h5py.Group", kind: type) -> list[str]:
@@ -80,7 +80,7 @@ def members(path: Path, group: "h5py.Group", kind: type) -> list[str]:
     return names
 
 
-def _plain(path: Path, name: str, group: "h5py.Group", options: TableOptions) -> Groups:
+def _plain_channels(path: Path, name: str, group: "h5py.Group", options: TableOptions) -> Groups:
     import h5py
 
     groups: Groups = {}
@@ -126,8 +126,8 @@ def _matrix(path: Path, name: str, data: "h5py.Dataset", options: TableOptions) 
     """Return the columns of a matrix (n, k) under the names of its attribute `columns`, else numbered from 1."""
     count = data.shape[1]
     refuse_large(path, count, options.max_cells)
-    given = [text(each) for each in np.ravel(data.attrs.get("columns", []))]
-    names = given if len(given) == count else [f"{name}_{k + 1}" for k in range(count)]
+    stored_names = [text(each) for each in np.ravel(data.attrs.get("columns", []))]
+    names = stored_names if len(stored_names) == count else [f"{name}_{k + 1}" for k in range(count)]
     readers = [make_reader(path, name, data, options, np.s_[:, k]) for k in range(count)]
     return [Channel(names[k], data.shape[0], readers[k], _unit(data)) for k in range(count)]
 
@@ -199,7 +199,7 @@ def _frame_of_pandas(path: Path, name: str, group: "h5py.Group", options: TableO
     for k in range(int(group.attrs["nblocks"])):
         values, items = group[f"block{k}_values"], group[f"block{k}_items"]
         check_dataset(path, "block_items", items, options)
-        columns += _matrix_named(path, [text(each) for each in items[:]], values, options)
+        columns += _named_matrix_channels(path, [text(each) for each in items[:]], values, options)
     return {name: columns}
 
 
@@ -219,12 +219,12 @@ def _index_of_pandas(path: Path, data: "h5py.Dataset", options: TableOptions) ->
     return Channel(name, data.shape[0], read)
 
 
-def _matrix_named(path: Path, names: list[str], data: "h5py.Dataset", options: TableOptions) -> list[Channel]:
+def _named_matrix_channels(path: Path, names: list[str], data: "h5py.Dataset", options: TableOptions) -> list[Channel]:
     if len(data.shape) != 2 or data.shape[1] != len(names):
         # Text lies in one pickled cell.
         rows = data.shape[0] if data.shape else 0
-        why = "is stored as a Python pickle, which is not read; write it as Parquet"
-        return [refused_channel(name, f"{path}: column {name!r} {why}", rows) for name in names]
+        problem = "is stored as a Python pickle, which is not read; write it as Parquet"
+        return [unreadable_channel(name, f"{path}: column {name!r} {problem}", rows) for name in names]
     return [
         Channel(name, data.shape[0], make_reader(path, name, data, options, np.s_[:, k]))
         for k, name in enumerate(names)

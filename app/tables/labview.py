@@ -14,12 +14,12 @@ HEADER_END = "***End_of_Header***"
 TIME = "X_Value"
 """How LabVIEW names each column of time."""
 
-STATED_TIME = "t_s"
+HEADER_TIME = "t_s"
 """Name of the column of the time that the header states."""
 
 
 @dataclass(frozen=True)
-class StatedClock:
+class HeaderClock:
     """Time of the samples that a header states: the first one's and the step, both in s."""
 
     start_s: float
@@ -27,7 +27,7 @@ class StatedClock:
 
     def column(self, rows: int, first: int) -> Column:
         """Return the times of a number of rows, given the number of rows before them."""
-        return Column(STATED_TIME, "s", self.start_s + self.step_s * np.arange(first, first + rows))
+        return Column(HEADER_TIME, "s", self.start_s + self.step_s * np.arange(first, first + rows))
 
     def __str__(self) -> str:
         return f"time from X0 {self.start_s:g} s and Delta_X {self.step_s:g} s"
@@ -38,7 +38,7 @@ def header_ends(lines: Sequence[str]) -> list[int]:
     return [k for k, line in enumerate(lines) if line.rstrip("\t;, ") == HEADER_END]
 
 
-def find_stated_clock(header: Sequence[Sequence[str]], decimal: str, path: Path) -> StatedClock | None:
+def find_header_clock(header: Sequence[Sequence[str]], decimal: str, path: Path) -> HeaderClock | None:
     """Return the clock that the cells of a header state, or None.
 
     Raises:
@@ -58,7 +58,7 @@ def find_stated_clock(header: Sequence[Sequence[str]], decimal: str, path: Path)
                 f"{path}: {name} of its channels is {different} and there is no column {TIME!r}; export channels of "
                 "one clock together, or with their X values"
             )
-    return StatedClock(min(starts, default=0.0), min(steps))
+    return HeaderClock(min(starts, default=0.0), min(steps))
 
 
 def refuse_segments(lines: Sequence[str], path: Path) -> None:

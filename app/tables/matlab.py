@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from softcal.app.tables.arrays import Channel, choose_group, read_channels, refuse_large, refused_channel
+from softcal.app.tables.arrays import Channel, choose_group, read_channels, refuse_large, unreadable_channel
 from softcal.app.tables.hdf5 import dataset_channel, make_reader, members, text
 from softcal.app.tables.headings import IsRequested
 from softcal.app.tables.options import TableOptions
@@ -49,14 +49,14 @@ def read_matlab(file: BinaryIO, path: Path, options: TableOptions, is_requested:
     if HDF5_MAGIC in start:
         import h5py
 
-        with h5py.File(file, "r") as opened:
-            return _chosen(path, _groups_of_hdf5(path, opened, options), options, is_requested)
+        with h5py.File(file, "r") as hdf5_file:
+            return _read_group(path, _groups_of_hdf5(path, hdf5_file, options), options, is_requested)
     _check_size(file, path, options)
     variables = scipy.io.loadmat(file, chars_as_strings=True, struct_as_record=True, appendmat=False)
-    return _chosen(path, _groups_of_variables(path, variables), options, is_requested)
+    return _read_group(path, _groups_of_variables(path, variables), options, is_requested)
 
 
-def _chosen(path: Path, groups: Groups, options: TableOptions, is_requested: IsRequested) -> Table:
+def _read_group(path: Path, groups: Groups, options: TableOptions, is_requested: IsRequested) -> Table:
     channels = [channel for group in groups.values() for channel in group]
     objects = [channel for channel in channels if not channel.rows]
     for channel in objects:
@@ -77,10 +77,10 @@ def _check_size(file: BinaryIO, path: Path, options: TableOptions) -> None:
     while position + 8 <= len(content) and content[124:128].strip(b"\0"):
         kind, length = struct.unpack_from(f"{order}II", content, position)
         if kind == COMPRESSED:
-            unpacker, rest = zlib.decompressobj(), content[position + 8 : position + 8 + length]
-            while rest and not unpacker.eof:
-                size += len(unpacker.decompress(rest, BYTES_AT_ONCE))
-                rest = unpacker.unconsumed_tail
+            unpacker, remaining = zlib.decompressobj(), content[position + 8 : position + 8 + length]
+            while remaining and not unpacker.eof:
+                size += len(unpacker.decompress(remaining, BYTES_AT_ONCE))
+                remaining = unpacker.unconsumed_tail
                 refuse_large(path, size // 8, options.max_cells)
         position += 8 + length
     refuse_large(path, size // 8, options.max_cells)
@@ -95,7 +95,7 @@ def _groups_of_variables(path: Path, variables: Mapping[str, Any]) -> Groups:
         elif name.startswith("__") or type(value).__name__ == "MatlabFunction":
             continue
         elif scipy.sparse.issparse(value):
-            groups[name] = [_refused(path, name, "is a sparse matrix; save it as a full one: full(x)")]
+            groups[name] = [_unreadable_channel(path, name, "is a sparse matrix; save it as a full one: full(x)")]
         elif value.dtype.names:
             groups |= _structs(path, name, value)
         elif _is_vector(value):
@@ -119,7 +119,8 @@ def _structs(path: Path, name: str, value: NDArray[Any]) -> Groups:
             columns.append(_object(path, f"{name}.{key}", text(part["s2"].flat[0])))
         elif part.dtype.names:
             groups |= {
-                f"{name}.{inner.partition('.')[2] or key}": got for inner, got in _structs(path, key, part).items()
+                f"{name}.{inner.partition('.')[2] or key}": channels
+                for inner, channels in _structs(path, key, part).items()
             }
         elif _is_vector(part):
             columns.append(_vector(key, part))
@@ -150,14 +151,14 @@ def _simulink(fields: Mapping[str, NDArray[Any]]) -> list[Channel]:
     return columns
 
 
-def _refused(path: Path, name: str, problem: str) -> Channel:
-    return refused_channel(name, f"{path}: {name!r} {problem}")
+def _unreadable_channel(path: Path, name: str, problem: str) -> Channel:
+    return unreadable_channel(name, f"{path}: {name!r} {problem}")
 
 
 def _object(path: Path, name: str, kind: str) -> Channel:
     """Return a variable that only MATLAB can open, with the MATLAB call that converts it."""
     cure = CURES.get(kind, "save('{stem}_vectors.mat', ...) of its parts as vectors").format(name=name, stem=path.stem)
-    return _refused(
+    return _unreadable_channel(
         path,
         name,
         f"is {f'a {kind}' if kind else 'an object'} of MATLAB, which only MATLAB can open; in MATLAB: {cure}",

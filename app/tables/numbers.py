@@ -21,7 +21,7 @@ NOT_A_NUMBER = frozenset({"nan", "-nan", "+nan", "nan(ind)", "-nan(ind)", "1.#qn
 INFINITE = frozenset({"inf", "-inf", "+inf", "infinity", "-infinity", "+infinity", "1.#inf", "-1.#inf", "∞", "-∞"})
 """No sample either: a number beyond the range of its type."""
 
-MISSING_WORDS = frozenset(
+MISSING_CODES = frozenset(
     "na n/a n.a. #n/a #na <na> null none nil nodata ol +ol -ol o.l. ovl ovld ovrld overload overflow overrange "
     "underrange #value! #div/0! #ref! #num! #null! #name? #wert! #nv #bezug! -- --- ---- ----- nan()".split()
 ) | {"no data", "over range", "under range"}
@@ -54,7 +54,7 @@ UNIT_NUMBER = re.compile(
 
 HEXADECIMAL = re.compile(r"0[xX][0-9A-Fa-f]{1,8}")
 MAX_SUMMARY_ROWS = 12
-SUMMARY_WORDS = frozenset(
+SUMMARY_LABELS = frozenset(
     "mean average avg median std stdev sd min minimum max maximum sum total count range variance "
     "peak sd rms mittelwert mittel moyenne media promedio 평균 최대 최소".split()
 )
@@ -64,8 +64,8 @@ SUMMARY_WORDS = frozenset(
 def is_summary(cells: Sequence[Any]) -> bool:
     """Return whether a row below the samples is a summary, such as a mean, by its first filled cell."""
     first = next((cell for cell in cells if cell is not None and str(cell).strip()), None)
-    word = re.match(r"[^\W\d_]*", first.strip().lower()) if isinstance(first, str) else None
-    return word is not None and word[0] in SUMMARY_WORDS
+    label = re.match(r"[^\W\d_]*", first.strip().lower()) if isinstance(first, str) else None
+    return label is not None and label[0] in SUMMARY_LABELS
 
 
 class Kind(Enum):
@@ -102,12 +102,12 @@ def is_missing(text: str, missing: Sequence[str] = ()) -> bool:
 
 
 def is_no_sample(text: str, missing: Sequence[str] = ()) -> bool:
-    """Return whether a text among numbers is a missing sample: as in `is_missing`, or one of `MISSING_WORDS`."""
-    return is_missing(text, missing) or text.strip().lower() in MISSING_WORDS
+    """Return whether a text among numbers is a missing sample: as in `is_missing`, or one of `MISSING_CODES`."""
+    return is_missing(text, missing) or text.strip().lower() in MISSING_CODES
 
 
-def missing_words_remark(column: str, cells: Any, missing: Sequence[str]) -> list[str]:
-    """Return a remark on undeclared cells of a column with a word of `MISSING_WORDS`: word and count.
+def missing_codes_remark(column: str, cells: Any, missing: Sequence[str]) -> list[str]:
+    """Return a remark on undeclared cells of a column with a word of `MISSING_CODES`: word and count.
 
     Args:
         cells: (n,) array of objects, or an arrow array of texts.
@@ -119,11 +119,11 @@ def missing_words_remark(column: str, cells: Any, missing: Sequence[str]) -> lis
         import pyarrow.compute as pc
 
         texts = pc.utf8_trim_whitespace(cells)
-        is_word = pc.is_in(pc.utf8_lower(texts), value_set=_arrow_texts(MISSING_WORDS))
-        counts.update(pc.filter(texts, is_word).to_pylist())
-    words = [text for text in counts if text.lower() in MISSING_WORDS and text not in missing]
-    shown_words = ", ".join(f"{text!r} (rows: {counts[text]})" for text in words)
-    return [f"column {column!r}: {shown_words} read as missing samples"] if words else []
+        is_code = pc.is_in(pc.utf8_lower(texts), value_set=_arrow_texts(MISSING_CODES))
+        counts.update(pc.filter(texts, is_code).to_pylist())
+    codes = [text for text in counts if text.lower() in MISSING_CODES and text not in missing]
+    listed_codes = ", ".join(f"{text!r} (rows: {counts[text]})" for text in codes)
+    return [f"column {column!r}: {listed_codes} read as missing samples"] if codes else []
 
 
 def unit_number(cell: Any, decimal: str) -> tuple[str, str] | None:
@@ -134,38 +134,38 @@ def unit_number(cell: Any, decimal: str) -> tuple[str, str] | None:
     return match["number"], match["unit"]
 
 
-def written_numbers(cells: NDArray[Any], decimal: str, missing: Sequence[str]) -> tuple[Array, str, str] | None:
+def parse_formatted_numbers(cells: NDArray[Any], decimal: str, missing: Sequence[str]) -> tuple[Array, str, str] | None:
     """Return texts that are numbers in another notation, their unit, and the removed characters.
 
     A minus of a text editor, digits of full width, `="0.52"`; `0x1F` in every cell; one unit behind every
     number; marks between thousands where they can be nothing else. None where a cell is none of these, or two readings
     are possible.
     """
-    texts = [None if cell is None or is_no_sample(str(cell), missing) else _plain(str(cell)) for cell in cells]
+    texts = [None if cell is None or is_no_sample(str(cell), missing) else _normalize_text(str(cell)) for cell in cells]
     present = [text for text in texts if text is not None]
     if not present:
         return None
     with_unit = [unit_number(text, decimal) for text in present]
     units = {one[1] for one in with_unit if one}
-    unit, how = "", ""
+    unit, remark = "", ""
     if len(units) == 1 and None not in with_unit:
         (unit,) = units
         texts = [text if text is None else str(unit_number(text, decimal)[0]) for text in texts]  # type: ignore[index]
-        how = f"{unit!r} stands behind every number and was taken off"
+        remark = f"{unit!r} stands behind every number and was taken off"
     elif all(HEXADECIMAL.fullmatch(text) for text in present):
         texts = [text if text is None else str(int(text, 16)) for text in texts]
-        how = "its numbers are hexadecimal"
+        remark = "its numbers are hexadecimal"
     elif mark := _thousands_mark(present, decimal):
         texts = [text if text is None else text.replace(mark, "") for text in texts]
-        how = f"{mark!r} stands between thousands and was taken off"
+        remark = f"{mark!r} stands between thousands and was taken off"
     elif _has_other_mark(present, decimal):
-        texts = [text if text is None else text.replace(_other(decimal), decimal) for text in texts]
-        how = f"its decimal mark is {_other(decimal)!r}, unlike that of other columns"
+        texts = [text if text is None else text.replace(_other_mark(decimal), decimal) for text in texts]
+        remark = f"its decimal mark is {_other_mark(decimal)!r}, unlike that of other columns"
     values = to_numbers(np.array(texts, dtype=object), decimal, missing)
-    return None if values is None else (values, unit, how)
+    return None if values is None else (values, unit, remark)
 
 
-def _plain(text: str) -> str:
+def _normalize_text(text: str) -> str:
     match = re.fullmatch(r'="(.*)"', text.strip())
     return normalize("NFKC", match[1] if match else text).strip().replace("\u2212", "-")
 
@@ -181,14 +181,14 @@ def _thousands_mark(texts: Sequence[str], decimal: str) -> str:
     return mark if mark != decimal and is_certain else ""
 
 
-def _other(decimal: str) -> str:
+def _other_mark(decimal: str) -> str:
     return "," if decimal == "." else "."
 
 
 def _has_other_mark(texts: Sequence[str], decimal: str) -> bool:
     """Return whether a whole column has the other decimal mark, which cannot be a thousands separator."""
-    is_other = all(NUMBER[_other(decimal)].fullmatch(text) for text in texts)
-    return is_other and not all(THOUSANDS.fullmatch(text) for text in texts if _other(decimal) in text)
+    is_other = all(NUMBER[_other_mark(decimal)].fullmatch(text) for text in texts)
+    return is_other and not all(THOUSANDS.fullmatch(text) for text in texts if _other_mark(decimal) in text)
 
 
 def to_numbers(cells: NDArray[Any], decimal: str = ".", missing: Sequence[str] = ()) -> Array | None:
@@ -199,34 +199,34 @@ def to_numbers(cells: NDArray[Any], decimal: str = ".", missing: Sequence[str] =
     """
     if cells.dtype.kind in "iuf":
         values = cells.astype(np.float64)
-        declared = [_float(text) for text in missing if NUMBER["."].fullmatch(text)]
+        declared = [_parse_float(text) for text in missing if NUMBER["."].fullmatch(text)]
         return np.where(np.isfinite(values) & ~np.isin(values, declared), values, np.nan)
     if cells.dtype.kind in "bmM":
         return None
     values = np.empty(len(cells))
     for row, cell in enumerate(cells):
-        number = _number(cell, decimal, missing)
+        number = _parse_number(cell, decimal, missing)
         if number is None:
             return None
         values[row] = number
     return values
 
 
-def _number(cell: Any, decimal: str, missing: Sequence[str]) -> float | None:
+def _parse_number(cell: Any, decimal: str, missing: Sequence[str]) -> float | None:
     if cell is None:
         return np.nan
     if isinstance(cell, str):
         text = cell.strip()
         if is_no_sample(text, missing):
             return np.nan
-        return _float(text) if NUMBER[decimal].fullmatch(text) else None
+        return _parse_float(text) if NUMBER[decimal].fullmatch(text) else None
     if isinstance(cell, (bool, np.bool_)) or not isinstance(cell, Real):
         return None
     value = float(cell)
     return value if np.isfinite(value) and str(cell) not in missing else np.nan
 
 
-def _float(text: str) -> float:
+def _parse_float(text: str) -> float:
     return float(text.upper().replace("D", "E").replace(",", "."))
 
 
@@ -236,15 +236,15 @@ def texts_to_numbers(texts: Any, decimal: str = ".", missing: Sequence[str] = ()
     import pyarrow.compute as pc
 
     texts = pc.utf8_trim_whitespace(texts)
-    small = ("nan", "", *NOT_A_NUMBER, *INFINITE, *MISSING_WORDS)
-    words = _arrow_texts(small)
-    is_missing = pc.is_in(pc.utf8_lower(texts), value_set=words)
+    small = ("nan", "", *NOT_A_NUMBER, *INFINITE, *MISSING_CODES)
+    codes = _arrow_texts(small)
+    is_missing = pc.is_in(pc.utf8_lower(texts), value_set=codes)
     if missing:
         is_missing = pc.or_(is_missing, pc.is_in(texts, value_set=_arrow_texts(missing)))
     pattern = f"^{NUMBER[decimal].pattern}$".replace("?:", "")
     if not pc.all(pc.or_(is_missing, pc.match_substring_regex(texts, pattern)), min_count=0).as_py():
         return None
-    texts = pc.fill_null(pc.if_else(is_missing, words[0], texts), words[0])
+    texts = pc.fill_null(pc.if_else(is_missing, codes[0], texts), codes[0])
     for mark, plain in ((",", "."), ("D", "E"), ("d", "e")):
         texts = pc.replace_substring(texts, mark, plain)
     numbers = pc.cast(pc.utf8_ltrim(texts, characters="+"), pa.float64())
@@ -261,7 +261,7 @@ def _arrow_texts(texts: Iterable[str]) -> Any:
     return builder.finish()
 
 
-def shown(cell: object) -> str:
+def show_cell(cell: object) -> str:
     """Return a cell as text for an error message."""
     text = str(cell)
     return "nothing or nan" if text in ("nan", "None", "<NA>", "NaT") else repr(text[:40])
@@ -270,7 +270,7 @@ def shown(cell: object) -> str:
 def number_cure(cell: object, decimal: str = ".") -> str:
     """Return what to do about a cell that is no number."""
     text = str(cell).strip()
-    other = _other(decimal)
+    other = _other_mark(decimal)
     if THOUSANDS.fullmatch(text) and NUMBER[other].fullmatch(text):
         return (
             f"write numbers without marks between thousands; only if {other!r} is the decimal mark, give --decimal "

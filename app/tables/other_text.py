@@ -33,13 +33,13 @@ def refuse_other_text(lines: Sequence[str], path: Path) -> None:
     if any(VECTOR_HEADER.fullmatch(line) for line in head):
         raise InputError(f"{path}: a log of Vector's tools: {CAN_CURE}")
     if sum(map(_is_json, head)) > len(head) / 2:
-        what, option = ("JSON lines, an object a sample", ", lines=True") if len(head) > 1 else ("JSON", "")
+        format_name, option = ("JSON lines, an object a sample", ", lines=True") if len(head) > 1 else ("JSON", "")
     elif head and re.match(r"\s*[\[{]\s*(?:[\"\[{]|$)", head[0]) and not _is_json(head[0]):
-        what, option = "JSON", ""
+        format_name, option = "JSON", ""
     else:
         return
     raise InputError(
-        f"{path}: {what}, no table; write one of it, with a column a quantity, as "
+        f"{path}: {format_name}, no table; write one of it, with a column a quantity, as "
         f"pandas.read_json({path.name!r}{option}).to_csv({f'{path.stem}.csv'!r}, index=False)"
     )
 

@@ -15,7 +15,7 @@ from softcal.app.tables.grid import grid_table
 from softcal.app.tables.hdf5 import read_hdf5
 from softcal.app.tables.headings import IsRequested
 from softcal.app.tables.matlab import read_matlab
-from softcal.app.tables.numbers import missing_words_remark, to_numbers, written_numbers
+from softcal.app.tables.numbers import missing_codes_remark, parse_formatted_numbers, to_numbers
 from softcal.app.tables.options import DETECT, TableOptions
 from softcal.app.tables.spreadsheet import read_excel
 from softcal.app.tables.table import Grid, Table
@@ -42,7 +42,7 @@ READERS: dict[str, Reader] = {
 
 COMPRESSED = (".zip", ".gz", ".7z", ".rar", ".bz2", ".xz", ".tgz")
 HEAD_BYTES = 4096
-MISNAMED = "a text file, whatever its name says; it was read as one"
+TEXT_REMARK = "a text file, whatever its name says; it was read as one"
 
 
 def read_table(
@@ -61,15 +61,15 @@ def read_table(
     Raises:
         InputError: the file is missing, empty, too large, not a table of its format, or has two possible readings.
     """
-    with _refusing(path, content), path.open("rb") if content is None else BytesIO(content) as file:
+    with _translate_errors(path, content), path.open("rb") if content is None else BytesIO(content) as file:
         reader = _reader(file, path)
         read = reader(file, path, options, is_requested)
     table = grid_table(read, path, options, is_requested) if isinstance(read, Grid) else read
     if not len(table):
         raise InputError(f"{path}: there is no row of data below the header")
     if reader is read_text and READERS.get(path.suffix.lower(), read_text) is not read_text:
-        table = replace(table, remarks=(*table.remarks, MISNAMED))
-    return _typed(table, options)
+        table = replace(table, remarks=(*table.remarks, TEXT_REMARK))
+    return _convert_numbers(table, options)
 
 
 def column_names(path: Path, options: TableOptions = DETECT) -> tuple[str, ...]:
@@ -83,10 +83,10 @@ def table_pieces(path: Path, options: TableOptions, is_requested: IsRequested, r
     Raises:
         InputError: as `read_table`, for a row that cannot be read once its piece is reached.
     """
-    with _refusing(path, None), path.open("rb") as file:
+    with _translate_errors(path, None), path.open("rb") as file:
         if _reader(file, path) is read_text:
             for table in text_pieces(file, path, options, is_requested, rows):
-                yield _typed(table, options)
+                yield _convert_numbers(table, options)
             return
     yield read_table(path, options, is_requested=is_requested)
 
@@ -105,7 +105,7 @@ def _reader(file: BinaryIO, path: Path) -> Reader:
 
 
 @contextmanager
-def _refusing(path: Path, content: bytes | None) -> Iterator[None]:
+def _translate_errors(path: Path, content: bytes | None) -> Iterator[None]:
     """Refuse a file that is no table, and turn a reader's exception for a damaged file into one line."""
     if content is None and not path.is_file():
         raise InputError(
@@ -123,26 +123,26 @@ def _refusing(path: Path, content: bytes | None) -> Iterator[None]:
         raise InputError(f"{path}: not a text file in this encoding; name another with --encoding") from error
     # The readers raise many kinds for a damaged file; whatever it was, this file is no such table.
     except Exception as error:
-        what = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
+        message = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
         raise InputError(
-            f"{path}: damaged, cut off or no {path.suffix.lower()} file ({what}); export or copy it again"
+            f"{path}: damaged, cut off or no {path.suffix.lower()} file ({message}); export or copy it again"
         ) from error
 
 
-def _typed(table: Table, options: TableOptions) -> Table:
+def _convert_numbers(table: Table, options: TableOptions) -> Table:
     """Return the table with a column of numbers wherever every cell is one."""
     columns, remarks = [], list(table.remarks)
     for column in table.columns:
         cells = to_numbers(column.cells, table.decimal, options.missing)
-        written = None
+        formatted_numbers = None
         if cells is None and column.cells.dtype == object:
-            written = written_numbers(column.cells, table.decimal, options.missing)
-        if (cells is not None or written is not None) and column.cells.dtype == object:
-            remarks += missing_words_remark(column.name, column.cells, options.missing)
-        if written is not None:
-            cells, unit, how = written
+            formatted_numbers = parse_formatted_numbers(column.cells, table.decimal, options.missing)
+        if (cells is not None or formatted_numbers is not None) and column.cells.dtype == object:
+            remarks += missing_codes_remark(column.name, column.cells, options.missing)
+        if formatted_numbers is not None:
+            cells, unit, remark = formatted_numbers
             column = replace(column, unit=column.unit or unit)
-            remarks += [f"column {column.name!r}: {how}"] if how else []
+            remarks += [f"column {column.name!r}: {remark}"] if remark else []
         if cells is None and options.missing and column.cells.dtype == object:
             absent = [isinstance(cell, str) and cell.strip() in options.missing for cell in column.cells]
             cells = column.cells.copy()

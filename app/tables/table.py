@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softcal.app.tables.encoding import NOT_UTF_8
-from softcal.app.tables.numbers import number_cure, shown, to_numbers
+from softcal.app.tables.numbers import number_cure, show_cell, to_numbers
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
 
@@ -83,9 +83,9 @@ class Table:
         Raises:
             InputError: unknown name; a name with other capitals is suggested.
         """
-        named = [column for column in self.columns if column.name == name]
-        if len(named) == 1:
-            return named[0]
+        matches = [column for column in self.columns if column.name == name]
+        if len(matches) == 1:
+            return matches[0]
         encoding = "".join(f"; {remark}" for remark in self.remarks if remark.startswith(NOT_UTF_8))
         raise InputError(f"{self.path}: {missing_column(name, self.names)}{encoding}; name the one that is meant{cure}")
 
@@ -109,7 +109,7 @@ class Table:
         if len(bad) > len(cells) / 2 and "--missing" in cure:
             cure = "write plain numbers in it, or name another column"
         raise InputError(
-            f"{self.path}: line {self.lines[bad[0]]}, column {name!r}: {shown(cell)} where a number was "
+            f"{self.path}: line {self.lines[bad[0]]}, column {name!r}: {show_cell(cell)} where a number was "
             f"expected{more}; {cure}"
         )
 
@@ -145,5 +145,5 @@ def missing_column(name: str, names: Sequence[str]) -> str:
     alike = [other for other in names if other.casefold().strip() == name.casefold().strip() and other != name]
     if alike:
         return f"there is no column {name!r}, it has {', '.join(map(repr, alike))}"
-    there = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
-    return f"there is no column {name!r}; the file has: {there}"
+    listed_names = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+    return f"there is no column {name!r}; the file has: {listed_names}"

@@ -10,13 +10,13 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from softcal.app.tables.arrays import Channel, choose_group, read_channels, refuse_large, refused_channel
+from softcal.app.tables.arrays import Channel, choose_group, read_channels, refuse_large, unreadable_channel
 from softcal.app.tables.headings import IsRequested
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.table import Table
 from softcal.core.errors import InputError
 
-TORN = "the file is damaged or ends early; what it holds up to there was read"
+DAMAGE_REMARK = "the file is damaged or ends early; what it holds up to there was read"
 TIME = "t_s"
 """Name of the column of time that is made from the step between samples of a waveform."""
 
@@ -29,9 +29,9 @@ def read_tdms(file: BinaryIO, path: Path, options: TableOptions, is_requested: I
     """
     from nptdms import TdmsFile
 
-    with _collected_warnings() as warnings, TdmsFile.open(file) as opened:
+    with _collect_warnings() as warnings, TdmsFile.open(file) as tdms_file:
         groups = {}
-        for group in opened.groups():
+        for group in tdms_file.groups():
             channels = [_channel(path, each, options) for each in group.channels() if len(each)]
             if channels:
                 groups[group.name] = channels + _time(path, group.channels())
@@ -42,11 +42,11 @@ def read_tdms(file: BinaryIO, path: Path, options: TableOptions, is_requested: I
             raise InputError(
                 f"{error}; the file is damaged or ends early: copy it again" if warnings else str(error)
             ) from error
-    return replace(table, remarks=(*table.remarks, TORN)) if warnings else table
+    return replace(table, remarks=(*table.remarks, DAMAGE_REMARK)) if warnings else table
 
 
 @contextmanager
-def _collected_warnings() -> Iterator[list[str]]:
+def _collect_warnings() -> Iterator[list[str]]:
     """Collect what npTDMS would print on standard error, such as that a file ends early."""
     warnings: list[str] = []
     collector = logging.Handler()
@@ -58,8 +58,8 @@ def _collected_warnings() -> Iterator[list[str]]:
             logger.handlers = [collector]
         yield warnings
     finally:
-        for logger, before in zip(loggers, handlers, strict=True):
-            logger.handlers = before
+        for logger, previous_handlers in zip(loggers, handlers, strict=True):
+            logger.handlers = previous_handlers
 
 
 def _channel(path: Path, channel: Any, options: TableOptions) -> Channel:
@@ -84,8 +84,10 @@ def _time(path: Path, channels: list[Any]) -> list[Channel]:
     rows = max(count for _, _, count in steps.values())
     longest = {(step_s, offset_s) for step_s, offset_s, count in steps.values() if count == rows}
     if len(longest) > 1:
-        shown = ", ".join(f"{name!r} {step_s:g} s" for name, (step_s, _, _) in list(steps.items())[:4])
-        refusal = f"{path}: its waveforms have different steps or starts ({shown}); export those of one rate together"
-        return [refused_channel(TIME, refusal, rows)]
+        step_texts = ", ".join(f"{name!r} {step_s:g} s" for name, (step_s, _, _) in list(steps.items())[:4])
+        refusal = (
+            f"{path}: its waveforms have different steps or starts ({step_texts}); export those of one rate together"
+        )
+        return [unreadable_channel(TIME, refusal, rows)]
     step_s, offset_s = longest.pop()
     return [Channel(TIME, rows, lambda: offset_s + step_s * np.arange(rows), "s")]

@@ -9,7 +9,7 @@ from softcal.app.tables.numbers import NUMBER, Kind, cell_kind
 from softcal.app.tables.stamp_text import is_stamp
 from softcal.app.tables.text_layout import BLANKS, HEAD_LINES, TextLayout, split
 
-STAMPED = re.compile(r"(\[[^\]]+\]|(?:[\d./-]+[ T])?\d{1,2}:\d{2}:\d{2}[.,]\d+)( -> ?|[ \t]+)(.*)")
+STAMP_LINE = re.compile(r"(\[[^\]]+\]|(?:[\d./-]+[ T])?\d{1,2}:\d{2}:\d{2}[.,]\d+)( -> ?|[ \t]+)(.*)")
 """A line with the time before it."""
 
 PAIR = re.compile(
@@ -37,7 +37,7 @@ class TerminalLines:
         return [self._row(line) for line in lines]
 
     def _row(self, line: str) -> str:
-        stamp, _, rest = (self.mark and _stamped(line)) or ("", "", line)
+        stamp, _, rest = (self.mark and _split_stamp(line)) or ("", "", line)
         first = [stamp] if stamp else []
         if self.labels:
             pairs = _pairs(rest)
@@ -62,19 +62,19 @@ class TerminalLines:
 def find_terminal_lines(lines: Sequence[str]) -> TerminalLines:
     """Return the additions of a terminal program to each line of a file, from its first lines."""
     head = [line for line in lines[:HEAD_LINES] if line.strip()]
-    behind = [parts for line in head if (parts := _stamped(line))]
-    is_stamped = len(behind) > len(head) / 2
-    texts = [rest for _, _, rest in behind] if is_stamped else head
+    stamp_parts = [parts for line in head if (parts := _split_stamp(line))]
+    is_stamped = len(stamp_parts) > len(head) / 2
+    texts = [rest for _, _, rest in stamp_parts] if is_stamped else head
     counts = Counter(_labels(_pairs(text)) for text in texts)
     labels, count = counts.most_common(1)[0] if counts else ((), 0)
     if labels and count > len(head) / 2 and len({name for name, _ in labels}) == len(labels):
         return TerminalLines("\t" if is_stamped else "", labels)
-    return TerminalLines(_mark(*behind[-1]) if is_stamped else "")
+    return TerminalLines(_detect_mark(*stamp_parts[-1]) if is_stamped else "")
 
 
-def _stamped(line: str) -> tuple[str, str, str] | None:
+def _split_stamp(line: str) -> tuple[str, str, str] | None:
     """Return stamp, separator and rest of a line such as `10:00:00.020 -> 0.3` or `[10:00:00.020] 0.3`."""
-    match = STAMPED.fullmatch(line)
+    match = STAMP_LINE.fullmatch(line)
     return (match[1], match[2], match[3]) if match and is_stamp(match[1]) else None
 
 
@@ -94,13 +94,13 @@ def _pairs(text: str) -> list[tuple[str, str, str]]:
     return pairs
 
 
-def _mark(stamp: str, gap: str, rest: str) -> str:
+def _detect_mark(stamp: str, gap: str, rest: str) -> str:
     """Return the separator of the cells behind a stamp; "" if the stamp is a cell itself."""
-    words = rest.split()
-    are_numbers = all(NUMBER["."].fullmatch(word) or NUMBER[","].fullmatch(word) for word in words)
-    has_blanks = are_numbers and len(words) > 1 and "\t" not in rest
+    value_texts = rest.split()
+    are_numbers = all(NUMBER["."].fullmatch(text) or NUMBER[","].fullmatch(text) for text in value_texts)
+    has_blanks = are_numbers and len(value_texts) > 1 and "\t" not in rest
     mark = BLANKS if has_blanks else next((mark for mark in "\t;," if mark in rest), ",")
     if gap.strip() or stamp.startswith("["):
         return mark
-    is_cell = mark in (gap, BLANKS) or (len(words) == 1 and are_numbers)
+    is_cell = mark in (gap, BLANKS) or (len(value_texts) == 1 and are_numbers)
     return "" if is_cell or cell_kind(split(rest, mark)[0]) is not Kind.NUMBER else mark

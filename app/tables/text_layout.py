@@ -8,8 +8,8 @@ from pathlib import Path
 
 from softcal.app.tables import labview
 from softcal.app.tables.encoding import Encoding
-from softcal.app.tables.headings import Heading, IsRequested, data_rows, find_heading, refuse_doubles
-from softcal.app.tables.numbers import THOUSANDS, Kind, cell_kind, shown, unit_number
+from softcal.app.tables.headings import Heading, IsRequested, data_rows, find_heading, refuse_duplicates
+from softcal.app.tables.numbers import THOUSANDS, Kind, cell_kind, show_cell, unit_number
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.time_column import is_clock_heading
 from softcal.core.errors import InputError
@@ -50,7 +50,7 @@ class TextLayout:
     labels: frozenset[str]
     description: str
     remarks: tuple[str, ...]
-    clock: labview.StatedClock | None = None
+    clock: labview.HeaderClock | None = None
 
 
 def detect_layout(
@@ -62,23 +62,23 @@ def detect_layout(
         InputError: there is no row of data, or two readings are possible.
     """
     skipped, declared = _preamble(lines, options)
-    kept = [k for k in range(skipped, min(len(lines), HEAD_LINES)) if lines[k].strip("# \t")]
-    head = [(k, COMMENT.sub("", lines[k], count=1)) for k in kept]
+    line_indices = [k for k in range(skipped, min(len(lines), HEAD_LINES)) if lines[k].strip("# \t")]
+    head = [(k, COMMENT.sub("", lines[k], count=1)) for k in line_indices]
     # Rows with commas further down tell the decimal mark where the first ones hold whole numbers.
     more = [line for line in lines[HEAD_LINES:] if "," in line][:200] if len(lines) > HEAD_LINES else []
     texts = [line for _, line in head]
-    delimiter, decimal = _marks(texts, more, path, declared, is_requested)
+    delimiter, decimal = _detect_marks(texts, more, path, declared, is_requested)
     rows = [split(line, delimiter) for line in texts]
     if delimiter == BLANKS:
         # Names of several words stand two blanks apart.
         width = data_rows(rows, decimal)[2]
-        apart = [re.split(r"\s{2,}", line.strip()) for line in texts]
-        rows = [wide if len(wide) == width else row for row, wide in zip(rows, apart, strict=True)]
+        wide_rows = [re.split(r"\s{2,}", line.strip()) for line in texts]
+        rows = [wide if len(wide) == width else row for row, wide in zip(rows, wide_rows, strict=True)]
     numbers = [k + 1 for k, _ in head]
     heading = find_heading(rows, numbers, path, decimal=decimal, declared=options.header_row, is_requested=is_requested)
     if labview.TIME in heading.names:
-        heading = replace(heading, names=_numbered(heading.names, labview.TIME))
-    refuse_doubles(heading.names, path, is_requested)
+        heading = replace(heading, names=_number_names(heading.names, labview.TIME))
+    refuse_duplicates(heading.names, path, is_requested)
     if heading.first >= len(rows) or not heading.names:
         raise InputError(
             f"{path}: there is no row of data below the header; line {numbers[0]} reads {texts[0][:30]!r}: state "
@@ -91,7 +91,7 @@ def detect_layout(
     is_plain = delimiter == "," or (delimiter == "" and len(heading.names) == 1)
     parts = [] if is_plain else [NAMES.get(delimiter, f"{delimiter!r} between cells")]
     parts += ["decimal comma"] if decimal == "," else []
-    parts += [] if encoding.name in ("utf-8", "utf-8-sig", "ascii") else [_shown_encoding(encoding.name)]
+    parts += [] if encoding.name in ("utf-8", "utf-8-sig", "ascii") else [_encoding_label(encoding.name)]
     parts += heading.describe(numbers)
     remarks = (encoding.remark,) if encoding.remark else ()
     start = head[heading.first][0]
@@ -99,7 +99,7 @@ def detect_layout(
     labels = frozenset(cell for cell in first_cells if cell_kind(cell, decimal) is Kind.TEXT)
     clock = None
     if labview.header_ends(lines[:skipped]) and not _has_times(heading, rows, decimal):
-        clock = labview.find_stated_clock([split(line, delimiter) for line in lines[:skipped]], decimal, path)
+        clock = labview.find_header_clock([split(line, delimiter) for line in lines[:skipped]], decimal, path)
         parts += [] if clock is None else [str(clock)]
     description = "; ".join(parts)
     return TextLayout(encoding, delimiter, decimal, heading, start, text_columns, labels, description, remarks, clock)
@@ -109,13 +109,13 @@ def _has_times(heading: Heading, rows: Sequence[Sequence[str]], decimal: str) ->
     """Return whether LabVIEW wrote a time column; it may be missing or empty."""
     names = heading.names
     if labview.TIME not in names:
-        return labview.STATED_TIME in names
-    place = names.index(labview.TIME)
-    cells = [row[place] for row in rows[heading.first :] if len(row) > place]
+        return labview.HEADER_TIME in names
+    column_index = names.index(labview.TIME)
+    cells = [row[column_index] for row in rows[heading.first :] if len(row) > column_index]
     return any(cell_kind(cell, decimal) in (Kind.NUMBER, Kind.STAMP) for cell in cells)
 
 
-def _numbered(names: Sequence[str], repeated: str) -> tuple[str, ...]:
+def _number_names(names: Sequence[str], repeated: str) -> tuple[str, ...]:
     """Return names with a number added to each repetition of a name."""
     return tuple(
         f"{name} {count}" if name == repeated and (count := names[: k + 1].count(name)) > 1 else name
@@ -136,7 +136,7 @@ def _refuse_unnamed(rows: Sequence[Sequence[str]], line: int, names: int, delimi
         )
 
 
-def _shown_encoding(name: str) -> str:
+def _encoding_label(name: str) -> str:
     return (
         "Latin-1"
         if name in ("cp1252", "iso8859-1", "latin-1")
@@ -159,11 +159,11 @@ def _preamble(lines: Sequence[str], options: TableOptions) -> tuple[int, TableOp
         # Of the file, then of its first segment.
         skipped = ends[:2][-1] + 1
         for line in head[:skipped]:
-            words = re.split(r"[\t;, ]", line, maxsplit=1)
-            if words[0] == "Separator" and len(words) > 1:
-                delimiter = delimiter or {"Tab": "\t", "Comma": ","}.get(words[1].strip())
-            elif words[0] == "Decimal_Separator" and words[-1].strip() in (".", ","):
-                decimal = decimal or words[-1].strip()
+            pair = re.split(r"[\t;, ]", line, maxsplit=1)
+            if pair[0] == "Separator" and len(pair) > 1:
+                delimiter = delimiter or {"Tab": "\t", "Comma": ","}.get(pair[1].strip())
+            elif pair[0] == "Decimal_Separator" and pair[-1].strip() in (".", ","):
+                decimal = decimal or pair[-1].strip()
     return skipped, replace(options, delimiter=delimiter, decimal=decimal)
 
 
@@ -178,7 +178,7 @@ def split(line: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
 
 
-def _marks(
+def _detect_marks(
     texts: Sequence[str], more: Sequence[str], path: Path, options: TableOptions, is_requested: IsRequested
 ) -> tuple[str, str]:
     """Return delimiter and decimal mark: those that make the most cells numbers, and requested names cells."""
@@ -198,10 +198,10 @@ def _marks(
     if is_requested is not None:
         # A clock's name may stand in any preamble.
         cells = {mark: [cell for line in texts for cell in split(line, mark)] for mark, _ in scores}
-        named = {
+        matching_marks = {
             mark for mark in cells if any(is_requested(cell) and not is_clock_heading(cell) for cell in cells[mark])
         }
-        scores = {marks: score for marks, score in scores.items() if marks[0] in named and score > 0} or scores
+        scores = {marks: score for marks, score in scores.items() if marks[0] in matching_marks and score > 0} or scores
     best = max(scores.values(), default=0.0)
     if best <= 0:
         return options.delimiter or ",", options.decimal or "."
@@ -242,4 +242,4 @@ def _refuse_thousands(rows: Sequence[Sequence[str]], delimiter: str, decimal: st
     """Refuse `1,234` if the column does not decide whether its mark is decimal."""
     marked = [cell for row in rows for cell in row if decimal in cell and cell_kind(cell, decimal) is Kind.NUMBER]
     if decimal == "," and marked and all(THOUSANDS.fullmatch(cell) for cell in marked):
-        raise InputError(f"{path}: {shown(marked[0])} may be in thousands or have a decimal comma; give --decimal")
+        raise InputError(f"{path}: {show_cell(marked[0])} may be in thousands or have a decimal comma; give --decimal")

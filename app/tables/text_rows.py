@@ -27,7 +27,7 @@ class TextRows:
     remarks: tuple[str, ...]
 
 
-def data_of(
+def extract_data_rows(
     lines: Sequence[str],
     layout: TextLayout,
     path: Path,
@@ -49,60 +49,64 @@ def data_of(
     """
     if layout.clock is not None:
         refuse_segments(lines, path)
-    texts, numbers = _filled(lines, layout.start if offset is None else offset)
+    texts, numbers = _drop_empty_lines(lines, layout.start if offset is None else offset)
     delimiter, width = layout.delimiter, len(layout.heading.names)
-    whole = "\n".join(texts)
-    remarks = _drop_comments(texts, numbers, layout) if "#" in whole or "%" in whole else []
+    joined_text = "\n".join(texts)
+    remarks = _drop_comments(texts, numbers, layout) if "#" in joined_text or "%" in joined_text else []
     remarks += _drop_repeats(texts, numbers, layout)
     cells = None
-    if '"' in whole:
-        cells = [_unquoted(text, delimiter, number, path) for text, number in zip(texts, numbers, strict=True)]
+    if '"' in joined_text:
+        cells = [_split_quoted(text, delimiter, number, path) for text, number in zip(texts, numbers, strict=True)]
         widths = list(map(len, cells))
     elif delimiter == BLANKS:
-        texts = ["\t".join(_words(text, width, layout.decimal)) for text in texts]
+        texts = ["\t".join(_split_blanks(text, width, layout.decimal)) for text in texts]
         widths = [text.count("\t") + 1 for text in texts]
     else:
         widths = [1] * len(texts) if delimiter == "" else [text.count(delimiter) + 1 for text in texts]
     refuse_large(path, sum(widths), options.max_cells)
-    at = "\t" if delimiter == BLANKS else delimiter
-    if is_open and len(texts) > 1 and _is_cut(texts[-1], widths[-1], layout, at, texts[:-1]):
+    separator = "\t" if delimiter == BLANKS else delimiter
+    if is_open and len(texts) > 1 and _is_cut(texts[-1], widths[-1], layout, separator, texts[:-1]):
         remarks.append(f"line {numbers[-1]} is cut off ({texts[-1].strip()[:40]!r}): what it lacks is missing")
         # The last number that was written may lack digits, too.
-        row = split(texts[-1], at)[: min(width, widths[-1]) - 1]
-        texts[-1], widths[-1] = at.join([*row, *[""] * (width - len(row))]), width
+        row = split(texts[-1], separator)[: min(width, widths[-1]) - 1]
+        texts[-1], widths[-1] = separator.join([*row, *[""] * (width - len(row))]), width
         if cells is not None:
-            cells[-1] = split(texts[-1], at)
+            cells[-1] = split(texts[-1], separator)
         if not row:
             del texts[-1], numbers[-1], widths[-1], (cells if cells is not None else [0])[-1]
-    stop = _end_of_data(texts, numbers, widths, layout, at) if is_last else len(texts)
-    rest = [k for k in range(stop, len(texts)) if texts[k].strip(f"{at} ")]
-    if rest:
-        where = f"line {numbers[rest[0]]}" if len(rest) == 1 else f"lines {numbers[rest[0]]} to {numbers[rest[-1]]}"
-        remarks.append(f"{where}: no row of data and left out ({texts[rest[0]].strip()[:40]!r})")
+    stop = _end_of_data(texts, numbers, widths, layout, separator) if is_last else len(texts)
+    trailing_rows = [k for k in range(stop, len(texts)) if texts[k].strip(f"{separator} ")]
+    if trailing_rows:
+        location = (
+            f"line {numbers[trailing_rows[0]]}"
+            if len(trailing_rows) == 1
+            else f"lines {numbers[trailing_rows[0]]} to {numbers[trailing_rows[-1]]}"
+        )
+        remarks.append(f"{location}: no row of data and left out ({texts[trailing_rows[0]].strip()[:40]!r})")
     del texts[stop:], numbers[stop:], widths[stop:]
     cells = None if cells is None else cells[:stop]
     if widths.count(width) < len(widths):
-        _fit(texts, cells, numbers, widths, layout, path)
+        _fit_rows(texts, cells, numbers, widths, layout, path)
     return TextRows(texts, cells, np.array(numbers, dtype=np.int64), tuple(remarks))
 
 
-def _words(text: str, width: int, decimal: str) -> list[str]:
+def _split_blanks(text: str, width: int, decimal: str) -> list[str]:
     """Return the cells of a line separated by blanks, keeping words of one cell such as `no signal` together."""
-    words = text.split()
-    if len(words) <= width:
-        return words
+    pieces = text.split()
+    if len(pieces) <= width:
+        return pieces
     cells: list[str] = []
     is_text = False
-    for word in words:
-        was_text, is_text = is_text, cell_kind(word, decimal) is Kind.TEXT
+    for piece in pieces:
+        was_text, is_text = is_text, cell_kind(piece, decimal) is Kind.TEXT
         if was_text and is_text:
-            cells[-1] += f" {word}"
+            cells[-1] += f" {piece}"
         else:
-            cells.append(word)
-    return cells if len(cells) == width else words
+            cells.append(piece)
+    return cells if len(cells) == width else pieces
 
 
-def _filled(lines: Sequence[str], offset: int) -> tuple[list[str], list[int]]:
+def _drop_empty_lines(lines: Sequence[str], offset: int) -> tuple[list[str], list[int]]:
     """Return the lines that are not empty, and their numbers."""
     filled = [k for k, line in enumerate(lines) if line and not line.isspace()]
     return [lines[k] for k in filled], [offset + 1 + k for k in filled]
@@ -126,15 +130,15 @@ def _drop_repeats(texts: list[str], numbers: list[int], layout: TextLayout) -> l
 
     A header that comes again, that of another block or segment: their first cells are the same texts.
     """
-    at, labels, whole = layout.delimiter, layout.labels, "\n".join(texts)
-    if not any(label in whole for label in labels):
+    delimiter, labels, joined_text = layout.delimiter, layout.labels, "\n".join(texts)
+    if not any(label in joined_text for label in labels):
         return []
-    again = [k for k, text in enumerate(texts) if (cells := split(text, at)) and cells[0] in labels]
+    repeated_rows = [k for k, text in enumerate(texts) if (cells := split(text, delimiter)) and cells[0] in labels]
     if 0 in layout.text_columns:
-        again = [k for k in again if tuple(split(texts[k], at)) == layout.heading.names]
-    blocks = [[k] for k in again if k - 1 not in again]
+        repeated_rows = [k for k in repeated_rows if tuple(split(texts[k], delimiter)) == layout.heading.names]
+    blocks = [[k] for k in repeated_rows if k - 1 not in repeated_rows]
     for block in blocks:
-        while block[-1] + 1 in again:
+        while block[-1] + 1 in repeated_rows:
             block.append(block[-1] + 1)
     remarks = [
         f"line {numbers[block[0]]} repeats what stands above the samples and is left out"
@@ -142,12 +146,12 @@ def _drop_repeats(texts: list[str], numbers: list[int], layout: TextLayout) -> l
         else f"lines {numbers[block[0]]} to {numbers[block[-1]]} repeat what stands above the samples and are left out"
         for block in blocks
     ]
-    for k in reversed(again):
+    for k in reversed(repeated_rows):
         del texts[k], numbers[k]
     return remarks
 
 
-def _fit(
+def _fit_rows(
     texts: list[str],
     cells: list[list[str]] | None,
     numbers: Sequence[int],
@@ -160,21 +164,21 @@ def _fit(
     Raises:
         InputError: a row is longer or shorter.
     """
-    width, at = len(layout.heading.names), "\t" if layout.delimiter == BLANKS else layout.delimiter
+    width, delimiter = len(layout.heading.names), "\t" if layout.delimiter == BLANKS else layout.delimiter
     for k, count in enumerate(widths):
         if count == width:
             continue
-        row = _fitted(cells[k] if cells is not None else split(texts[k], at), width, layout)
+        row = _fit_row(cells[k] if cells is not None else split(texts[k], delimiter), width, layout)
         if row is None:
             line = "each row" if set(widths) == {count} and k == 0 else f"line {numbers[k]}"
-            raise InputError(_unequal(path, line, count, width, layout))
+            raise InputError(_width_error(path, line, count, width, layout))
         if cells is not None:
             cells[k] = row
         else:
-            texts[k] = at.join(row)
+            texts[k] = delimiter.join(row)
 
 
-def _unquoted(text: str, delimiter: str, line: int, path: Path) -> list[str]:
+def _split_quoted(text: str, delimiter: str, line: int, path: Path) -> list[str]:
     if '"' in text and delimiter not in (BLANKS, ""):
         try:
             next(csv.reader([text], delimiter=delimiter, skipinitialspace=True, strict=True))
@@ -199,7 +203,7 @@ def _is_cut(text: str, cells: int, layout: TextLayout, delimiter: str, others: S
     )
 
 
-def _fitted(row: list[str], width: int, layout: TextLayout) -> list[str] | None:
+def _fit_row(row: list[str], width: int, layout: TextLayout) -> list[str] | None:
     """Return a row with the cells of the header, where only empty ones are too many or missing."""
     while len(row) > width and not row[-1]:
         row = row[:-1]
@@ -211,7 +215,7 @@ def _fitted(row: list[str], width: int, layout: TextLayout) -> list[str] | None:
     return row if len(row) == width else None
 
 
-def _unequal(path: Path, line: str, cells: int, width: int, layout: TextLayout) -> str:
+def _width_error(path: Path, line: str, cells: int, width: int, layout: TextLayout) -> str:
     cure = "repair or remove that line" if line != "each row" else "give each column one name, and no name more"
     if layout.delimiter == "," and cells > width:
         cure += "; are there decimal commas? write the file with semicolons or tabs between cells then"

@@ -14,7 +14,7 @@ from softcal.core.recording import RATE_TOLERANCE, Array
 PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "ticks": 1e7, "min": 1 / 60, "h": 1 / 3600}
 """Units of time, and how many of them a second has; Windows counts ticks of 100 ns."""
 
-UNIT_WORDS = {
+UNIT_TOKENS = {
     "s": ("s", "sec", "secs", "second", "seconds", "sek", "sekunden", "초", "秒"),
     "ms": ("ms", "msec", "msecs", "millis", "millisecond", "milliseconds", "밀리초", "毫秒"),
     "us": ("us", "µs", "μs", "usec", "usecs", "micros", "microsecond", "microseconds"),
@@ -22,11 +22,11 @@ UNIT_WORDS = {
     "min": ("min", "mins", "minute", "minutes", "minuten", "분"),
     "h": ("h", "hr", "hrs", "hour", "hours"),
 }
-UNIT_OF = {word: unit for unit, words in UNIT_WORDS.items() for word in words}
-BARE_UNITS = {word for unit in ("s", "ms", "us") for word in UNIT_WORDS[unit]} - {"s", "us"}
+UNIT_OF = {token: unit for unit, tokens in UNIT_TOKENS.items() for token in tokens}
+BARE_UNITS = {token for unit in ("s", "ms", "us") for token in UNIT_TOKENS[unit]} - {"s", "us"}
 """Units that name a column of time alone; `min` is as often the minimum."""
 
-TIME_WORDS = {
+TIME_HEADINGS = {
     ("t",), ("time",), ("timestamp",), ("timestamps",), ("time", "stamp"), ("stamp",), ("datetime",), ("date", "time"),
     ("elapsed",), ("clock",), ("utc",), ("elapsedtime",), ("testtime",),
     ("elapsed", "time"), ("time", "elapsed"), ("test", "time"), ("run", "time"), ("relative", "time"), ("x", "value"),
@@ -36,8 +36,8 @@ TIME_WORDS = {
 }  # fmt: skip
 """Headings of a column of time, without its unit."""
 
-DATE_WORDS = frozenset({"date", "datum", "fecha", "data", "날짜", "日付", "日期"})
-PATTERN_WORDS = frozenset({"hh", "mm", "ss", "fff", "yyyy", "yy", "dd", "yyyymmdd", "hhmmss", "ddmmyyyy", "mmddyyyy"})
+DATE_HEADINGS = frozenset({"date", "datum", "fecha", "data", "날짜", "日付", "日期"})
+PATTERN_TOKENS = frozenset({"hh", "mm", "ss", "fff", "yyyy", "yy", "dd", "yyyymmdd", "hhmmss", "ddmmyyyy", "mmddyyyy"})
 """Words of headings that state how a stamp is written."""
 
 INDEX = "index"
@@ -53,15 +53,17 @@ BACK_SHARE = 0.7
 """An output that ends within this share of its range from where it began was pressed and let go."""
 
 
-def words_of(name: str) -> tuple[str, ...]:
+def split_heading(name: str) -> tuple[str, ...]:
     """Return the words of a heading in small letters, without numbers and marks."""
-    return tuple(word for word in re.split(r"[^a-zµμ\u00c0-\u024f\uac00-\ud7a3\u4e00-\u9fff]+", name.lower()) if word)
+    return tuple(
+        token for token in re.split(r"[^a-zµμ\u00c0-\u024f\uac00-\ud7a3\u4e00-\u9fff]+", name.lower()) if token
+    )
 
 
-def stated_unit(column: Column) -> str | None:
+def find_declared_unit(column: Column) -> str | None:
     """Return the unit of time that a heading or a row of units states; None where they state none."""
     for text in (column.unit, column.name):
-        units = [UNIT_OF[word] for word in words_of(text) if word in UNIT_OF]
+        units = [UNIT_OF[token] for token in split_heading(text) if token in UNIT_OF]
         if units:
             return units[-1]
     return None
@@ -69,15 +71,15 @@ def stated_unit(column: Column) -> str | None:
 
 def is_time_heading(name: str) -> bool:
     """Return whether a heading names a time column."""
-    words = words_of(name)
-    bare = tuple(word for word in words if word not in UNIT_OF and word not in PATTERN_WORDS)
-    return bare in TIME_WORDS or (len(words) == 1 and words[0] in BARE_UNITS)
+    tokens = split_heading(name)
+    bare = tuple(token for token in tokens if token not in UNIT_OF and token not in PATTERN_TOKENS)
+    return bare in TIME_HEADINGS or (len(tokens) == 1 and tokens[0] in BARE_UNITS)
 
 
 def is_date_heading(name: str) -> bool:
     """Return whether a heading names a date column."""
-    first, *others = words_of(name) or ("",)
-    return first in DATE_WORDS and PATTERN_WORDS.issuperset(others)
+    first, *others = split_heading(name) or ("",)
+    return first in DATE_HEADINGS and PATTERN_TOKENS.issuperset(others)
 
 
 def is_clock_heading(name: str) -> bool:
@@ -99,12 +101,14 @@ def find_time_column(names: Sequence[str], columns: Sequence[Column] = ()) -> st
     dates = {column.name for column in columns if column.name == INDEX and column.cells.dtype.kind in "mM"}
     times = [name for name in names if is_time_heading(name) or name in dates]
     if len(times) > 1:
-        still = {column.name for column in columns if np.mean(column.cells[1:] != column.cells[:-1]) < MIN_NEW_STAMPS}
-        times = [name for name in times if name not in still] or times
+        repeating_names = {
+            column.name for column in columns if np.mean(column.cells[1:] != column.cells[:-1]) < MIN_NEW_STAMPS
+        }
+        times = [name for name in times if name not in repeating_names] or times
     cells = {column.name: column.cells for column in columns}
     if len(times) > 1 and all(name in cells and np.array_equal(cells[times[0]], cells[name]) for name in times):
         return times[0]
-    return _only(times) if times else None
+    return _require_single(times) if times else None
 
 
 def find_time_by_cells(columns: Sequence[Column], output: Array, rate_Hz: float | None) -> tuple[str | None, str]:
@@ -119,12 +123,12 @@ def find_time_by_cells(columns: Sequence[Column], output: Array, rate_Hz: float 
         InputError: several columns may be it, or one that may be something else.
     """
     stamps = [column.name for column in columns if _is_stamped(column)]
-    numbers = {column.name: values for column in columns if (values := _rising(column)) is not None}
+    numbers = {column.name: values for column in columns if (values := _rising_values(column)) is not None}
     rising = [column for column in columns if column.name in numbers]
-    timed = [column.name for column in rising if column.unit and stated_unit(column)]
-    timed = timed or [column.name for column in rising if not column.unit and stated_unit(column)]
-    if named := stamps or timed:
-        return _only(named), "it holds stamps that rise" if stamps else "it rises, in a unit of time"
+    unit_columns = [column.name for column in rising if column.unit and find_declared_unit(column)]
+    unit_columns = unit_columns or [column.name for column in rising if not column.unit and find_declared_unit(column)]
+    if candidates := stamps or unit_columns:
+        return _require_single(candidates), "it holds stamps that rise" if stamps else "it rises, in a unit of time"
     # Whatever has another unit is no time.
     steps = {
         c.name: float(np.median(np.diff(numbers[c.name]))) for c in rising if not c.unit and _is_even(numbers[c.name])
@@ -132,11 +136,11 @@ def find_time_by_cells(columns: Sequence[Column], output: Array, rate_Hz: float 
     if rate_Hz is not None:
         fitting = [name for name, step in steps.items() if _is_period(step, rate_Hz)]
         if fitting:
-            return _only(fitting), f"its steps are those of {rate_Hz:g} Hz"
+            return _require_single(fitting), f"its steps are those of {rate_Hz:g} Hz"
         counting = [name for name, step in steps.items() if step == 1 and not np.any(numbers[name] % 1)]
         return (counting[0], f"it counts samples at {rate_Hz:g} Hz") if len(counting) == 1 else (None, "")
     if len(steps) > 1:
-        return _only(list(steps)), ""
+        return _require_single(list(steps)), ""
     for name in steps:
         is_pressed = abs(output[-1] - output[0]) < BACK_SHARE * np.ptp(output)
         if not np.any(numbers[name] % 1) or not is_pressed:
@@ -148,7 +152,7 @@ def find_time_by_cells(columns: Sequence[Column], output: Array, rate_Hz: float 
     return None, ""
 
 
-def _only(names: Sequence[str]) -> str:
+def _require_single(names: Sequence[str]) -> str:
     if len(names) > 1:
         raise InputError(f"{' and '.join(map(repr, names[:4]))} may be the column of time; name it with --time-column")
     return names[0]
@@ -166,7 +170,7 @@ def _is_stamped(column: Column) -> bool:
     return bool(np.mean(cells[1:] != cells[:-1]) >= MIN_NEW_STAMPS)
 
 
-def _rising(column: Column) -> Array | None:
+def _rising_values(column: Column) -> Array | None:
     """Return a column of numbers that rises from row to row, or None."""
     values = to_numbers(column.cells) if column.cells.dtype.kind in "iuf" else None
     return values if values is not None and len(values) > 2 and bool(np.all(np.diff(values) > 0)) else None
@@ -177,8 +181,8 @@ def parts_per_second(column: Column) -> float | None:
 
     Whole numbers of ms below 1000, or fractional seconds below 1, which begin again.
     """
-    values, words = to_numbers(column.cells), words_of(column.name)
-    parts = {("ms",): 1000.0, ("fractional", "seconds"): 1.0}.get(words)
+    values, tokens = to_numbers(column.cells), split_heading(column.name)
+    parts = {("ms",): 1000.0, ("fractional", "seconds"): 1.0}.get(tokens)
     if values is None or parts is None or not np.any(np.diff(values) < 0):
         return None
     is_part = (values >= 0) & (values < parts) & ((values % 1 == 0) | (parts == 1))

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from softcal.app.tables.table import Column
-from softcal.app.tables.time_column import PER_SECOND, is_time_heading, stated_unit
+from softcal.app.tables.time_column import PER_SECOND, find_declared_unit, is_time_heading
 from softcal.core.errors import InputError
 from softcal.core.recording import RATE_TOLERANCE, Array
 
@@ -50,12 +50,12 @@ def number_unit(
         )
     steps = np.diff(present)
     step = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
-    stated = stated_unit(column)
-    if stated is not None and not (name == "t_s" and not column.unit):
-        return stated, ""
+    declared_unit = find_declared_unit(column)
+    if declared_unit is not None and not (name == "t_s" and not column.unit):
+        return declared_unit, ""
     if step == 0:
         return "s", ""
-    if stated is None:
+    if declared_unit is None:
         for unit, (low, high) in EPOCHS.items():
             if low <= present[0] < high:
                 return unit, ""
@@ -76,15 +76,15 @@ def _unit_by_rate(step: float, rate_Hz: float) -> str:
 def _check_seconds(path: Path, name: str, present: Array, step: float, declared_Hz: float | None) -> None:
     """Refuse numbers that no sensor's seconds can be, unless the declared rate is theirs."""
     agrees = declared_Hz is not None and abs(1 / step / declared_Hz - 1) <= RATE_TOLERANCE
-    if not agrees and (doubt := doubt_seconds(present, step)):
-        raise InputError(f"{path}: column {name!r} {doubt}? {CURE}")
+    if not agrees and (problem := find_seconds_problem(present, step)):
+        raise InputError(f"{path}: column {name!r} {problem}? {CURE}")
 
 
-def doubt_seconds(present: Array, step: float) -> str:
+def find_seconds_problem(present: Array, step: float) -> str:
     """Return why numbers are no seconds of a sensor's samples, and what they may be; "" where they can be."""
-    rate_Hz, is_whole = 1 / step, bool(np.all(present == np.round(present)))
-    if not (rate_Hz < MIN_RATE_HZ or rate_Hz > MAX_RATE_HZ or (is_whole and rate_Hz <= 1)):
+    rate_Hz, is_integer = 1 / step, bool(np.all(present == np.round(present)))
+    if not (rate_Hz < MIN_RATE_HZ or rate_Hz > MAX_RATE_HZ or (is_integer and rate_Hz <= 1)):
         return ""
-    likely = [unit for unit, per in PER_SECOND.items() if MIN_RATE_HZ <= per / step <= MAX_RATE_HZ]
-    guess = "excel" if rate_Hz > MAX_RATE_HZ else " or ".join(likely[:2]) or "another unit"
+    likely_units = [unit for unit, per in PER_SECOND.items() if MIN_RATE_HZ <= per / step <= MAX_RATE_HZ]
+    guess = "excel" if rate_Hz > MAX_RATE_HZ else " or ".join(likely_units[:2]) or "another unit"
     return f"({present[0]:.12g}, {present[1]:.12g}, ...) shows {rate_Hz:g} Hz if it is in s; is it in {guess}"

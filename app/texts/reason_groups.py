@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from softcal.core.messages.reason import ENGLISH, PLAIN, Reason, Value, filled
+from softcal.core.messages.reason import ENGLISH, PLAIN, Reason, Value, fill_sentence
 
 MAX_NAMES = 8
 """So many units are named where a reason is of many; the table and the JSON have all."""
@@ -40,24 +40,26 @@ def reasons_by_verdict(units: Sequence[HasReasons], verdicts: Iterable[str]) -> 
 
     A number that differs within a reason's units is given as its range.
     """
-    listed = []
+    sections = []
     for verdict in verdicts:
-        concerned = [unit for unit in units if unit.verdict == verdict]
+        matching = [unit for unit in units if unit.verdict == verdict]
         groups: dict[str, list[tuple[str, Reason, int]]] = {}
-        for unit in concerned:
-            for rank, why in enumerate(unit.reasons):
-                groups.setdefault(str(why) if why.code == PLAIN else why.code, []).append((unit.serial, why, rank))
+        for unit in matching:
+            for rank, reason in enumerate(unit.reasons):
+                groups.setdefault(str(reason) if reason.code == PLAIN else reason.code, []).append(
+                    (unit.serial, reason, rank)
+                )
         by_weight = sorted(groups.values(), key=lambda group: (min(rank for *_, rank in group), -len(group)))
         lines = []
         for group in by_weight:
             names = dict.fromkeys(serial for serial, *_ in group)
-            of = "" if len(names) == len(concerned) else f"{name_serials(names)}: "
-            lines.append(f"{of}{_shared([why for _, why, _ in group])}")
-        if concerned:
-            count = "" if len(concerned) == 1 else f"{len(concerned)} units {verdict}: "
-            end = f" {verdict}" if len(concerned) == 1 else ""
-            listed.append((f"{count}{name_serials([unit.serial for unit in concerned])}{end}", lines))
-    return listed
+            prefix = "" if len(names) == len(matching) else f"{name_serials(names)}: "
+            lines.append(f"{prefix}{_render_group([reason for _, reason, _ in group])}")
+        if matching:
+            count = "" if len(matching) == 1 else f"{len(matching)} units {verdict}: "
+            end = f" {verdict}" if len(matching) == 1 else ""
+            sections.append((f"{count}{name_serials([unit.serial for unit in matching])}{end}", lines))
+    return sections
 
 
 def name_serials(serials: Collection[str]) -> str:
@@ -66,20 +68,20 @@ def name_serials(serials: Collection[str]) -> str:
     return ", ".join(list(serials)[:MAX_NAMES]) + more
 
 
-def _shared(alike: Sequence[Reason]) -> str:
+def _render_group(reasons: Sequence[Reason]) -> str:
     """Return one sentence for reasons of one code; of their intervals the one that holds all."""
-    values = {name: _span([one.values[name] for one in alike]) for name in alike[0].values}
+    values = {name: _merge_values([one.values[name] for one in reasons]) for name in reasons[0].values}
     for name, end in (("lower", "low"), ("upper", "high")):
         values |= {name: getattr(values[name], end)} if isinstance(values.get(name), _Range) else {}
-    return filled(ENGLISH[alike[0].code], values)
+    return fill_sentence(ENGLISH[reasons[0].code], values)
 
 
-def _span(values: Sequence[Value]) -> object:
+def _merge_values(values: Sequence[Value]) -> object:
     numbers = [value for value in values if isinstance(value, int | float)]
     inner = [value for value in values if isinstance(value, Reason)]
     if len(numbers) == len(values):
         return numbers[0] if min(numbers) == max(numbers) else _Range(min(numbers), max(numbers))
     if len(inner) == len(values):
         codes = dict.fromkeys(one.code for one in inner)
-        return ", ".join(_shared([one for one in inner if one.code == code]) for code in codes)
+        return ", ".join(_render_group([one for one in inner if one.code == code]) for code in codes)
     return name_serials(dict.fromkeys(map(str, values)))

@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from datetime import datetime
 
-from softcal.core.messages.reason import PLAIN, Reason, unpacked
+from softcal.core.messages.reason import PLAIN, Reason, unpack_reasons
 
-Words = Callable[..., str]
+Translator = Callable[..., str]
 
-PREFIX, PLAINLY = "reason.", "plainly."
+PREFIX, PLAIN_PREFIX = "reason.", "plainly."
 NAMES = {
     "verdict": "within",
     "effect": "gap.effect",
@@ -26,51 +26,51 @@ NAMES = {
 INSTANT = "at"
 """The value of a reason that is an instant, kept as text (ISO 8601)."""
 
-BETWEEN = "; "
+SEPARATOR = "; "
 
 
-def said(why: Reason, words: Words) -> str:
+def render_reason(reason: Reason, translate: Translator) -> str:
     """Return one reason in words, those in its values too."""
-    if why.code == PLAIN:
-        return str(why)
-    values: dict[str, object] = dict(why.values)
-    for name, value in why.values.items():
+    if reason.code == PLAIN:
+        return str(reason)
+    values: dict[str, object] = dict(reason.values)
+    for name, value in reason.values.items():
         if isinstance(value, Reason):
-            values[name] = said(value, words)
+            values[name] = render_reason(value, translate)
         elif isinstance(value, str) and name == INSTANT:
             # A station that was not updated yet gives the hour alone.
             with suppress(ValueError):
                 values[name] = datetime.fromisoformat(value)
         elif isinstance(value, str) and name in NAMES:
-            values[name] = phrase(NAMES[name], value, words)
-    return words(f"{PREFIX}{why.code}", **values)
+            values[name] = translate_phrase(NAMES[name], value, translate)
+    return translate(f"{PREFIX}{reason.code}", **values)
 
 
-def plainly(why: Reason, words: Words) -> str:
+def render_plain_reason(reason: Reason, translate: Translator) -> str:
     """Return a reason without numbers, for who stands at the line."""
     # A forecast and a measurement are told apart, and how near to the limit they are.
-    parts = (why.values.get("source"), why.values.get("relation"))
-    ends = [part.code.removeprefix("part") for part in parts if isinstance(part, Reason)]
+    parts = (reason.values.get("source"), reason.values.get("relation"))
+    suffixes = [part.code.removeprefix("part") for part in parts if isinstance(part, Reason)]
     # Reasons of one family may be one to them.
-    for code in (f"{why.code}{''.join(ends)}", why.code, why.code.rpartition(".")[0]):
+    for code in (f"{reason.code}{''.join(suffixes)}", reason.code, reason.code.rpartition(".")[0]):
         with suppress(KeyError):
-            return words(f"{PLAINLY}{code}")
-    return said(why, words)
+            return translate(f"{PLAIN_PREFIX}{code}")
+    return render_reason(reason, translate)
 
 
-def all_said(reasons: Iterable[Reason], words: Words) -> str:
+def render_reasons(reasons: Iterable[Reason], translate: Translator) -> str:
     """Return several reasons as one line."""
-    return BETWEEN.join(said(why, words) for why in reasons)
+    return SEPARATOR.join(render_reason(reason, translate) for reason in reasons)
 
 
-def told(message: str, words: Words) -> str:
+def render_message(message: str, translate: Translator) -> str:
     """Return a message that was kept as text, of several reasons or a sentence, as one line."""
-    return all_said(unpacked(message), words)
+    return render_reasons(unpack_reasons(message), translate)
 
 
-def phrase(kind: str, text: str, words: Words) -> str:
+def translate_phrase(kind: str, text: str, translate: Translator) -> str:
     """Return a fixed phrase of the numerics, itself where a language has none."""
     try:
-        return words(f"{kind}.{text}")
+        return translate(f"{kind}.{text}")
     except KeyError:
         return text

@@ -16,7 +16,7 @@ import streamlit as st
 from softcal.app.jobs.launch import SIMULATED
 from softcal.app.ui.browser_memory import recall, remember_secret
 from softcal.app.ui.pins import is_code, new_code
-from softcal.app.ui.server_memory import registry
+from softcal.app.ui.server_cache import registry
 from softcal.core.errors import InputError
 from softcal.core.messages.reason import Reason, reason
 from softcal.db.access.people import PERMISSIONS, may
@@ -47,7 +47,7 @@ FIRST_ACCOUNT = "first account"
 
 
 @st.cache_resource(max_entries=1)
-def _wrong_codes() -> Tries:
+def _failed_codes() -> Tries:
     return Tries()
 
 
@@ -67,12 +67,12 @@ def person() -> User:
         for user in registry().people.all():
             if user.name == entry.name and user.is_active:
                 return user
-    if is_open_here():
+    if is_open_without_account():
         return User(system_user(), "quality", True, 0, is_alone=True)
     return User("", "operator", True, 0)
 
 
-def is_open_here() -> bool:
+def is_open_without_account() -> bool:
     """Whether everything is open without an account: one person at their own machine, and no station yet.
 
     The server answers this machine alone, no proxy stands before it, and nobody has an account.
@@ -108,10 +108,10 @@ def sign_in(name: str, pin: str) -> User:
     remember_secret(machine_cookie(name), registry().people.machine_token(name))
     token = secrets.token_urlsafe(24)
     now = datetime.now(UTC)
-    known = _sign_ins()
-    for old in [key for key, entry in known.items() if has_passed(entry.until, now, SHIFT)]:
-        del known[old]
-    known[token] = SignIn(user.name, now + SHIFT)
+    sign_ins = _sign_ins()
+    for old in [key for key, entry in sign_ins.items() if has_passed(entry.until, now, SHIFT)]:
+        del sign_ins[old]
+    sign_ins[token] = SignIn(user.name, now + SHIFT)
     remember_secret(SESSION, token)
     return user
 
@@ -123,11 +123,11 @@ def make_first_account(name: str, pin: str, code: str) -> User:
         InputError: the code is not what this server printed, a pause, or somebody was first.
     """
     now = datetime.now(UTC)
-    _, until = _wrong_codes().of(FIRST_ACCOUNT)
+    _, until = _failed_codes().of(FIRST_ACCOUNT)
     if not has_passed(until, now, MAX_PAUSE):
         raise InputError(Reason("account.locked", {"minutes": minutes_until(until, now)}))
     is_right = is_code(code, first_code())
-    _wrong_codes().note(FIRST_ACCOUNT, is_right, now)
+    _failed_codes().note(FIRST_ACCOUNT, is_right, now)
     if not is_right:
         raise InputError(Reason("account.no_code"))
     if registry().people.all():
@@ -196,9 +196,9 @@ def role_of(claims: dict[str, object], claim: str) -> str | None:
     The claim holds it, or a list of roles or groups; a group may end in `/engineer`.
     """
     value = claims.get(claim)
-    named = value if isinstance(value, list) else [value]
-    words = {str(word).rpartition("/")[2].lower() for word in named if word}
-    return next((role for role in ("quality", "engineer", "operator") if role in words), None)
+    claimed = value if isinstance(value, list) else [value]
+    role_names = {str(word).rpartition("/")[2].lower() for word in claimed if word}
+    return next((role for role in ("quality", "engineer", "operator") if role in role_names), None)
 
 
 def is_of_this_shift(claims: dict[str, object], now: datetime) -> bool:

@@ -8,11 +8,11 @@ from typing import Any, Literal
 import streamlit as st
 
 from softcal.app.files.spreadsheet import csv_text
-from softcal.app.registry.given_files import remember_files
+from softcal.app.registry.exported_files import record_exported_files
 from softcal.app.ui.account import actor, allows, permit, person
-from softcal.app.ui.callbacks import in_one_piece
-from softcal.app.ui.desk import in_words, say
-from softcal.app.ui.server_memory import registry
+from softcal.app.ui.callbacks import run_uninterrupted
+from softcal.app.ui.presentation import localize, translate
+from softcal.app.ui.server_cache import registry
 from softcal.core.errors import InputError
 from softcal.core.lot import UnitKey
 
@@ -28,21 +28,21 @@ MIMES = {
 
 
 @contextmanager
-def refusals_in_words(icon: str = "error") -> Iterator[None]:
+def show_refusals(icon: str = "error") -> Iterator[None]:
     """Say in one line why what a person asked for is refused; what else the page draws is drawn."""
     try:
         yield
     except InputError as error:
-        st.error(in_words(error), icon=f":material/{icon}:")
+        st.error(localize(error), icon=f":material/{icon}:")
 
 
-def finish(change: str, told: str) -> None:
-    """Draw the page anew, where `say_finished` says what was done."""
-    st.session_state[f"{change}-done"] = told
+def finish(change: str, message: str) -> None:
+    """Draw the page anew, where `show_finished` says what was done."""
+    st.session_state[f"{change}-done"] = message
     st.rerun()
 
 
-def say_finished(change: str) -> bool:
+def show_finished(change: str) -> bool:
     """Say once what a change did, in the drawing after it; return whether there was one."""
     done = st.session_state.pop(f"{change}-done", "")
     if done:
@@ -54,7 +54,7 @@ def role_allows(action: str) -> bool:
     """Whether the role allows an action of `PERMISSIONS`; else say that it does not."""
     if allows(action):
         return True
-    st.caption(say("reason.not_allowed", role=say(f"role.{person().role}")))
+    st.caption(translate("reason.not_allowed", role=translate(f"role.{person().role}")))
     return False
 
 
@@ -75,11 +75,13 @@ def ask_reason(key: str, label: str, action: str, fields: Callable[[], None] = l
         return None
     with st.form(f"reason-{key}", border=False):
         fields()
-        reason = str(st.text_input(say("column.reason"), placeholder=say("reason.example"), key=f"reason-text-{key}"))
+        reason = str(
+            st.text_input(translate("column.reason"), placeholder=translate("reason.example"), key=f"reason-text-{key}")
+        )
         if not st.form_submit_button(label, type="primary"):
             return None
     if len(reason.strip()) < SHORTEST_REASON:
-        st.warning(say("reason.missing"), icon=":material/edit:")
+        st.warning(translate("reason.missing"), icon=":material/edit:")
         return None
     permit(action)
     return reason.strip()
@@ -105,7 +107,7 @@ def download(
     if exported is None:
         draw(on_click="ignore")
     else:
-        draw(on_click=_tell_export, args=exported)
+        draw(on_click=_record_export, args=exported)
 
 
 def csv_of(rows: Sequence[Mapping[str, object]]) -> bytes:
@@ -113,9 +115,9 @@ def csv_of(rows: Sequence[Mapping[str, object]]) -> bytes:
     return csv_text(list(rows[0]) if rows else [], [tuple(row.values()) for row in rows]).encode("utf-8-sig")
 
 
-@in_one_piece
-def _tell_export(entity: str, key: tuple[str, ...], facts: Mapping[str, object]) -> None:
-    registry().trail.add("export", entity, key, facts, actor=actor())
-    if "map_sha256" in facts:
-        given = {name: facts[name] for name in ("revision", "map_sha256", "verdict")}
-        remember_files(registry(), {UnitKey(*key): given}, "page")
+@run_uninterrupted
+def _record_export(entity: str, key: tuple[str, ...], details: Mapping[str, object]) -> None:
+    registry().trail.add("export", entity, key, details, actor=actor())
+    if "map_sha256" in details:
+        export_record = {name: details[name] for name in ("revision", "map_sha256", "verdict")}
+        record_exported_files(registry(), {UnitKey(*key): export_record}, "page")

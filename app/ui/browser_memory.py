@@ -7,8 +7,8 @@ from urllib.parse import unquote
 
 import streamlit as st
 
-from softcal.app.line.facts import Screen
-from softcal.app.ui.callbacks import in_one_piece
+from softcal.app.line.status import Screen
+from softcal.app.ui.callbacks import run_uninterrupted
 from softcal.app.ui.secret_cookies import HEADER, PATH, new_ticket
 
 STATION_VARIABLE = "SOFTCAL_STATION"
@@ -36,19 +36,19 @@ export default function ({ data, setTriggerValue }) {
 }
 """
 HAS_DRAWN, IS_AWAITED = "browser-has-drawn", "browser-is-awaited"
-PLACE = "rest-of-page"
+REST_KEY = "rest-of-page"
 LONGEST_MS = 3000
 """Whatever stands as a skeleton, the rest of a page comes after this time."""
 
 
 def recall(name: str) -> str:
     """Return what was remembered in this tab or, after a reload, this browser; "" without."""
-    here = st.session_state.get(STATE, {})
-    return str(here[name]) if name in here else unquote(_cookies().get(_cookie(name), ""))
+    tab_values = st.session_state.get(STATE, {})
+    return str(tab_values[name]) if name in tab_values else unquote(_cookies().get(_cookie(name), ""))
 
 
 def remember(name: str, value: str) -> None:
-    """Remember a text; the browser hears of it at the end of this run, by `keep`."""
+    """Remember a text; the browser hears of it at the end of this run, by `sync_browser`."""
     st.session_state[STATE] = st.session_state.get(STATE, {}) | {name: value}
 
 
@@ -59,25 +59,25 @@ def remember_secret(name: str, value: str) -> None:
     st.session_state[TICKET] = new_ticket(st.session_state[SECRETS])
 
 
-def screen(seen: int | None = None, until_s: float | None = None) -> Screen:
+def screen(version: int | None = None, until_s: float | None = None) -> Screen:
     """Return which screen of a line this is, what its person has seen, and until when a key waits."""
     tab = str(st.session_state.setdefault(TAB, secrets.token_hex(8)))
-    return Screen(recall("station") or os.environ.get(STATION_VARIABLE, ""), tab, seen, until_s)
+    return Screen(recall("station") or os.environ.get(STATION_VARIABLE, ""), tab, version, until_s)
 
 
-def keep() -> None:
+def sync_browser() -> None:
     """Tell the browser what to remember, and ask what it has drawn; once at the end of a run."""
     cookies = {_cookie(name): value for name, value in st.session_state.get(STATE, {}).items()}
-    told = {name: value for name, value in cookies.items() if name not in st.session_state.get(SECRETS, {})}
+    plain_cookies = {name: value for name, value in cookies.items() if name not in st.session_state.get(SECRETS, {})}
     # A ticket is used once; drawn again with the same one, the browser asks in vain and keeps what it has.
     ticket = {"ticket": st.session_state.get(TICKET, ""), "path": PATH, "header": HEADER}
     # Registered here because a component needs a running server; the same again changes nothing.
     draw = st.components.v2.component("softcal_memory", html=HTML, js=JS)
-    asks = bool(st.session_state.get(IS_AWAITED)) and not st.session_state.get(HAS_DRAWN)
+    asks_drawn = bool(st.session_state.get(IS_AWAITED)) and not st.session_state.get(HAS_DRAWN)
     draw(
-        data={"told": told, "asks": asks, "place": PLACE, "longest_ms": LONGEST_MS, **ticket},
+        data={"told": plain_cookies, "asks": asks_drawn, "place": REST_KEY, "longest_ms": LONGEST_MS, **ticket},
         key="browser-memory-component",
-        on_drawn_change=in_one_piece(_has_drawn),
+        on_drawn_change=run_uninterrupted(_has_drawn),
     )
 
 

@@ -9,7 +9,7 @@ from streamlit.runtime.scriptrunner import get_script_run_ctx
 P = ParamSpec("P")
 
 
-def in_one_piece(callback: Callable[P, None]) -> Callable[P, None]:
+def run_uninterrupted(callback: Callable[P, None]) -> Callable[P, None]:
     """Return the callback so that Streamlit runs it to its end.
 
     Streamlit breaks a callback off where it touches the session state, when the browser has meanwhile asked for the
@@ -17,7 +17,7 @@ def in_one_piece(callback: Callable[P, None]) -> Callable[P, None]:
     """
 
     @wraps(callback)
-    def whole(*args: P.args, **kwargs: P.kwargs) -> None:
+    def wrapper(*args: P.args, **kwargs: P.kwargs) -> None:
         context = get_script_run_ctx()
         if context is None:
             return callback(*args, **kwargs)
@@ -30,4 +30,4 @@ def in_one_piece(callback: Callable[P, None]) -> Callable[P, None]:
         finally:
             object.__setattr__(state, "_yield_callback", break_off)
 
-    return whole
+    return wrapper

@@ -17,11 +17,11 @@ from pathlib import Path
 from sqlalchemy import make_url
 
 from softcal.app.bootstrap import registry_url
-from softcal.app.output import say
+from softcal.app.output import echo
 from softcal.app.ui.guard import HOSTS_VARIABLE
 from softcal.app.ui.uploads import remove_server_folder
 from softcal.core.errors import InputError
-from softcal.db.schema.database import shown_url
+from softcal.db.schema.database import redacted_url
 
 FIRST_PORT, PORTS = 8501, 50
 START_TIMEOUT_S = 60.0
@@ -75,8 +75,8 @@ def serve(options: UiOptions) -> int:
     server = subprocess.Popen(command, env=dict(os.environ) | extra)
     try:
         _wait_until_healthy(server, url)
-        shown = shown_url(make_url(registry_url(options.registry)))
-        say(f"softcal is at {url}; Ctrl-C ends the screen, not the station; its registry is {shown}")
+        registry_name = redacted_url(make_url(registry_url(options.registry)))
+        echo(f"softcal is at {url}; Ctrl-C ends the screen, not the station; its registry is {registry_name}")
         if window is not None:
             with tempfile.TemporaryDirectory(prefix="softcal-window-", ignore_cleanup_errors=True) as profile:
                 look = [f"--app={url}", f"--user-data-dir={profile}", "--no-first-run"]

@@ -55,13 +55,15 @@ REFUSAL = (
 ELSEWHERE = b"Only a page of this server may ask for this."
 
 
-def own_names(more: Iterable[str]) -> frozenset[str]:
+def server_names(more: Iterable[str]) -> frozenset[str]:
     """Return the names under which this server may be reached, beside addresses in numbers."""
-    own = socket.gethostname().lower()
-    return frozenset({"localhost", own, f"{own}.local", *(name.strip().lower() for name in more if name.strip())})
+    hostname = socket.gethostname().lower()
+    return frozenset(
+        {"localhost", hostname, f"{hostname}.local", *(name.strip().lower() for name in more if name.strip())}
+    )
 
 
-def is_own(host: str, names: frozenset[str]) -> bool:
+def is_server_name(host: str, names: frozenset[str]) -> bool:
     """Whether a Host names this server: one of its names, or an address in numbers, any port."""
     parts = HOST.fullmatch(host)
     if parts is None:
@@ -74,7 +76,7 @@ def is_own(host: str, names: frozenset[str]) -> bool:
     return True
 
 
-def is_own_page(scope: Scope, host: str) -> bool:
+def is_same_origin(scope: Scope, host: str) -> bool:
     """Whether a page of this server asks, by the Origin that browsers send (RFC 6454): its host and its port.
 
     What changes nothing may be asked from anywhere; a program that is no browser sends none.
@@ -84,8 +86,8 @@ def is_own_page(scope: Scope, host: str) -> bool:
     if origin is None or (scope["type"] == "http" and scope["method"] in ("GET", "HEAD", "OPTIONS")):
         return True
     # A proxy names the host that the browser knows.
-    known: str = headers.get(b"x-forwarded-host", host.lower()).split(",")[0].strip()
-    return origin.partition("://")[2] == known
+    public_host: str = headers.get(b"x-forwarded-host", host.lower()).split(",")[0].strip()
+    return origin.partition("://")[2] == public_host
 
 
 class Guard:
@@ -93,7 +95,7 @@ class Guard:
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
-        self._names = own_names(os.environ.get(HOSTS_VARIABLE, "").split(","))
+        self._names = server_names(os.environ.get(HOSTS_VARIABLE, "").split(","))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Refuse, or hand on and add the headers."""
@@ -101,9 +103,9 @@ class Guard:
             await self._app(scope, receive, send)
             return
         hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
-        if len(hosts) != 1 or not is_own(hosts[0], self._names):
+        if len(hosts) != 1 or not is_server_name(hosts[0], self._names):
             await _refuse(scope, receive, send, 421, REFUSAL)
-        elif not is_own_page(scope, hosts[0]):
+        elif not is_same_origin(scope, hosts[0]):
             await _refuse(scope, receive, send, 403, ELSEWHERE)
         elif scope["path"].rstrip("/").endswith(CLOSED):
             await _refuse(scope, receive, send, 404, b"")
@@ -117,11 +119,11 @@ class Guard:
             await self._app(scope, receive, send_with_headers)
 
 
-async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, said: bytes) -> None:
+async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, body: bytes) -> None:
     if scope["type"] == "websocket":
         await receive()
         await send({"type": "websocket.close", "code": 1008})
         return
     headers = [(b"content-type", b"text/plain; charset=utf-8"), *HEADERS]
     await send({"type": "http.response.start", "status": status, "headers": headers})
-    await send({"type": "http.response.body", "body": said})
+    await send({"type": "http.response.body", "body": body})

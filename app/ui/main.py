@@ -6,12 +6,12 @@ from pathlib import Path
 import streamlit as st
 from streamlit.navigation.page import Page as StreamlitPage
 
-from softcal.app.ui.browser_memory import keep, screen
+from softcal.app.ui.browser_memory import screen, sync_browser
 from softcal.app.ui.components.bar import draw_bar
-from softcal.app.ui.desk import errors_in_words, in_one_language, readable, say
-from softcal.app.ui.pages import MOVED, PAGES, moved
+from softcal.app.ui.pages import PAGES, REDIRECTS, redirect
 from softcal.app.ui.panels import go_to
-from softcal.app.ui.server_memory import registry
+from softcal.app.ui.presentation import in_one_language, readable, show_errors, translate
+from softcal.app.ui.server_cache import registry
 
 # A file of our own: a named icon would be fetched from outside.
 ICON = Path(__file__).with_name("icon.png")
@@ -28,26 +28,26 @@ def _home() -> None:
     go_to("line" if has_line else "lots")
 
 
-def _moved(address: str) -> None:
+def _redirect(address: str) -> None:
     """Open what an address that was is called now."""
-    page, query = moved(address, {name: st.query_params.get_all(name) for name in st.query_params})
+    page, query = redirect(address, {name: st.query_params.get_all(name) for name in st.query_params})
     go_to(page, **query)
 
 
 @in_one_language()
 def run() -> None:
     """Draw the navigation and the chosen page."""
-    st.set_page_config(page_title=say("app.title"), page_icon=str(ICON), layout="wide")
+    st.set_page_config(page_title=translate("app.title"), page_icon=str(ICON), layout="wide")
     readable()
     # Registered here because a component needs a running server; the same again changes nothing.
-    watch = st.components.v2.component("softcal_liveness", html="<span hidden></span>", js=LIVENESS)
-    texts = {"server": say("gone.server"), "late": say("gone.late"), "files": say("choose.files")}
-    watch(data={**texts, "health": HEALTH}, key="liveness")
-    with errors_in_words():
+    liveness = st.components.v2.component("softcal_liveness", html="<span hidden></span>", js=LIVENESS)
+    texts = {"server": translate("gone.server"), "late": translate("gone.late"), "files": translate("choose.files")}
+    liveness(data={**texts, "health": HEALTH}, key="liveness")
+    with show_errors():
         bar: list[StreamlitPage] = []
         hidden: list[StreamlitPage] = []
         for entry in PAGES:
-            title, is_hidden = say(f"page.{entry.name}"), not entry.icon
+            title, is_hidden = translate(f"page.{entry.name}"), not entry.icon
             icon = f":material/{entry.icon}:" if entry.icon else None
             page = st.Page(
                 entry.render,
@@ -57,13 +57,15 @@ def run() -> None:
                 visibility="hidden" if is_hidden else "visible",
             )
             (hidden if is_hidden else bar).append(page)
-        for name in MOVED:
-            hidden.append(st.Page(partial(_moved, name), title=say("app.title"), url_path=name, visibility="hidden"))
-        home = st.Page(_home, title=say("app.title"), url_path="home", default=True, visibility="hidden")
+        for name in REDIRECTS:
+            hidden.append(
+                st.Page(partial(_redirect, name), title=translate("app.title"), url_path=name, visibility="hidden")
+            )
+        home = st.Page(_home, title=translate("app.title"), url_path="home", default=True, visibility="hidden")
         page = st.navigation([home, *bar, *hidden], position="top")
         draw_bar(page.url_path)
         page.run()
-    keep()
+    sync_browser()
 
 
 run()

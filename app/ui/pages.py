@@ -95,7 +95,7 @@ PAGES = (
     ),
 )
 
-MOVED = {
+REDIRECTS = {
     "start": ("lots", ""),
     "new_lot": ("lots", "files"),
     "source": ("lots", "rig"),
@@ -121,12 +121,12 @@ def is_allowed(user: User, actions: tuple[str, ...]) -> bool:
     return not actions or any(may(user, action) for action in actions)
 
 
-def moved(address: str, query: Mapping[str, Sequence[str]]) -> tuple[str, dict[str, Sequence[str]]]:
+def redirect(address: str, query: Mapping[str, Sequence[str]]) -> tuple[str, dict[str, Sequence[str]]]:
     """Return page and query of an address that was."""
-    page, tab = MOVED[address]
-    kept = dict(query)
-    if address == "compare" and "a" in kept:
-        page, kept = "unit", {"unit": kept["a"], "with": kept.get("b", ())}
+    page, tab = REDIRECTS[address]
+    parameters = dict(query)
+    if address == "compare" and "a" in parameters:
+        page, parameters = "unit", {"unit": parameters["a"], "with": parameters.get("b", ())}
     if address == "wall":
-        kept["wall"] = [""]
-    return page, {**kept, **({"tab": [tab]} if tab else {})}
+        parameters["wall"] = [""]
+    return page, {**parameters, **({"tab": [tab]} if tab else {})}

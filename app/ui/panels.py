@@ -11,24 +11,21 @@ import pandas as pd
 import streamlit as st
 
 from softcal.app.charts.palette import VERDICT, VERDICT_INK, VERDICT_MARK
-from softcal.app.ui.account import person
-from softcal.app.ui.browser_memory import HAS_DRAWN, IS_AWAITED, PLACE
-from softcal.app.ui.callbacks import in_one_piece
-from softcal.app.ui.components.sign_in import ask_sign_in
-from softcal.app.ui.desk import choose, empty, say
+from softcal.app.ui.browser_memory import HAS_DRAWN, IS_AWAITED, REST_KEY
 from softcal.app.ui.pages import page_of
-from softcal.app.ui.server_memory import registry
+from softcal.app.ui.presentation import choose, empty, translate
+from softcal.app.ui.server_cache import registry
 from softcal.core.lot import UnitKey
 
 NARROWEST_NUMBER_PX = 150
 VERDICT_STYLE = {
     f"{mark} ": f"background-color: {VERDICT[name]}; color: {VERDICT_INK}" for name, mark in VERDICT_MARK.items()
 }
-NOTHING = "–"
-LONG: Any = {"width": "stretch", "hide_index": True, "placeholder": NOTHING}
+EMPTY_CELL = "–"
+LONG: Any = {"width": "stretch", "hide_index": True, "placeholder": EMPTY_CELL}
 """How a table is drawn that is scrolled in."""
 
-MOST_IN_FULL = 40
+MAX_ROWS_IN_FULL = 40
 MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#$:~|!])")
 QUANTITY = re.compile(r"([-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?) ([^\s\d]\S*)")
 LINK_TEXT = "#(.*)$"
@@ -41,56 +38,30 @@ def heading(page: str, title: str = "") -> Any:
     """Draw the title of a page, its name unless another is given; return the place beside it for a choice."""
     st.html(f"<style>{CLOSER}</style>")
     left, right = st.columns([2, 3], vertical_alignment="bottom")
-    left.title(title or say(f"page.{page}"))
+    left.title(title or translate(f"page.{page}"))
     return right
 
 
-def draw_tabs(page: str, *subject: object) -> None:
-    """Draw the tabs of a page for what it is about, and the open one: the first, or `tab` of the address.
-
-    A tab that the role may not see is listed where the address asks for it, and asks for a sign-in in its place.
-    """
-    entry, asked, user = page_of(page), str(st.query_params.get("tab", "")), person()
-    tabs = [tab for tab in entry.tabs if tab.name == asked or tab.is_open_to(user)]
-    names, key = {say(f"tab.{tab.name}"): tab for tab in tabs}, f"tab-{page}"
-    title = next((title for title, tab in names.items() if tab.name == asked), next(iter(names), ""))
-    if not title:
-        ask_sign_in(entry.tabs[0].actions)
-        return
-    st.session_state[key] = title
-
-    def choose_tab() -> None:
-        st.query_params["tab"] = names[st.session_state[key]].name
-
-    places = st.tabs(list(names), key=key, on_change=in_one_piece(choose_tab))
-    with places[list(names).index(title)]:
-        tab = names[title]
-        if tab.is_open_to(user):
-            entry.draw(tab.name, *subject)
-        else:
-            ask_sign_in(tab.actions)
-
-
-def headline(said: str) -> None:
+def headline(text: str) -> None:
     """Draw what a person came for in one sentence, above what needs scripts to be drawn."""
     with st.container(key="headline"):
-        st.markdown(said)
+        st.markdown(text)
 
 
 def chosen_lot(page: str) -> str | None:
     """Draw title and choice of a lot, or how to get a first one; return the lot."""
-    beside, lots = heading(page), registry().lots.ids()
+    header_slot, lots = heading(page), registry().lots.ids()
     if not lots:
         empty("empty.lots")
         return None
-    with beside:
-        return choose(say("choose.lot"), lots, "lot", label_visibility="collapsed")
+    with header_slot:
+        return choose(translate("choose.lot"), lots, "lot", label_visibility="collapsed")
 
 
 def step(page: str, number: int) -> st.delta_generator.DeltaGenerator:
     """Draw the frame of one step of a page that leads through several."""
     box = st.container(border=True)
-    box.markdown(f"## {number} · {say(f'{page}.step.{number}')}")
+    box.markdown(f"## {number} · {translate(f'{page}.step.{number}')}")
     return box
 
 
@@ -104,7 +75,7 @@ def rest_may_follow() -> bool:
     if st.session_state.get(HAS_DRAWN):
         return True
     st.session_state[IS_AWAITED] = True
-    with st.container(key=PLACE):
+    with st.container(key=REST_KEY):
         st.skeleton(height=320)
     return False
 
@@ -133,24 +104,24 @@ def show_figure(figure: Any, key: str) -> None:
 
 def figure_under(title: str, figure: Any, key: str) -> None:
     """Draw a static chart under its heading."""
-    st.header(say(title))
+    st.header(translate(title))
     show_figure(figure, key)
 
 
-def figures_beside(*shown: tuple[str, Any, str]) -> None:
+def show_figures(*figures: tuple[str, Any, str]) -> None:
     """Draw static charts side by side: (title, figure, key) of each."""
-    for column, one in zip(st.columns(len(shown)), shown, strict=True):
+    for column, one in zip(st.columns(len(figures)), figures, strict=True):
         with column:
             figure_under(*one)
 
 
-def named_units(asked: str) -> list[UnitKey]:
+def units_of_address(address: str) -> list[UnitKey]:
     """Return the unit that an address names by LOT/SERIAL, or those of a serial alone."""
-    if not asked:
+    if not address:
         return []
-    if "/" not in asked:
-        return [unit.key for unit in registry().lots.units(serial=asked)]
-    unit = UnitKey.parse(asked)
+    if "/" not in address:
+        return [unit.key for unit in registry().lots.units(serial=address)]
+    unit = UnitKey.parse(address)
     return [registry().calibrations.unit_key(unit.serial, unit.lot_id)]
 
 
@@ -196,12 +167,12 @@ def table(listed: Iterable[Mapping[str, object]], otherwise: str = "") -> None:
     if not rows and otherwise:
         st.caption(otherwise)
         return
-    if len(rows) > MOST_IN_FULL:
-        shown, columns = with_addresses(rows)
-        st.dataframe(_coloured(shown, shown), column_config=columns, **LONG)
+    if len(rows) > MAX_ROWS_IN_FULL:
+        cells, columns = with_addresses(rows)
+        st.dataframe(_style_verdicts(cells, cells), column_config=columns, **LONG)
         return
     plain = [{_as_it_is(name): _as_it_is(value) for name, value in row.items()} for row in rows]
-    st.table(_coloured(plain, rows), border="horizontal", hide_index=True)
+    st.table(_style_verdicts(plain, rows), border="horizontal", hide_index=True)
 
 
 @dataclass(frozen=True)
@@ -224,23 +195,23 @@ def _figures(cells: Sequence[object]) -> tuple[str, Sequence[object]]:
     """Return the one unit of a column of quantities and its numbers; else "" and the cells as they are."""
     found = [QUANTITY.fullmatch(cell) if isinstance(cell, str) else None for cell in cells]
     units = {one[2] for one in found if one}
-    is_other = any(cell not in ("", NOTHING, None) and not one for cell, one in zip(cells, found, strict=True))
+    is_other = any(cell not in ("", EMPTY_CELL, None) and not one for cell, one in zip(cells, found, strict=True))
     if len(units) != 1 or is_other:
         return "", cells
     most = max(len(one[1].partition(".")[2]) for one in found if one)
     return units.pop(), [Figure(float(one[1]) if one else nan, most) for one in found]
 
 
-def _coloured(shown: Sequence[Mapping[Any, object]], rows: Sequence[Mapping[str, object]]) -> Any:
+def _style_verdicts(cells: Sequence[Mapping[Any, object]], rows: Sequence[Mapping[str, object]]) -> Any:
     """Return what is shown as a table in which every verdict has its colour beside its mark."""
-    figures = {name: one.decimals for row in shown for name, one in row.items() if isinstance(one, Figure)}
-    plain = [{n: one.value if isinstance(one, Figure) else one for n, one in row.items()} for row in shown]
+    figures = {name: one.decimals for row in cells for name, one in row.items() if isinstance(one, Figure)}
+    plain = [{n: one.value if isinstance(one, Figure) else one for n, one in row.items()} for row in cells]
     frame = pd.DataFrame(plain).convert_dtypes()
     styles = [[VERDICT_STYLE.get(str(value)[:2], "") for value in row.values()] for row in rows]
     if not any(map(any, styles)) and not figures:
         return frame
     formats: Any = {name: f"{{:.{places}f}}" for name, places in figures.items()}
-    drawn = frame.style.format(formats, na_rep=NOTHING) if formats else frame.style
+    drawn = frame.style.format(formats, na_rep=EMPTY_CELL) if formats else frame.style
     return drawn.apply(lambda _: pd.DataFrame(styles, frame.index, frame.columns), axis=None)
 
 
@@ -256,7 +227,7 @@ def _address(value: object) -> object:
     return f"{value.address}#{quote(value.text)}" if isinstance(value, Link) else value
 
 
-def told(rows: Sequence[Mapping[str, object]]) -> list[dict[str, object]]:
+def drop_empty_columns(rows: Sequence[Mapping[str, object]]) -> list[dict[str, object]]:
     """Return the rows without the columns in which none says anything."""
     names = [name for name in rows[0] if any(row[name] not in ("", None) for row in rows)] if rows else []
     return [{name: row[name] for name in names} for row in rows]
@@ -268,7 +239,7 @@ def _as_it_is(value: object) -> object:
         return value.markdown
     if isinstance(value, str) and (value[:2] in VERDICT_STYLE or QUANTITY.fullmatch(value)):
         value = value.replace(" ", NO_BREAK)
-    return MARKDOWN.sub(r"\\\1", value) if isinstance(value, str) else NOTHING if value is None else value
+    return MARKDOWN.sub(r"\\\1", value) if isinstance(value, str) else EMPTY_CELL if value is None else value
 
 
 def table_to_choose(
@@ -276,8 +247,10 @@ def table_to_choose(
 ) -> int | None:
     """Draw a table to select a row of; return its number, None while none is selected."""
     addressed, links = with_addresses(rows)
-    shown = {"column_config": {**links, **(columns or {})}, **LONG}
-    event = st.dataframe(_coloured(addressed, rows), key=key, on_select="rerun", selection_mode="single-row", **shown)
+    options = {"column_config": {**links, **(columns or {})}, **LONG}
+    event = st.dataframe(
+        _style_verdicts(addressed, rows), key=key, on_select="rerun", selection_mode="single-row", **options
+    )
     chosen = event.selection.rows
     # A selection outlives a filter that leaves fewer rows.
     return int(chosen[0]) if chosen and chosen[0] < len(rows) else None

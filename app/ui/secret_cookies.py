@@ -18,7 +18,7 @@ HEADER = "x-softcal-key"
 TICKET_HOLDS_S = 60.0
 TICKET_BYTES = 24
 MAX_TICKETS = 1000
-STAYS_S = 400 * 24 * 3600
+COOKIE_AGE_S = 400 * 24 * 3600
 """The longest that browsers keep a cookie (RFC 6265bis, 5.5)."""
 
 _tickets: dict[str, tuple[float, dict[str, str]]] = {}
@@ -36,7 +36,7 @@ def new_ticket(cookies: Mapping[str, str]) -> str:
     return ticket
 
 
-async def give(request: Request) -> Response:
+async def set_cookies(request: Request) -> Response:
     """Set the cookies of the ticket that the request brings; 404 where it holds no longer."""
     if HEADER not in request.headers:
         return Response(status_code=403)
@@ -52,6 +52,6 @@ async def give(request: Request) -> Response:
     is_encrypted = "https" in (request.url.scheme, request.headers.get("x-forwarded-proto", "").split(",")[0].strip())
     for name, value in cookies.items():
         # A sign-in ends with the browser; that a machine is known does not.
-        stays = 0 if not value else None if name.endswith("_session") else STAYS_S
-        answer.set_cookie(name, value, max_age=stays, path="/", secure=is_encrypted, httponly=True, samesite="strict")
+        max_age = 0 if not value else None if name.endswith("_session") else COOKIE_AGE_S
+        answer.set_cookie(name, value, max_age=max_age, path="/", secure=is_encrypted, httponly=True, samesite="strict")
     return answer

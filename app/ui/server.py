@@ -14,7 +14,7 @@ from softcal.app.ui.pages import PAGES
 from softcal.app.ui.uploads import server_folder
 
 WEB_APP = Path(__file__).with_name("web_app.py")
-DRAWN_WITH = (
+PRELOADED_MODULES = (
     "pandas",
     "pyarrow.pandas_compat",
     "plotly.graph_objs.bar",
@@ -49,9 +49,9 @@ def send_at_once() -> None:
 
 def main(flags: list[str]) -> None:
     """Serve with Streamlit's own flags; returns when the server ends."""
-    drawn = [f"softcal.app.ui.app_pages.{page.name}" for page in PAGES]
-    drawn += [page.module_of(tab.name) for page in PAGES for tab in page.tabs]
-    for name in (*DRAWN_WITH, *drawn):
+    page_modules = [f"softcal.app.ui.app_pages.{page.name}" for page in PAGES]
+    page_modules += [page.module_of(tab.name) for page in PAGES for tab in page.tabs]
+    for name in (*PRELOADED_MODULES, *page_modules):
         importlib.import_module(name)
 
     server_folder()

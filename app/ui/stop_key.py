@@ -5,7 +5,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from softcal.app.line.line import order_stop
-from softcal.app.ui.server_memory import registry
+from softcal.app.ui.server_cache import registry
 from softcal.core.errors import SoftcalError
 
 PATH = "/line-stop"
@@ -20,13 +20,13 @@ async def stop(request: Request) -> Response:
     """Order a stop of the station that the request names; the page says what came of it."""
     if HEADER not in request.headers:
         return Response(status_code=403)
-    named = b""
+    station_name = b""
     async for part in request.stream():
-        named += part
-        if len(named) > LONGEST_NAME:
+        station_name += part
+        if len(station_name) > LONGEST_NAME:
             return Response(status_code=413)
     try:
-        is_running = await run_in_threadpool(order_stop, registry(), named.decode(errors="replace"))
+        is_running = await run_in_threadpool(order_stop, registry(), station_name.decode(errors="replace"))
     except SoftcalError:
         return Response(status_code=503)  # The page's own way tries again, and says what is wrong.
     return Response(status_code=204 if is_running else 409)

@@ -18,12 +18,12 @@ def new_upload_folder() -> Path:
 @cache
 def server_folder() -> Path:
     """Make the folder of this server; those of servers that ended without a word are removed."""
-    mine = _folder(os.getpid())
-    for left in mine.parent.glob(f"{socket.gethostname()}@*") if mine.parent.is_dir() else ():
-        if left == mine or is_alive(left.name.replace("@", ":")) is False:
-            shutil.rmtree(left, ignore_errors=True)
-    mine.mkdir(mode=0o700, parents=True)
-    return mine
+    folder = _folder(os.getpid())
+    for stale_folder in folder.parent.glob(f"{socket.gethostname()}@*") if folder.parent.is_dir() else ():
+        if stale_folder == folder or is_alive(stale_folder.name.replace("@", ":")) is False:
+            shutil.rmtree(stale_folder, ignore_errors=True)
+    folder.mkdir(mode=0o700, parents=True)
+    return folder
 
 
 def remove_server_folder(process_id: int) -> None:

@@ -13,7 +13,7 @@ app = st.App(
     Path(__file__).with_name("main.py"),
     routes=[
         Route(stop_key.PATH, stop_key.stop, methods=["POST"]),
-        Route(secret_cookies.PATH, secret_cookies.give, methods=["POST"]),
+        Route(secret_cookies.PATH, secret_cookies.set_cookies, methods=["POST"]),
     ],
     middleware=[Middleware(Guard)],
 )

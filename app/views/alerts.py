@@ -26,47 +26,47 @@ class Alert:
 
 def alerts(registry: Registry, view: LotView, now: datetime) -> tuple[Alert, ...]:
     """Return what should be looked at now, the urgent first."""
-    found = [*lot_alerts(view), *plant_alerts(registry, now)]
-    return tuple(sorted(found, key=lambda alert: not alert.is_urgent))
+    result = [*lot_alerts(view), *plant_alerts(registry, now)]
+    return tuple(sorted(result, key=lambda alert: not alert.is_urgent))
 
 
 def plant_alerts(registry: Registry, now: datetime) -> list[Alert]:
     """Return what should be looked at now, whichever lot is made."""
-    found = []
+    result = []
     # Of each station the newest check with a golden unit counts.
     golden = {run.station: run for run in sorted(registry.stations.golden_runs(), key=lambda run: run.made_at)}
     for run in golden.values():
         if not run.passed:
-            found.append(Alert("golden", {"station": run.station, "serial": run.serial, "at": run.made_at}, True))
-    for beat in registry.order_queue.stations():
+            result.append(Alert("golden", {"station": run.station, "serial": run.serial, "at": run.made_at}, True))
+    for heartbeat in registry.order_queue.stations():
         # Who said goodbye is not missed.
-        is_missed = is_silent(beat.at, now, STATION_SILENT_AFTER) and now - beat.at < FORGOTTEN_AFTER
-        if beat.state is not StationState.OFF and is_missed:
-            found.append(Alert("station", {"station": beat.station, "at": beat.at}))
+        is_missed = is_silent(heartbeat.at, now, STATION_SILENT_AFTER) and now - heartbeat.at < FORGOTTEN_AFTER
+        if heartbeat.state is not StationState.OFF and is_missed:
+            result.append(Alert("station", {"station": heartbeat.station, "at": heartbeat.at}))
     # Of each load cell the newest certificate counts.
     issued = sorted(registry.stations.certificates(), key=lambda entry: entry.issued_on)
     for entry in {entry.cell_serial: entry for entry in issued}.values():
-        left, values = entry.due_on - now.date(), {"cell": entry.cell_serial, "due": f"{entry.due_on}"}
-        if left < timedelta(0):
-            found.append(Alert("certificate_over", dict(values), True))
-        elif left <= DUE_WITHIN:
-            found.append(Alert("certificate_due", {**values, "days": left.days}))
+        remaining, values = entry.due_on - now.date(), {"cell": entry.cell_serial, "due": f"{entry.due_on}"}
+        if remaining < timedelta(0):
+            result.append(Alert("certificate_over", dict(values), True))
+        elif remaining <= DUE_WITHIN:
+            result.append(Alert("certificate_due", {**values, "days": remaining.days}))
     due = [str(unit.key) for unit in registry.adaptations.units() if unit.entry.get("alarm")]
     if due:
-        found.append(Alert("units_due", {"count": len(due), "first": due[0]}))
-    return found
+        result.append(Alert("units_due", {"count": len(due), "first": due[0]}))
+    return result
 
 
 def lot_alerts(view: LotView) -> list[Alert]:
     """Return what should be looked at in one lot."""
-    found = []
+    result = []
     if view.drop is not None:
         drop = view.drop
         values = {"newest": percent(drop.newest), "before": percent(drop.before), "count": drop.count}
-        found.append(Alert("yield", dict(values), is_urgent=True))
+        result.append(Alert("yield", dict(values), is_urgent=True))
     if view.withdrawn:
-        found.append(Alert("withdrawn", {"count": len(view.withdrawn), "first": view.withdrawn[0]}))
+        result.append(Alert("withdrawn", {"count": len(view.withdrawn), "first": view.withdrawn[0]}))
     if any(rule.forbids for rule in view.process.broken):
         last = next(rule for rule in view.process.broken if rule.forbids)
-        found.append(Alert("process", {"last": last.last, "count": last.count}))
-    return found
+        result.append(Alert("process", {"last": last.last, "count": last.count}))
+    return result

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from softcal.app.texts.reasons import Words
+from softcal.app.texts.reasons import Translator
 from softcal.app.views.common import percent
 from softcal.db.entries import ROLES, AuditRow
 from softcal.db.repositories.lots import parse_rules
@@ -41,16 +41,16 @@ class Entry:
 
     row: AuditRow
     section: str
-    what: str
+    action_text: str
     changes: tuple[tuple[str, str, str], ...]
 
     @property
-    def changed(self) -> str:
+    def changes_text(self) -> str:
         return "; ".join(f"{name}: {old} → {new}" if old else f"{name}: {new}" for name, old, new in self.changes)
 
     @property
-    def searched(self) -> str:
-        return " ".join((self.row.actor, self.what, self.changed, self.row.reason)).lower()
+    def search_text(self) -> str:
+        return " ".join((self.row.actor, self.action_text, self.changes_text, self.row.reason)).lower()
 
 
 @dataclass(frozen=True)
@@ -69,41 +69,41 @@ class TrailFilter:
             and (not self.sections or entry.section in self.sections)
             and (self.since is None or entry.row.at >= self.since)
             and (self.until is None or entry.row.at <= self.until)
-            and all(word in entry.searched for word in self.text.lower().split())
+            and all(word in entry.search_text for word in self.text.lower().split())
         )
 
 
-def trail(rows: Sequence[AuditRow], words: Words) -> list[Entry]:
-    """Return the rows as lines in the language of `words`, in their order."""
-    return [entry_of(row, words) for row in rows]
+def trail(rows: Sequence[AuditRow], translate: Translator) -> list[Entry]:
+    """Return the rows as lines in the language of `translate`, in their order."""
+    return [entry_of(row, translate) for row in rows]
 
 
-def entry_of(row: AuditRow, words: Words) -> Entry:
+def entry_of(row: AuditRow, translate: Translator) -> Entry:
     """Return one row as a line."""
     before, after = _values(row.before), _values(row.after)
-    found = []
+    changes = []
     for name in FIELDS:
         old, new = before.get(name), after.get(name)
         if name not in after or new == old or (new in (None, "") and old in (None, "")):
             continue
-        shown = _said(name, old, words) if name in before else ""
-        found.append((words(f"trail.field.{name}"), shown, _said(name, new, words)))
+        old_text = _render_value(name, old, translate) if name in before else ""
+        changes.append((translate(f"trail.field.{name}"), old_text, _render_value(name, new, translate)))
 
     key = json.loads(row.key)
     name, *more = [str(part) for part in key] if isinstance(key, list) else [str(key)]
-    facts = {"name": name, "second": more[0] if more else "", "lot": str(after.get("lot_id", "")) or name}
-    facts["serial"] = str(after.get("serial", "")) or (more[0] if more else name)
-    facts["kind"] = words(f"kind.{after['kind']}") if after.get("kind") in ("source", "unit", "audit") else ""
+    names = {"name": name, "second": more[0] if more else "", "lot": str(after.get("lot_id", "")) or name}
+    names["serial"] = str(after.get("serial", "")) or (more[0] if more else name)
+    names["kind"] = translate(f"kind.{after['kind']}") if after.get("kind") in ("source", "unit", "audit") else ""
     try:
-        what = words(f"trail.{row.action}.{row.entity}", **facts)
+        action_text = translate(f"trail.{row.action}.{row.entity}", **names)
     except KeyError:
-        what = words("trail.other", action=row.action, entity=row.entity, name=", ".join((name, *more)))
+        action_text = translate("trail.other", action=row.action, entity=row.entity, name=", ".join((name, *more)))
     section = "papers" if row.action == "export" else SECTIONS.get(row.entity, "registry")
-    return Entry(row, section, what, tuple(found))
+    return Entry(row, section, action_text, tuple(changes))
 
 
-def _values(kept: str | None) -> Mapping[str, Any]:
-    values = json.loads(kept) if kept else {}
+def _values(stored: str | None) -> Mapping[str, Any]:
+    values = json.loads(stored) if stored else {}
     flat: dict[str, Any] = dict(values) if isinstance(values, dict) else {}
     if "serial_pattern" not in flat:
         return flat
@@ -112,15 +112,15 @@ def _values(kept: str | None) -> Mapping[str, Any]:
     return flat | {"retests": rules.retests, "loads": [str(load) for load in rules.loads]}
 
 
-def _said(name: str, value: object, words: Words) -> str:
+def _render_value(name: str, value: object, translate: Translator) -> str:
     if value in (None, "", [], {}):
-        return words("trail.nothing")
+        return translate("trail.nothing")
     if isinstance(value, bool):
-        return words("trail.yes" if value else "trail.no")
+        return translate("trail.yes" if value else "trail.no")
     if name == "verdict":
-        return words(f"verdict.{value}")
+        return translate(f"verdict.{value}")
     if name == "role" and value in ROLES:
-        return words(f"role.{value}")
+        return translate(f"role.{value}")
     if isinstance(value, float):
         return percent(value) if name == "share" else f"{value:.4g}"
     if isinstance(value, dict):

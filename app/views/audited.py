@@ -13,13 +13,13 @@ from softcal.core.unit.state import UnitState
 from softcal.db.registry import Registry
 from softcal.db.repositories.lot_pages import UnitErrors
 
-MOST_UNITS = 12
+MAX_UNITS = 12
 """So many audited units are drawn, the largest errors first; each is read and estimated anew."""
 
 BANDS = 8
 """Load bands of equal width over what the audits were pressed to."""
 
-LEAST_IN_BAND = 10
+MIN_SAMPLES_IN_BAND = 10
 """A band of fewer samples has no error of its own."""
 
 
@@ -55,7 +55,7 @@ class AuditedView:
         inside = [band == k for k in range(BANDS)]
         return np.array(
             [
-                rmse(unit.estimate[rows], unit.reference[rows]) if rows.sum() >= LEAST_IN_BAND else np.nan
+                rmse(unit.estimate[rows], unit.reference[rows]) if rows.sum() >= MIN_SAMPLES_IN_BAND else np.nan
                 for rows in inside
             ]
         )
@@ -83,7 +83,7 @@ def audited_view(
     registry: Registry, lot: Lot, audited: tuple[UnitErrors, ...], limit_rmse: float | None = None
 ) -> AuditedView | None:
     """Estimate the newest audits of a lot with the maps in use; None where there are none."""
-    worst = sorted(audited, key=lambda row: -(row.after_rmse or 0.0))[:MOST_UNITS]
+    worst = sorted(audited, key=lambda row: -(row.after_rmse or 0.0))[:MAX_UNITS]
     units: list[AuditTrace] = []
     for row in worst:
         state = registry.calibrations.get(row.serial, lot_id=lot.id).state

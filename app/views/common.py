@@ -4,7 +4,7 @@ from collections.abc import Sized
 
 import numpy as np
 
-from softcal.app.texts.reasons import Words, phrase
+from softcal.app.texts.reasons import Translator, translate_phrase
 from softcal.core.messages.figures import decimals_of_limit
 from softcal.core.recording import Array
 from softcal.core.unit.verdict import Limit
@@ -20,45 +20,45 @@ def number(value: float | None, unit: str = "", limit: float | None = None) -> s
     """
     if value is None:
         return "–"
-    shown = f"{value:.3g}" if limit is None else f"{value:.{decimals_of_limit(limit)}f}"
-    return f"{shown} {unit}".strip()
+    text = f"{value:.3g}" if limit is None else f"{value:.{decimals_of_limit(limit)}f}"
+    return f"{text} {unit}".strip()
 
 
-def limit_said(limit: Limit | None, words: Words) -> str:
+def render_limit(limit: Limit | None, translate: Translator) -> str:
     """Return a lot's limit with its unit; one that nobody stated says so."""
     if limit is None:
-        return words("lot.limit.none")
-    said = number(limit.maximum_rmse, limit.unit, limit.maximum_rmse)
-    return said if limit.is_stated else words("lot.limit.derived", limit=said)
+        return translate("lot.limit.none")
+    text = number(limit.maximum_rmse, limit.unit, limit.maximum_rmse)
+    return text if limit.is_stated else translate("lot.limit.derived", limit=text)
 
 
 def percent(share: float | None) -> str:
     """Return a share in per cent. Only all is 100 %, only nothing is 0 %."""
     if share is None:
         return "–"
-    shown = f"{share:.1%}" if 0 < share < 1 else f"{share:.0%}"
-    return {"100.0%": "> 99.9%", "0.0%": "< 0.1%"}.get(shown, shown).replace("%", " %")
+    text = f"{share:.1%}" if 0 < share < 1 else f"{share:.0%}"
+    return {"100.0%": "> 99.9%", "0.0%": "< 0.1%"}.get(text, text).replace("%", " %")
 
 
-def shortened(name: str, most: int) -> str:
+def shorten(name: str, max_length: int) -> str:
     """Return a long name with its middle left out: serials differ at their ends."""
-    if len(name) <= most:
+    if len(name) <= max_length:
         return name
-    head = (most - 1) // 2
-    return f"{name[:head]}…{name[head + 1 - most :]}"
+    head = (max_length - 1) // 2
+    return f"{name[:head]}…{name[head + 1 - max_length :]}"
 
 
-def phase_said(phase: str, words: Words) -> str:
+def render_phase(phase: str, translate: Translator) -> str:
     """Return the phase of a run in words; an unknown one stays as the station says it."""
-    return phrase("phase", phase, words) if phase else words("phase.queued")
+    return translate_phrase("phase", phase, translate) if phase else translate("phase.queued")
 
 
-def thinned(values: Sized, most: int = POINTS) -> slice:
+def thinning_slice(values: Sized, max_points: int = POINTS) -> slice:
     """Return the slice that leaves about so many points of a long series for a chart."""
-    return slice(None, None, max(1, len(values) // most))
+    return slice(None, None, max(1, len(values) // max_points))
 
 
-def far_end(values: Array, limit: float | None) -> float:
+def axis_end(values: Array, limit: float | None) -> float:
     """Return where the bars end: not so far that a few would squeeze all others."""
     end = 1.2 * (limit or 0.0)
     if len(values):

@@ -6,7 +6,7 @@ Every function takes the words of the screen. A name that has none, as of a plug
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from softcal.app.texts.reasons import Words, phrase, said
+from softcal.app.texts.reasons import Translator, render_reason, translate_phrase
 from softcal.app.views.common import percent
 from softcal.core.messages.reason import Reason
 from softcal.core.profiles import pressed
@@ -17,24 +17,24 @@ LIKELY = 0.05
 Report = Mapping[str, Any]
 
 
-def words_for(report: Report, say: Words) -> Words:
+def report_translator(report: Report, translate: Translator) -> Translator:
     """Return the words for a report: those on a simulator of one's own do not speak of the twin."""
     if not report.get("simulator"):
-        return say
+        return translate
 
     def of_simulator(key: str, **values: object) -> str:
         try:
-            return say(f"{key}.simulator", **values)
+            return translate(f"{key}.simulator", **values)
         except KeyError:
-            return say(key, **values)
+            return translate(key, **values)
 
     return of_simulator
 
 
-def untold_lines(report: Report, say: Words) -> list[str]:
+def unidentifiable_lines(report: Report, translate: Translator) -> list[str]:
     """Return one line for everything the runs of a report do not tell."""
     identifiability = report.get("identifiability") or {"untold": ()}
-    return [said(Reason.parse(one), say) for one in identifiability["untold"]]
+    return [render_reason(Reason.parse(one), translate) for one in identifiability["untold"]]
 
 
 def plain_name(identifier: str) -> str:
@@ -42,67 +42,69 @@ def plain_name(identifier: str) -> str:
     return identifier.replace("_", " ")
 
 
-def effect_name(effect: str, say: Words) -> str:
+def effect_name(effect: str, translate: Translator) -> str:
     """Return how an effect is called."""
-    return plain_name(phrase("gap.effect", effect, say))
+    return plain_name(translate_phrase("gap.effect", effect, translate))
 
 
-def stage_name(stage: str, say: Words) -> str:
+def stage_name(stage: str, translate: Translator) -> str:
     """Return how a stage of the chain is called."""
-    return plain_name(phrase("gap.stage", stage, say))
+    return plain_name(translate_phrase("gap.stage", stage, translate))
 
 
-def channel_name(channel: str, say: Words) -> str:
+def channel_name(channel: str, translate: Translator) -> str:
     """Return how a channel is called; two that were exchanged stand with a plus between them."""
-    return "+".join(phrase("gap.channel", part, say) for part in channel.split("+"))
+    return "+".join(translate_phrase("gap.channel", part, translate) for part in channel.split("+"))
 
 
-def mistake_name(what: str, say: Words) -> str:
+def mistake_name(kind: str, translate: Translator) -> str:
     """Return the kind of a mistake in the recordings."""
-    return plain_name(phrase("gap.mistake", what, say))
+    return plain_name(translate_phrase("gap.mistake", kind, translate))
 
 
-def pressed_name(profile: str, say: Words) -> str:
+def profile_name(profile: str, translate: Translator) -> str:
     """Return what was pressed, or is to be."""
-    return said(pressed(plain_name(profile)), say)
+    return render_reason(pressed(plain_name(profile)), translate)
 
 
-def begun(sentence: str) -> str:
+def capitalize(sentence: str) -> str:
     """Return a sentence with a capital at its beginning; other letters may be units."""
     return sentence[:1].upper() + sentence[1:]
 
 
-def listed(names: Sequence[str], key: str, say: Words) -> str:
+def join_names(names: Sequence[str], key: str, translate: Translator) -> str:
     """Return names in a row, joined by a text with a `first` one and the `rest`."""
     first, *rest = names
-    return say(key, first=first, rest=listed(rest, key, say)) if rest else first
+    return translate(key, first=first, rest=join_names(rest, key, translate)) if rest else first
 
 
-def named_causes(report: Report, say: Words) -> list[str]:
+def cause_names(report: Report, translate: Translator) -> list[str]:
     """Return the effects that are more likely there than not, each with its probability."""
-    causes = [cause for cause in ranked(report) if cause["probability"] >= 0.5]
-    return [f"{effect_name(cause['effect'], say)} ({percent(cause['probability'])})" for cause in causes]
+    causes = [cause for cause in rank_causes(report) if cause["probability"] >= 0.5]
+    return [f"{effect_name(cause['effect'], translate)} ({percent(cause['probability'])})" for cause in causes]
 
 
-def cause_rows(report: Report, say: Words) -> list[dict[str, str]]:
+def cause_rows(report: Report, translate: Translator) -> list[dict[str, str]]:
     """Return one row per likely cause, with its values and their 90 % intervals."""
     rows = []
-    for cause in ranked(report):
+    for cause in rank_causes(report):
         if cause["probability"] < LIKELY:
             continue
         values = []
         for name, fitted in cause["parameters"].items():
             low, high = (fitted.get(end) for end in ("low", "high"))
-            unit = phrase("gap.unit", str(fitted["unit"]), say) if fitted.get("unit") else ""
+            unit = translate_phrase("gap.unit", str(fitted["unit"]), translate) if fitted.get("unit") else ""
             value = "–" if fitted.get("value") is None else f"{fitted['value']:.4g}"
-            interval = "" if None in (low, high) else f" ({say('gap.range', low=f'{low:.3g}', high=f'{high:.3g}')})"
-            values.append(f"{phrase('gap.parameter', name, say)} = {value}{interval} {unit}".rstrip())
+            interval = (
+                "" if None in (low, high) else f" ({translate('gap.range', low=f'{low:.3g}', high=f'{high:.3g}')})"
+            )
+            values.append(f"{translate_phrase('gap.parameter', name, translate)} = {value}{interval} {unit}".rstrip())
         if cause.get("form"):
-            values.append(say("gap.form", form=phrase("gap.form", cause["form"], say)))
+            values.append(translate("gap.form", form=translate_phrase("gap.form", cause["form"], translate)))
         rows.append(
             {
-                "effect": effect_name(cause["effect"], say),
-                "stage": stage_name(str(cause.get("stage", "")), say),
+                "effect": effect_name(cause["effect"], translate),
+                "stage": stage_name(str(cause.get("stage", "")), translate),
                 "probability": percent(cause["probability"]),
                 "shrink": percent(cause["shrink"]),
                 "values": "; ".join(values),
@@ -111,17 +113,18 @@ def cause_rows(report: Report, say: Words) -> list[dict[str, str]]:
     return rows
 
 
-def no_cause_words(report: Report, say: Words) -> str:
+def no_cause_text(report: Report, translate: Translator) -> str:
     """Return why no cause is likely: none is needed, or none explains what is there."""
-    return say("gap.why.unknown" if report["verdict"] == "unknown" else "gap.why.none")
+    return translate("gap.why.unknown" if report["verdict"] == "unknown" else "gap.why.none")
 
 
-def residual_rows(report: Report, say: Words) -> list[dict[str, str]]:
+def residual_rows(report: Report, translate: Translator) -> list[dict[str, str]]:
     """Return one row per empirical term: its standard error, and how often it was chosen."""
     residual = report.get("residual") or {"formula": (), "terms": ()}
     return [
         {
-            "term": formula.removesuffix(term["variable"]) + phrase("gap.variable", term["variable"], say),
+            "term": formula.removesuffix(term["variable"])
+            + translate_phrase("gap.variable", term["variable"], translate),
             "error": f"{term['standard_error']:.1g} {term['unit']}",
             "chosen": percent(term["chosen"]),
         }
@@ -129,27 +132,27 @@ def residual_rows(report: Report, say: Words) -> list[dict[str, str]]:
     ]
 
 
-def place_rows(report: Report, say: Words) -> list[dict[str, str]]:
+def location_rows(report: Report, translate: Translator) -> list[dict[str, str]]:
     """Return one row per place where the gap shows, the largest share first."""
     rows = []
-    for place in sorted(report["where"], key=lambda place: -float(place["share"])):
-        regime, detail = _sentences(place, ("regime", "detail"), say)
-        names = stage_name(place["stage"], say), channel_name(str(place["channel"]), say), regime
-        row = (*names, percent(float(place["share"])), detail)
+    for location in sorted(report["where"], key=lambda location: -float(location["share"])):
+        regime, detail = _sentences(location, ("regime", "detail"), translate)
+        names = stage_name(location["stage"], translate), channel_name(str(location["channel"]), translate), regime
+        row = (*names, percent(float(location["share"])), detail)
         rows.append(dict(zip(("stage", "channel", "regime", "share", "detail"), row, strict=True)))
     return rows
 
 
-def mistake_rows(report: Report, say: Words) -> list[dict[str, str]]:
+def mistake_rows(report: Report, translate: Translator) -> list[dict[str, str]]:
     """Return one row per mistake in the recordings, with what shows and what repairs it."""
     rows = []
     for mistake in report.get("data", ()):
-        evidence, repair = _sentences(mistake, ("evidence", "repair"), say)
-        runs = say("gap.data.all") if mistake["runs"] == "all" else ", ".join(map(str, mistake["runs"]))
+        evidence, repair = _sentences(mistake, ("evidence", "repair"), translate)
+        runs = translate("gap.data.all") if mistake["runs"] == "all" else ", ".join(map(str, mistake["runs"]))
         rows.append(
             {
-                "mistake": mistake_name(mistake["what"], say),
-                "channel": channel_name(mistake["channel"], say),
+                "mistake": mistake_name(mistake["what"], translate),
+                "channel": channel_name(mistake["channel"], translate),
                 "runs": runs,
                 "evidence": evidence,
                 "repair": repair,
@@ -158,15 +161,17 @@ def mistake_rows(report: Report, say: Words) -> list[dict[str, str]]:
     return rows
 
 
-def hidden_effects(report: Report, say: Words) -> list[str]:
+def hidden_effects(report: Report, translate: Translator) -> list[str]:
     """Return the effects of which the refitted base would swallow four fifths or more."""
     hidden = {name: share for name, share in report["hidden_fraction"].items() if share is not None and share >= 0.8}
-    return [f"{effect_name(name, say)} ({percent(hidden[name])})" for name in sorted(hidden, key=lambda n: -hidden[n])]
+    return [
+        f"{effect_name(name, translate)} ({percent(hidden[name])})" for name in sorted(hidden, key=lambda n: -hidden[n])
+    ]
 
 
-def ambiguous_groups(report: Report, say: Words) -> list[str]:
+def ambiguous_groups(report: Report, translate: Translator) -> list[str]:
     """Return the groups of effects these recordings cannot tell apart, in words."""
-    return [" / ".join(effect_name(effect, say) for effect in group) for group in report["ambiguous_with"]]
+    return [" / ".join(effect_name(effect, translate) for effect in group) for group in report["ambiguous_with"]]
 
 
 def next_experiment(report: Report) -> Mapping[str, Any] | None:
@@ -175,17 +180,20 @@ def next_experiment(report: Report) -> Mapping[str, Any] | None:
     return experiment if experiment and experiment.get("profile") not in (None, "", "none") else None
 
 
-def why_next(experiment: Mapping[str, Any], say: Words) -> str:
+def next_run_reason(experiment: Mapping[str, Any], translate: Translator) -> str:
     """Return why a run is proposed, or none."""
-    (why,) = _sentences(experiment, ("why",), say)
-    return why
+    (text,) = _sentences(experiment, ("why",), translate)
+    return text
 
 
-def ranked(report: Report) -> Sequence[Mapping[str, Any]]:
+def rank_causes(report: Report) -> Sequence[Mapping[str, Any]]:
     """Return the causes, the likeliest first."""
     return sorted(report["causes"], key=lambda cause: -cause["probability"])
 
 
-def _sentences(entry: Mapping[str, Any], names: Sequence[str], say: Words) -> list[str]:
+def _sentences(entry: Mapping[str, Any], names: Sequence[str], translate: Translator) -> list[str]:
     """Return what an entry says under some names: its reasons, else its plain sentences."""
-    return [said(Reason.parse(one), say) for one in entry.get("reasons") or [entry.get(name) or "" for name in names]]
+    return [
+        render_reason(Reason.parse(one), translate)
+        for one in entry.get("reasons") or [entry.get(name) or "" for name in names]
+    ]

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass, replace
 
-from softcal.app.line.facts import SHOWN_RUNS, LineFacts, LineRun
-from softcal.app.texts.reasons import Words, said
-from softcal.app.views.common import percent, phase_said
+from softcal.app.line.status import MAX_SHOWN_RUNS, LineRun, LineStatus
+from softcal.app.texts.reasons import Translator, render_reason
+from softcal.app.views.common import percent, render_phase
 from softcal.app.views.line_states import STATES, Card, verdict_of
 from softcal.core.messages.reason import plain
 from softcal.core.orders import Condition, OrderKind, RunState, Signal
@@ -33,7 +33,7 @@ class LineView:
         state: key of `STATES`, which has what does not depend on the moment.
         serial: the unit that is meant, "" without.
         details: plain sentences: why it is so, what the station says, its code.
-        why: the same reasons with their numbers; shown when somebody asks.
+        reason_details: the same reasons with their numbers; shown when somebody asks.
         cells: (label, value) that are always visible.
         version: of what stands at the line, so that a key names what its person has seen.
     """
@@ -43,7 +43,7 @@ class LineView:
     serial: str
     instruction: str
     details: tuple[str, ...] = ()
-    why: tuple[str, ...] = ()
+    reason_details: tuple[str, ...] = ()
     conditions: tuple[Condition, ...] = ()
     cells: tuple[tuple[str, str], ...] = ()
     chips: tuple[Chip, ...] = ()
@@ -59,12 +59,12 @@ class LineView:
         return STATES[self.state].tone
 
     @property
-    def spoken(self) -> str:
+    def announcement(self) -> str:
         """What a screen reader says when the state changes."""
         return ". ".join(part for part in (self.word, self.serial, self.instruction) if part)
 
     @property
-    def seen(self) -> int:
+    def start_version(self) -> int:
         """What a key of this card says: the version of what it offered to start, -1 for nothing."""
         return self.version if "START" in self.actions else -1
 
@@ -74,94 +74,97 @@ class LineView:
         return STATES[self.state].is_busy
 
 
-def line_view(facts: LineFacts, operator: str, words: Words) -> LineView:
+def line_view(line: LineStatus, operator: str, translate: Translator) -> LineView:
     """Return what the screen shows to the person who signed in at it, "" to the badge's."""
-    name = next(name for name, state in STATES.items() if state.holds(facts))
-    state, card = STATES[name], Card(facts, name, _run_of(facts, name), words)
-    gate = facts.heartbeat.gate if facts.heartbeat and state.shows_gate else ()
-    lot_id = facts.lot.id if facts.lot else ""
-    over = [r for r in facts.runs if r[0].kind is OrderKind.UNIT and r[0].lot_id == lot_id and not r[1].state.is_active]
-    looks = [(order.serial, _look_of(facts, (order, progress))) for order, progress in over[:SHOWN_RUNS]]
+    name = next(name for name, state in STATES.items() if state.holds(line))
+    state, card = STATES[name], Card(line, name, _run_of(line, name), translate)
+    gate = line.heartbeat.gate if line.heartbeat and state.shows_gate else ()
+    lot_id = line.lot.id if line.lot else ""
+    over = [r for r in line.runs if r[0].kind is OrderKind.UNIT and r[0].lot_id == lot_id and not r[1].state.is_active]
+    results = [(order.serial, _result_state(line, (order, progress))) for order, progress in over[:MAX_SHOWN_RUNS]]
     view = LineView(
         state=name,
-        word=state_word(name, words),
+        word=state_word(name, translate),
         serial=card.serial,
         instruction=state.instruction(card),
         details=(*card.weight, *state.details(card), *card.news),
-        why=card.why,
-        conditions=tuple(Condition(plain(said(c.name, words)), c.is_good, plain(said(c.says, words))) for c in gate),
-        cells=_cells(facts, operator, words),
-        chips=tuple(Chip(serial, STATES[look].tone, state_word(look, words)) for serial, look in looks),
+        reason_details=card.reason_details,
+        conditions=tuple(
+            Condition(plain(render_reason(c.name, translate)), c.is_good, plain(render_reason(c.says, translate)))
+            for c in gate
+        ),
+        cells=_cells(line, operator, translate),
+        chips=tuple(Chip(serial, STATES[look].tone, state_word(look, translate)) for serial, look in results),
         # Without a unit there is nothing to take back.
-        actions=state.actions if facts.serial or not state.is_before_run else (),
-        version=facts.place.version,
+        actions=state.actions if line.serial or not state.is_before_run else (),
+        version=line.session.version,
     )
     if card.run is None or not state.is_busy:
         return view
     progress, remaining = card.run[1], ""
     if progress.remaining_s >= 90:
-        remaining = words("line.remaining_min", minutes=round(progress.remaining_s / 60))
+        remaining = translate("line.remaining_min", minutes=round(progress.remaining_s / 60))
     elif progress.remaining_s >= 1:
-        remaining = words("line.remaining_s", seconds=round(progress.remaining_s))
-    phase = phase_said(progress.phase, words)
+        remaining = translate("line.remaining_s", seconds=round(progress.remaining_s))
+    phase = render_phase(progress.phase, translate)
     return replace(view, phase=phase, remaining=remaining, fraction=progress.fraction, signal=progress.signal)
 
 
-def state_word(state: str, words: Words) -> str:
+def state_word(state: str, translate: Translator) -> str:
     """Return the word of a state; a verdict's is the word that every other page has for it."""
     verdict = STATES[state].verdict
-    return words(f"verdict.{verdict}").upper() if verdict else words(f"line.{state}")
+    return translate(f"verdict.{verdict}").upper() if verdict else translate(f"line.{state}")
 
 
-def action_said(command: str, state: str, words: Words) -> str:
+def action_label(command: str, state: str, translate: Translator) -> str:
     """Return what a key does in a state; in most it does the same."""
     try:
-        return words(f"line.action.{command}.{state}")
+        return translate(f"line.action.{command}.{state}")
     except KeyError:
-        return words(f"line.action.{command}")
+        return translate(f"line.action.{command}")
 
 
-def note_said(facts: LineFacts, words: Words) -> tuple[str, bool] | None:
+def render_note(line: LineStatus, translate: Translator) -> tuple[str, bool] | None:
     """Return the sentence about the last scan, and whether it was a refusal."""
-    note = facts.note
-    return None if note is None else (words(f"note.{note.key}", **note.values), note.is_refusal)
+    note = line.note
+    return None if note is None else (translate(f"note.{note.key}", **note.values), note.is_refusal)
 
 
-def away_view(kept: int, operator: str, words: Words) -> LineView:
-    """Return what the screen shows without a registry, `kept` runs being on the station's disk."""
-    details = (words("line.kept", count=kept),) if kept else ()
-    cells = ((words("role.operator"), operator or "–"),)
-    return LineView("away", words("line.away"), "", words("line.away.do"), details, cells=cells)
+def away_view(spooled_count: int, operator: str, translate: Translator) -> LineView:
+    """Return what the screen shows without a registry, `spooled_count` runs being on the station's disk."""
+    details = (translate("line.kept", count=spooled_count),) if spooled_count else ()
+    cells = ((translate("role.operator"), operator or "–"),)
+    return LineView("away", translate("line.away"), "", translate("line.away.do"), details, cells=cells)
 
 
-def _run_of(facts: LineFacts, state: str) -> LineRun | None:
+def _run_of(line: LineStatus, state: str) -> LineRun | None:
     """Return the run that a state is about."""
     if state != "stopped":
-        return facts.active or (facts.result_run if state != "silent" else None)
+        return line.active or (line.result_run if state != "silent" else None)
     # It may stand still because of a device between runs.
-    run, beat = facts.newest, facts.heartbeat
-    return run if run and beat and run[1].code and set(run[1].message) <= set(beat.reasons) else None
+    run, heartbeat = line.newest, line.heartbeat
+    return run if run and heartbeat and run[1].code and set(run[1].message) <= set(heartbeat.reasons) else None
 
 
-def _look_of(facts: LineFacts, run: LineRun) -> str:
-    return "broken" if run[1].state is not RunState.DONE else verdict_of(facts, run) or "recorded"
+def _result_state(line: LineStatus, run: LineRun) -> str:
+    return "broken" if run[1].state is not RunState.DONE else verdict_of(line, run) or "recorded"
 
 
-def _cells(facts: LineFacts, operator: str, words: Words) -> tuple[tuple[str, str], ...]:
-    station, lot = facts.station or "–", facts.lot
-    if facts.heartbeat is not None:
-        station = f"{station} · {words(f'station.state.{facts.station_state}')}"
+def _cells(line: LineStatus, operator: str, translate: Translator) -> tuple[tuple[str, str], ...]:
+    station, lot = line.station or "–", line.lot
+    if line.heartbeat is not None:
+        station = f"{station} · {translate(f'station.state.{line.station_state}')}"
     counts = dict(lot.counts) if lot else {}
-    judged = sum(counts.values()) - counts.get("none", 0)
-    decided = judged - counts.get("conditional", 0)
+    decided = sum(counts.values()) - counts.get("none", 0)
+    decided = decided - counts.get("conditional", 0)
     target = (lot.rules.target if lot else None) or (sum(counts.values()) if counts.get("none") else None)
-    if not operator and facts.place.operator:
-        operator = words("line.badge" if facts.operator else "line.badge.over", name=facts.place.operator)
+    if not operator and line.session.operator:
+        operator = translate("line.badge" if line.operator else "line.badge.over", name=line.session.operator)
     return (
-        (words("station.station"), station),
-        (words("choose.lot"), lot.id if lot else "–"),
-        (words("line.cell.product"), (lot.lot.sensor_model if lot else "") or "–"),
-        (words("role.operator"), operator or "–"),
-        (words("line.cell.units"), f"{judged} / {target}" if target else str(judged)),
-        (words("line.cell.yield"), percent(counts.get("pass", 0) / decided if decided else None)),
+        (translate("station.station"), station),
+        (translate("choose.lot"), lot.id if lot else "–"),
+        (translate("line.cell.product"), (lot.lot.sensor_model if lot else "") or "–"),
+        (translate("role.operator"), operator or "–"),
+        (translate("line.cell.units"), f"{decided} / {target}" if target else str(decided)),
+        (translate("line.cell.yield"), percent(counts.get("pass", 0) / decided if decided else None)),
     )

@@ -48,13 +48,13 @@ class Trace:
 
     def add(self, rows: Estimate, output: Array) -> None:
         """Add rows with their estimates."""
-        drawn = slice(-self.rows % self.stride, None, self.stride)
+        selected = slice(-self.rows % self.stride, None, self.stride)
         self.rows += len(output)
-        self.t_s += rows.t_s[drawn].tolist()
-        self.output += output[drawn].tolist()
-        self.estimate += rows.estimate[drawn].tolist()
-        self.lower += rows.lower[drawn].tolist()
-        self.upper += rows.upper[drawn].tolist()
+        self.t_s += rows.t_s[selected].tolist()
+        self.output += output[selected].tolist()
+        self.estimate += rows.estimate[selected].tolist()
+        self.lower += rows.lower[selected].tolist()
+        self.upper += rows.upper[selected].tolist()
         while len(self.t_s) > MAX_ROWS:
             self.stride *= 2
             for name, values in vars(self).items():

@@ -135,7 +135,7 @@ class LotView:
         return sum(self.counts.values())
 
     @property
-    def judged(self) -> int:
+    def decided(self) -> int:
         """Target units with a result."""
         return self.total - self.counts["none"]
 
@@ -156,12 +156,12 @@ class LotView:
         return tuple(row for row in self.errors if row.after_rmse is not None)
 
 
-def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> LotView:
+def lot_view(registry: Registry, lot_id: str, lot_filter: LotFilter = EVERY_RUN) -> LotView:
     """Read a lot at a glance, or what a filter leaves of it."""
     lot, every = registry.lots.get(lot_id), lot_runs(registry, lot_id)
-    placed_runs = [run for run in every if wanted.takes(run)]
-    runs = [one.run for one in placed_runs]
-    chosen = None if wanted.is_open else tuple(sorted({run.serial for run in runs}))
+    attributed_runs = [run for run in every if lot_filter.takes(run)]
+    runs = [one.run for one in attributed_runs]
+    chosen = None if lot_filter.is_open else tuple(sorted({run.serial for run in runs}))
     golden = {run.serial for run in registry.stations.golden_runs(lot_id=lot_id)}
     by_unit: dict[str, list[UnitRun]] = {}
     for run in runs:
@@ -175,15 +175,15 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
     # As `LotStanding.withdrawn`; unit by unit only where more passed once than now.
     passed, withdrawn = registry.calibrations.passed_once(lot_id), []
     if len(passed) != counts["pass"]:
-        standings = registry.pages.standings(lot_id, sorted(passed))
-        withdrawn = sorted(serial for serial, one in standings.items() if one.verdict != "pass")
+        unit_statuses = registry.pages.unit_statuses(lot_id, sorted(passed))
+        withdrawn = sorted(serial for serial, one in unit_statuses.items() if one.verdict != "pass")
     if chosen is not None:
         # By the verdict of the map in use, without one by the newest run.
         verdicts = {run.serial: run.verdict for run in runs} | {row.serial: row.verdict for row in errors}
         of_chosen = Counter(verdicts.values())
         counts = {word: of_chosen[word] for word in (*reversed(VERDICTS), "none")}
     with_own = [row.serial for row in errors if row.own_rmse is not None]
-    of_units = [one for one in placed_runs if one.run.serial not in golden]
+    of_units = [one for one in attributed_runs if one.run.serial not in golden]
     return LotView(
         lot,
         counts,
@@ -192,7 +192,7 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
         shares.reasons,
         process_view(runs, None if limit is None else limit.maximum_rmse),
         yield_drop(runs),
-        yield_over(of_units, lambda run: run.day(wanted.zone).isoformat()),
+        yield_over(of_units, lambda run: run.day(lot_filter.zone).isoformat()),
         yield_over(of_units, lambda run: run.station),
         yield_over(of_units, lambda run: run.operator),
         chosen,
@@ -205,8 +205,8 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
 
 
 def _after_to_own(registry: Registry, lot_id: str, serials: Sequence[str]) -> float | None:
-    found = [one.calibration for one in registry.pages.standings(lot_id, serials).values()] if serials else []
-    scores = [one.state.scores for one in found if one is not None]
+    summaries = [one.calibration for one in registry.pages.unit_statuses(lot_id, serials).values()] if serials else []
+    scores = [one.state.scores for one in summaries if one is not None]
     ratios = [one.own.after_ratio for one in scores if one is not None and one.own is not None]
     return median(ratios) if ratios else None
 

@@ -10,17 +10,17 @@ from softcal.db.entries import RunEntry
 from softcal.db.queues.order_queue import Pressed
 from softcal.db.registry import Registry
 
-DESK = ""
+FROM_FILE = ""
 """Station and operator of a result whose recording came as a file."""
 
 
 @dataclass(frozen=True)
-class PlacedRun:
+class AttributedRun:
     """One result of one unit: when it was made, where its recording was pressed and by whom."""
 
     run: RunEntry
-    station: str = DESK
-    operator: str = DESK
+    station: str = FROM_FILE
+    operator: str = FROM_FILE
 
     def day(self, zone: tzinfo | None) -> date:
         """Return the day of the result in a time zone; None is that of this machine."""
@@ -32,7 +32,7 @@ class LotFilter:
     """Which runs of a lot; days are both included, and what is empty takes all.
 
     Args:
-        stations, operators: names; `DESK` for results of files.
+        stations, operators: names; `FROM_FILE` for results of files.
         zone: time zone of the days; None is that of this machine.
     """
 
@@ -47,7 +47,7 @@ class LotFilter:
         """Whether it takes every run."""
         return self == LotFilter(zone=self.zone)
 
-    def takes(self, run: PlacedRun) -> bool:
+    def takes(self, run: AttributedRun) -> bool:
         return (
             (self.since is None or run.day(self.zone) >= self.since)
             and (self.until is None or run.day(self.zone) <= self.until)
@@ -56,22 +56,22 @@ class LotFilter:
         )
 
 
-def lot_runs(registry: Registry, lot_id: str) -> tuple[PlacedRun, ...]:
+def lot_runs(registry: Registry, lot_id: str) -> tuple[AttributedRun, ...]:
     """Return every result of a lot in time order with where its recording was pressed."""
-    return placed(registry.lots.runs(lot_id), registry.order_queue.pressed(lot_id))
+    return attribute_runs(registry.lots.runs(lot_id), registry.order_queue.pressed(lot_id))
 
 
-def placed(runs: Sequence[RunEntry], pressed: Sequence[Pressed]) -> tuple[PlacedRun, ...]:
+def attribute_runs(runs: Sequence[RunEntry], pressed: Sequence[Pressed]) -> tuple[AttributedRun, ...]:
     """Return each run with the press of its unit that began last before the result."""
     by_serial: dict[str, list[Pressed]] = {}
     for one in sorted(pressed, key=lambda press: press.begun):
         by_serial.setdefault(one.serial, []).append(one)
-    found = []
+    result = []
     for run in runs:
-        known = by_serial.get(run.serial, [])
-        at = bisect_right([press.begun for press in known], run.made_at)
-        found.append(PlacedRun(run, known[at - 1].station, known[at - 1].actor) if at else PlacedRun(run))
-    return tuple(found)
+        presses = by_serial.get(run.serial, [])
+        at = bisect_right([press.begun for press in presses], run.made_at)
+        result.append(AttributedRun(run, presses[at - 1].station, presses[at - 1].actor) if at else AttributedRun(run))
+    return tuple(result)
 
 
 @dataclass(frozen=True)
@@ -88,15 +88,15 @@ class YieldAt:
     units: int
 
 
-def yield_over(runs: Sequence[PlacedRun], place: Callable[[PlacedRun], str]) -> tuple[YieldAt, ...]:
+def yield_over(runs: Sequence[AttributedRun], group_of: Callable[[AttributedRun], str]) -> tuple[YieldAt, ...]:
     """Return the first-pass yield by the place of each unit's first decided run."""
-    firsts: dict[str, PlacedRun] = {}
+    firsts: dict[str, AttributedRun] = {}
     for run in runs:
         if run.run.serial not in firsts or firsts[run.run.serial].run.verdict in UNDECIDED:
             firsts[run.run.serial] = run
     groups: dict[str, list[str]] = {}
     for run in firsts.values():
-        groups.setdefault(place(run), []).append(run.run.verdict)
+        groups.setdefault(group_of(run), []).append(run.run.verdict)
     return tuple(YieldAt(name, _share(group), len(group)) for name, group in sorted(groups.items()))
 
 

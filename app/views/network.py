@@ -8,7 +8,7 @@ from typing import Any
 from softcal.core.errors import InputError
 from softcal.db.registry import Registry
 
-MOST_LAYERS, WIDEST = 6, 512
+MAX_LAYERS, WIDEST = 6, 512
 
 
 @dataclass(frozen=True)
@@ -41,27 +41,27 @@ def network_rows(registry: Registry, lot_id: str) -> list[NetworkRow]:
     """Return the networks of a lot, newest first."""
     sources = registry.recordings.of_lot(lot_id, kind="source")
     newest = sources[-1].sha256 if sources else ""
-    in_use = registry.networks.released(lot_id)
-    used = in_use.network.id if in_use else ""
+    released = registry.networks.released(lot_id)
+    in_use_id = released.network.id if released else ""
     rows = []
     for state in reversed(registry.networks.states(lot_id)):
         entry = state.network
         config = entry.training.get("config")
-        given: Mapping[str, Any] = config if isinstance(config, Mapping) else {}
+        settings: Mapping[str, Any] = config if isinstance(config, Mapping) else {}
         metrics: Mapping[str, Any] = entry.metrics
         rows.append(
             NetworkRow(
                 id=entry.id,
                 added_at=entry.added_at,
-                layers="-".join(str(width) for width in given.get("hidden", ())),
-                members=int(given.get("members", 1)),
-                seed=int(given.get("seed", 0)),
+                layers="-".join(str(width) for width in settings.get("hidden", ())),
+                members=int(settings.get("members", 1)),
+                seed=int(settings.get("seed", 0)),
                 validation_rmse=metrics.get("validation_rmse"),
                 epochs=None if metrics.get("epochs") is None else int(metrics["epochs"]),
                 train_s=metrics.get("train_s"),
                 is_stale=bool(newest) and entry.training.get("source_recording_sha256") != newest,
                 state=state.state,
-                is_in_use=entry.id == used,
+                is_in_use=entry.id == in_use_id,
                 decided=f"{state.actor}: {state.reason}" if state.reason else "",
             )
         )
@@ -71,9 +71,9 @@ def network_rows(registry: Registry, lot_id: str) -> list[NetworkRow]:
 def hidden_widths(text: str) -> list[int]:
     """Return one to six widths of hidden layers from a text, "120-70-35" or "120, 70, 35"."""
     parts = [part for part in text.replace("-", ",").replace(" ", ",").split(",") if part]
-    if not 1 <= len(parts) <= MOST_LAYERS or not all(p.isdecimal() and 1 <= int(p) <= WIDEST for p in parts):
+    if not 1 <= len(parts) <= MAX_LAYERS or not all(p.isdecimal() and 1 <= int(p) <= WIDEST for p in parts):
         raise InputError(
-            f"hidden layers {text[:40]!r}: one to {MOST_LAYERS} whole numbers from 1 to {WIDEST} were expected, "
+            f"hidden layers {text[:40]!r}: one to {MAX_LAYERS} whole numbers from 1 to {WIDEST} were expected, "
             "for example 120-70-35"
         )
     return [int(part) for part in parts]

@@ -20,8 +20,8 @@ class SearchHit:
 
 def search(registry: Registry, text: str) -> list[SearchHit]:
     """Return what has a text in its name, in any case; a name that is the text itself alone, where there is one."""
-    wanted = text.strip().lower()
-    if not wanted:
+    needle = text.strip().lower()
+    if not needle:
         return []
     hits = [SearchHit("lot", lot, "lot", {"lot": lot}) for lot in registry.lots.ids()]
     hits += [
@@ -31,8 +31,8 @@ def search(registry: Registry, text: str) -> list[SearchHit]:
     for certificate in registry.stations.certificates():
         name = f"{certificate.number} · {certificate.cell_serial}"
         hits.append(SearchHit("certificate", name, "station", {"tab": "cells"}))
-    hits = [hit for hit in hits if wanted in hit.name.lower()]
-    for key in registry.pages.find_units(wanted):
+    hits = [hit for hit in hits if needle in hit.name.lower()]
+    for key in registry.pages.find_units(needle):
         hits.append(SearchHit("unit", f"{key.serial} · {key.lot_id}", "unit", {"unit": str(key)}))
-    exact = [hit for hit in hits if wanted in hit.name.lower().split(" · ")[:1]]
+    exact = [hit for hit in hits if needle in hit.name.lower().split(" · ")[:1]]
     return (exact or hits)[:MAX_HITS]

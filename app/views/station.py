@@ -31,18 +31,18 @@ def golden_units(registry: Registry) -> list[GoldenUnit]:
     by_unit: dict[tuple[str, str, str], list[GoldenRun]] = {}
     for run in registry.stations.golden_runs():
         by_unit.setdefault((run.station, run.lot_id, run.serial), []).append(run)
-    found = []
+    units = []
     for key, runs in sorted(by_unit.items()):
         chart, note = None, None
         try:
             chart = control_chart(np.array([run.value for run in runs if run.passed]))
         except InputError as error:
             note = error.reason
-        found.append(GoldenUnit(*key, tuple(runs), chart, note))
-    return found
+        units.append(GoldenUnit(*key, tuple(runs), chart, note))
+    return units
 
 
-def source_facts(source: LabelledRecording) -> Mapping[str, str]:
+def source_values(source: LabelledRecording) -> Mapping[str, str]:
     """Return what a person checks in a source recording, by key of its label."""
     output, reference = source.unlabelled.output, source.reference
     return {
@@ -63,7 +63,7 @@ class Bound:
     unit: str
 
     @property
-    def is_kept(self) -> bool:
+    def is_within(self) -> bool:
         """Whether the profile stays within it."""
         return self.value <= self.largest
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from softcal.app.bootstrap import is_alive
-from softcal.app.line.facts import state_of
-from softcal.app.texts.reasons import Words
+from softcal.app.line.status import state_of
+from softcal.app.texts.reasons import Translator
 from softcal.app.views.alerts import Alert
 from softcal.app.views.common import number, percent
 from softcal.app.views.line import Chip
@@ -19,7 +19,7 @@ from softcal.db.registry import Registry
 
 WELL = (StationState.READY, StationState.RUNNING)
 LAST_UNITS = 12
-MOST_ALERTS = 3
+MAX_ALERTS = 3
 """So many sentences are read from afar; the page of the lot has all."""
 
 
@@ -40,11 +40,15 @@ class WallView:
     stations: tuple[tuple[str, str, bool], ...]
     chips: tuple[Chip, ...]
     alerts: tuple[tuple[str, bool], ...]
-    drawn: str
+    drawn_text: str
 
 
 def wall_view(
-    registry: Registry, view: LotView, found: Sequence[Alert], words: Words, now: datetime | None = None
+    registry: Registry,
+    view: LotView,
+    current_alerts: Sequence[Alert],
+    translate: Translator,
+    now: datetime | None = None,
 ) -> WallView:
     """Read what the wall board shows of a lot, the urgent first, in the time zone of `now`."""
     now = now or datetime.now(UTC).astimezone()
@@ -56,35 +60,41 @@ def wall_view(
     low, high = (percent(end) for end in first.interval)
     limit = view.limit_rmse
     tiles = (
-        (words("wall.done"), f"{view.judged} / {target}", words("lot.units")),
-        (words("lot.first_pass"), percent(first.value), f"{low} – {high}" if first.of else ""),
-        (words("wall.today"), str(today.units), words("wall.today.good", **of_today) if today.share.of else ""),
+        (translate("wall.done"), f"{view.decided} / {target}", translate("lot.units")),
+        (translate("lot.first_pass"), percent(first.value), f"{low} – {high}" if first.of else ""),
+        (translate("wall.today"), str(today.units), translate("wall.today.good", **of_today) if today.share.of else ""),
         (
-            words("lot.predicted"),
+            translate("lot.predicted"),
             number(view.median_predicted, view.lot.reference_unit, limit),
-            "" if limit is None else words("chart.limit.named", limit=number(limit, view.lot.reference_unit, limit)),
+            ""
+            if limit is None
+            else translate("chart.limit.named", limit=number(limit, view.lot.reference_unit, limit)),
         ),
     )
-    verdicts = tuple((word, words(f"verdict.{word}"), count) for word, count in view.counts.items() if word != "none")
-    beats = [beat for beat in registry.order_queue.stations() if beat.state is not StationState.OFF]
-    states = [(beat.station, state_of(beat, now, is_alive(beat.process))) for beat in beats]
-    stations = tuple((name, words(f"station.state.{state}"), state in WELL) for name, state in states)
-    said = [(words(f"alert.{alert.kind}", **alert.values), alert.is_urgent) for alert in found[:MOST_ALERTS]]
-    if len(found) > MOST_ALERTS:
-        said.append((words("wall.more", count=len(found) - MOST_ALERTS), False))
+    verdicts = tuple(
+        (word, translate(f"verdict.{word}"), count) for word, count in view.counts.items() if word != "none"
+    )
+    heartbeats = [heartbeat for heartbeat in registry.order_queue.stations() if heartbeat.state is not StationState.OFF]
+    states = [(heartbeat.station, state_of(heartbeat, now, is_alive(heartbeat.process))) for heartbeat in heartbeats]
+    stations = tuple((name, translate(f"station.state.{state}"), state in WELL) for name, state in states)
+    alert_texts = [
+        (translate(f"alert.{alert.kind}", **alert.values), alert.is_urgent) for alert in current_alerts[:MAX_ALERTS]
+    ]
+    if len(current_alerts) > MAX_ALERTS:
+        alert_texts.append((translate("wall.more", count=len(current_alerts) - MAX_ALERTS), False))
     last: dict[str, None] = {}
     for run in reversed(registry.lots.runs(view.lot.id)):
         last.setdefault(run.serial, None)
         if len(last) == LAST_UNITS:
             break
-    standings = registry.pages.standings(view.lot.id, list(last))
-    standing = [standings[serial] for serial in last if serial in standings]
+    unit_statuses = registry.pages.unit_statuses(view.lot.id, list(last))
+    statuses = [unit_statuses[serial] for serial in last if serial in unit_statuses]
     return WallView(
         view.lot.id,
         tiles,
         verdicts,
         stations,
-        tuple(Chip(one.serial, STATES[one.verdict].tone, words(f"verdict.{one.verdict}")) for one in standing),
-        tuple(said),
-        words("wall.drawn", at=now),
+        tuple(Chip(one.serial, STATES[one.verdict].tone, translate(f"verdict.{one.verdict}")) for one in statuses),
+        tuple(alert_texts),
+        translate("wall.drawn", at=now),
     )

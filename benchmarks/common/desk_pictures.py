@@ -20,7 +20,7 @@ from playwright.sync_api import Browser, Page, ViewportSize
 from softcal.app.calibration.changes import change_limit
 from softcal.app.cli.main import main as softcal
 from softcal.app.files.recording_file import write_columns
-from softcal.app.gap.desk import practise
+from softcal.app.gap.page_cases import practise
 from softcal.app.jobs.jobs import run_job
 from softcal.core.lot import UnitKey
 from softcal.core.messages.reason import reason

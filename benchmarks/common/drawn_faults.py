@@ -10,10 +10,10 @@ from common.proof_trial import GoodRig, draw_good_rig, open_good_rig
 
 from softcal.core.errors import DeviceError
 from softcal.core.messages.reason import root_of
-from softcal.station.devices.simulated_station import SimulatedStation
-from softcal.station.simulated.answering import FarEnd
+from softcal.station.bench.simulated_station import SimulatedStation
+from softcal.station.simulated.far_end import FarEnd
 from softcal.station.tasks.acquisition import RunProgress, record
-from softcal.station.tasks.seconds import PRESSING
+from softcal.station.tasks.durations import PRESSING
 from softcal.station.testing.faults import filter_cell, hang, loosen
 
 STAGES = ("grbl", "zaber", "esm")

@@ -9,12 +9,12 @@ from typing import Any
 from softcal.core.errors import DeviceError
 from softcal.core.messages.reason import Reason
 from softcal.core.profiles import Profile, moves
-from softcal.station.devices.bench import Bench, open_simulated_bench
-from softcal.station.devices.simulated_station import SimulatedStation
+from softcal.station.bench.bench import Bench, open_simulated_bench
+from softcal.station.bench.simulated_station import SimulatedStation
 from softcal.station.motion.motion import TICK_S
 from softcal.station.record.spool import Spool, read_spool
 from softcal.station.tasks.acquisition import RunProgress, record
-from softcal.station.tasks.seconds import PRESSING, RETURNING
+from softcal.station.tasks.durations import PRESSING, RETURNING
 from softcal.station.testing.faults import MOMENTS, Fault
 
 PROFILE: Profile = moves("trial", [0.0, 3.0, 0.0, 3.0, 0.0], [2.0, 2.0, 2.0, 10.0, 10.0], [1.0, 1.0, 0.5, 0.0, 1.0])
@@ -228,10 +228,10 @@ class FillingSpool(Spool):
         super().__init__(path, header)
         self._is_full_at_end, self._before = is_full_at_end, self._file
 
-    def add_facts(self, facts: dict[str, Any]) -> None:
+    def add_metadata(self, facts: dict[str, Any]) -> None:
         if self._is_full_at_end:
             self.fill()
-        super().add_facts(facts)
+        super().add_metadata(facts)
 
     def fill(self) -> None:
         # The file of before stays open: the writing thread may be in the middle of a line.

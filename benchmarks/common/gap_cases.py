@@ -51,7 +51,7 @@ def _gap(twin: Twin, sealed: SealedCase) -> float:
     # The steps of the ADC are in the recording already; a second rounding would count as a gap.
     fine = replace(twin, metadata=replace(twin.metadata, adc_bits=32))
     told = simulate(fine, columns["t_s"], columns["stage_mm"], None, columns.get("temperature_C"))
-    noise = (sealed.rig.floor_V, sealed.rig.noise_N)
+    noise = (sealed.rig.noise_floor_V, sealed.rig.noise_N)
     floors = residual_rms(sealed, measured, sealed.rig, sealed.causes)
     names, values = ("output_V", "force_N"), (told[1], told[0])
     errors = [float(np.sqrt(np.mean((columns[n] - v) ** 2))) / s for n, v, s in zip(names, values, noise, strict=True)]

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from softcal.core.challenge.case_generator import draw_case, drawn_seed
+from softcal.core.challenge.case_generator import draw_case, draw_seed
 from softcal.core.challenge.cases import RunPlan, SealedCase, draw_sister_unit
 from softcal.core.challenge.rig import Cause
 
@@ -49,7 +49,7 @@ def draw_lot(seed: int, line: str, units: int) -> list[SealedCase]:
         own = draw_sister_unit(first, rng)
         # Every unit has its own noise: other electronics channels, another day.
         noise = replace(own.rig, noise_V=own.rig.noise_V * _near(rng, 0.2), noise_N=own.rig.noise_N * _near(rng, 0.2))
-        plans = tuple(RunPlan(p.protocol, drawn_seed(rng)) for p in first.plans)
+        plans = tuple(RunPlan(p.protocol, draw_seed(rng)) for p in first.plans)
         lot.append(
             replace(
                 own,
@@ -57,7 +57,7 @@ def draw_lot(seed: int, line: str, units: int) -> list[SealedCase]:
                 rig=noise,
                 causes=tuple(_resized(rng, cause) for cause in first.causes),
                 plans=tuple(sorted(plans, key=lambda p: p.protocol != "random")),
-                kept_back=RunPlan("kept_back", drawn_seed(rng)),
+                kept_back=RunPlan("kept_back", draw_seed(rng)),
                 withheld=first.withheld,
             )
         )

@@ -11,9 +11,9 @@ from common.rig_trial import ForceLaw, LawUnit
 from softcal.core.profiles import Profile, ramps, source_profile, unit_profile
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import EffectSetting, Twin, TwinStream
-from softcal.station.devices.bench import Bench, open_bench, simulated_config
+from softcal.station.bench.bench import Bench, open_bench, simulated_config
+from softcal.station.bench.simulated_station import SimulatedStation
 from softcal.station.devices.config import UNKNOWN_S
-from softcal.station.devices.simulated_station import SimulatedStation
 from softcal.station.record.recording import StationRecording
 from softcal.station.record.spool import Spool
 from softcal.station.simulated.rig import Physics

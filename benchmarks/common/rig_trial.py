@@ -12,9 +12,9 @@ from softcal.core.errors import DeviceError
 from softcal.core.profiles import Profile
 from softcal.core.recording import Array
 from softcal.core.twin.simulate import Twin
-from softcal.station.devices.bench import Bench, open_bench, simulated_config
+from softcal.station.bench.bench import Bench, open_bench, simulated_config
+from softcal.station.bench.simulated_station import SimulatedStation
 from softcal.station.devices.config import UNKNOWN_S
-from softcal.station.devices.simulated_station import SimulatedStation
 from softcal.station.tasks.acquisition import RunProgress, record
 
 GONE_S = 10.0
@@ -106,7 +106,7 @@ def open_rig(case: RigCase) -> Iterator[tuple[Bench, SimulatedStation]]:
     station = SimulatedStation(Twin(), rng)
     station.axis.acceleration_mm_s2 = station.stage.settings[122] = case.acceleration_mm_s2
     station.axis.position_mm = START_MM
-    station.stage.believe_zero_here()
+    station.stage.assume_zero()
     station.force.rate_Hz = case.cell_Hz
     station.force_wire.delay_s += case.cell_late_s
     station.rig.mount([LawUnit(case.law, rng.spawn(1)[0])], case.surface_mm, 0.0)

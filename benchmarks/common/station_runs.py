@@ -15,20 +15,20 @@ from common.fault_trial import is_true
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply, SafetyStop
 from softcal.core.messages.reason import Reason, plain
 from softcal.station.devices.config import FixtureConfig, ForceConfig, SafetyConfig
-from softcal.station.interfaces import Held, Move, OnWait, Sample, StagePosition
-from softcal.station.motion.interlock import TABLE, Moves, StageWatch, State
+from softcal.station.interfaces import Move, OnWait, Sample, StageOnHold, StagePosition
+from softcal.station.motion.interlock import TABLE, AllowedMotion, StageMonitor, State
 from softcal.station.motion.motion import Cancelled, Motion
 
 MOST_FAULTS = 3
 LONGEST_S = 120.0
 """No run of the program below may take longer, whatever happens."""
 
-TOUCH_MM, APPROACH_MM, POLLS, STEP_S = 5.0, 4.0, 3, 0.05
+SECOND_APPROACH_WAY_MM, APPROACH_MM, POLLS, STEP_S = 5.0, 4.0, 3, 0.05
 
 CREEP_MM = 1e-6
 """A stage that never arrives creeps on at every look: one that stands still is seen by that alone."""
 
-KNOWN = frozenset(name for row in TABLE.values() for name in row.needs)
+PROBED = frozenset(name for row in TABLE.values() for name in row.needs)
 
 
 class Choices:
@@ -81,7 +81,7 @@ class ModelStage:
         self.position_mm = self._target_mm = APPROACH_MM
         self.is_position_known = self.is_moving = self.can_lift_roughly = False
         self._polls, self._is_blocked = 0, False
-        self._stands_at_mm: float | None = None
+        self._stalled_at_mm: float | None = None
         """Where the carriage stays, once its motor has no supply: the controller counts on."""
         self._slipped_mm = 0.0
         self.look: Callable[[], None] = lambda: None
@@ -89,7 +89,7 @@ class ModelStage:
     @property
     def carriage_mm(self) -> float:
         """Where the carriage is, whatever the controller counts."""
-        return self.position_mm + self._slipped_mm if self._stands_at_mm is None else self._stands_at_mm
+        return self.position_mm + self._slipped_mm if self._stalled_at_mm is None else self._stalled_at_mm
 
     def home(self, on_wait: OnWait = lambda: None) -> None:
         """Home, or fail."""
@@ -153,7 +153,7 @@ class ModelStage:
         if answer == 4:
             self._fault(BadReply("stage: noise"))
         if answer == 5:
-            self._stands_at_mm = self.carriage_mm
+            self._stalled_at_mm = self.carriage_mm
         if answer == 6:  # The motor loses steps: the carriage does not come as far as it is counted.
             self._slipped_mm += (self.position_mm - self._target_mm) / POLLS
         if answer == 7:
@@ -165,7 +165,7 @@ class ModelStage:
     def _hold(self) -> None:
         if self._told.held_at is None:
             self._told.held_at = len(self._told.commands)
-        self._fault(Held("stage: held by the button"))
+        self._fault(StageOnHold("stage: held by the button"))
 
     def _fault(self, error: DeviceError) -> None:
         self._mark()
@@ -187,7 +187,7 @@ class ModelCell:
     @property
     def force_N(self) -> float:
         """The force on the unit, 1 N/mm."""
-        return max(0.0, self._stage.carriage_mm - TOUCH_MM)
+        return max(0.0, self._stage.carriage_mm - SECOND_APPROACH_WAY_MM)
 
     @property
     def shown_N(self) -> float:
@@ -211,7 +211,7 @@ class ModelReadout:
 
     def poll(self) -> list[Sample]:
         """Return one reading."""
-        return [Sample(self._clock.now_s(), None, (max(0.0, self._stage.carriage_mm - TOUCH_MM),))]
+        return [Sample(self._clock.now_s(), None, (max(0.0, self._stage.carriage_mm - SECOND_APPROACH_WAY_MM),))]
 
 
 class _Endless(BaseException):
@@ -261,7 +261,7 @@ def run_once(given: Sequence[int]) -> tuple[Told, list[tuple[int, int]]]:
         stage.poll()
         looks += 1
         if looks % POLLS == 1 and looks < 16 * POLLS:
-            _watch(choices.pick(5), stage, motion.row.watches)
+            _watch(choices.pick(5), stage, motion.row.monitors)
 
     motion = _SeenMotion(bench, tick, told)
     motion.zero_N = motion.free_output = 0.0
@@ -283,13 +283,13 @@ def run_once(given: Sequence[int]) -> tuple[Told, list[tuple[int, int]]]:
     return told, choices.made
 
 
-def _watch(answer: int, stage: ModelStage, on: frozenset[StageWatch]) -> None:
+def _watch(answer: int, stage: ModelStage, on: frozenset[StageMonitor]) -> None:
     """A person, or something that a watch sees, where the table has it on."""
     seen: tuple[tuple[bool, BaseException], ...] = (
         (True, Cancelled("stopped by a person")),
         (True, KeyboardInterrupt()),
-        (StageWatch.FORCE in on, SafetyStop("force")),
-        (StageWatch.STREAM in on, BadReply("load cell: noise")),
+        (StageMonitor.FORCE in on, SafetyStop("force")),
+        (StageMonitor.STREAM in on, BadReply("load cell: noise")),
     )
     if answer and seen[answer - 1][0]:
         stage._mark()
@@ -303,8 +303,8 @@ def _program(motion: Motion, stage: ModelStage, choices: Choices) -> None:
         motion.wait(POLLS * STEP_S)
         if row.moves.are_down:
             motion.go(8.0, 1.0, lambda: stage.is_moving and stage._polls >= POLLS - 1)
-            motion.go(APPROACH_MM if motion.state is not State.FEELING else 9.0, 5.0)
-        elif row.moves is Moves.UP:
+            motion.go(APPROACH_MM if motion.state is not State.PROBING else 9.0, 5.0)
+        elif row.moves is AllowedMotion.UP:
             motion.go(APPROACH_MM, 5.0)
         exits = [state for state in row.exits if state is not State.STOPPING]
         following = exits[choices.pick(len(exits))]
@@ -316,7 +316,7 @@ def _program(motion: Motion, stage: ModelStage, choices: Choices) -> None:
             if choices.pick(2):
                 return
         stage.is_position_known = True
-        motion.enter(following, KNOWN)
+        motion.enter(following, PROBED)
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from softcal.core.maps.interface import Anchors
 from softcal.core.metrics import rmse
 from softcal.core.network.training import fit_network
 from softcal.core.profiles import Profile, moves, random_presses, source_profile, unit_profile
-from softcal.core.quality.widening import AuditedSamples
+from softcal.core.quality.interval_inflation import AuditedSamples
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import DEPTH_MM, LotDesign, draw_twins, simulate_lot
 from softcal.core.twin.simulate import Twin, simulate
@@ -147,8 +147,8 @@ def drawn_lots(seed: int) -> Iterator[RawLot]:
         yield RawLot(kind, f"{kind} {seed}", lot.source, tuple(RawUnit(u.recording, u.audit) for u in lot.units))
     for kind, line in SEALED.items():
         runs = list(press_lot(draw_case(seed, "lot", line), count))
-        units, audits = ([_labelled(r.serial, r.measured) for r in runs if r.place == p] for p in ("units", "audit"))
-        source = next(_labelled(r.serial, r.measured) for r in runs if r.place == "source")
+        units, audits = ([_labelled(r.serial, r.measured) for r in runs if r.folder == p] for p in ("units", "audit"))
+        source = next(_labelled(r.serial, r.measured) for r in runs if r.folder == "source")
         pairs = zip(units, audits, strict=True)
         yield RawLot(kind, f"{kind} {seed}", source, tuple(RawUnit(u.unlabelled, a) for u, a in pairs))
 

@@ -25,7 +25,7 @@ class Answer:
     Args:
         probabilities: stated probability of every effect of the catalogue.
         first: the effect with the highest probability, empty where none is above zero.
-        named: effects with a probability of at least one half.
+        named_effects: effects with a probability of at least one half.
         groups: sets of effects the report cannot tell apart.
         stages: stages under `where`, the largest share first.
         predicted, low, high: forecast of the shrink and its interval; NaN for none.
@@ -35,7 +35,7 @@ class Answer:
     verdict: str
     probabilities: Mapping[str, float]
     first: str
-    named: frozenset[str]
+    named_effects: frozenset[str]
     groups: tuple[frozenset[str], ...]
     stages: tuple[str, ...]
     predicted: float
@@ -47,7 +47,7 @@ class Answer:
     def candidates(self) -> frozenset[str]:
         """Effects that the report holds possible: the named, the first, and the ambiguous ones."""
         first = {self.first} if self.first and self.verdict == "ambiguous" else set()
-        candidates = self.named | first
+        candidates = self.named_effects | first
         return candidates.union(*(group for group in self.groups if group & candidates or not candidates))
 
 
@@ -63,16 +63,16 @@ def read_answer(name: str, report: Mapping[str, Any]) -> Answer:
         probabilities = {str(cause["effect"]): float(cause["probability"]) for cause in report["causes"]}
         if not all(0.0 <= p <= 1.0 for p in probabilities.values()):
             raise ValueError(f"a probability is none: {probabilities}")
-        shares = sorted(report["where"], key=lambda place: -float(place["share"]))
+        shares = sorted(report["where"], key=lambda entry: -float(entry["share"]))
         fraction = report["shrink"]
         first = max(probabilities, key=probabilities.__getitem__) if any(probabilities.values()) else ""
         return Answer(
             verdict=str(report["verdict"]),
             probabilities=probabilities,
             first=first,
-            named=frozenset(effect for effect, p in probabilities.items() if p >= MIN_NAMED_PROBABILITY),
+            named_effects=frozenset(effect for effect, p in probabilities.items() if p >= MIN_NAMED_PROBABILITY),
             groups=tuple(frozenset(map(str, group)) for group in report["ambiguous_with"]),
-            stages=tuple(str(place["stage"]) for place in shares),
+            stages=tuple(str(entry["stage"]) for entry in shares),
             predicted=_number(fraction["predicted"]),
             low=_number(fraction["low"]),
             high=_number(fraction["high"]),
@@ -123,22 +123,22 @@ class CaseScore:
         if case.mistake:
             mistake = Mistake.from_text(case.mistake)
             # A unit of the whole case contradicts nothing in it: it is asked beside any verdict.
-            is_asked = mistake.what == "unit_factor" and not mistake.runs and bool(answer.data)
-            if answer.verdict != "data" and not is_asked:
+            is_unit_question = mistake.what == "unit_factor" and not mistake.runs and bool(answer.data)
+            if answer.verdict != "data" and not is_unit_question:
                 return "wrong"
             channels = set(mistake.channel.split("+")) - {""}
-            named = any(
-                (what, runs) == (mistake.what, mistake.runs) and channels <= set(channel.split("+"))
-                for what, channel, runs in answer.data
+            is_named = any(
+                (kind, runs) == (mistake.what, mistake.runs) and channels <= set(channel.split("+"))
+                for kind, channel, runs in answer.data
             )
-            return "right" if named else "abstained"
+            return "right" if is_named else "abstained"
         if answer.verdict == "no_gap":
             return "right" if not case.causes else "missed" if self.is_visible else "below noise"
         if not case.causes:
             # Noise may leave something that has no cause: only a name, or a mistake, is an alarm.
-            return "abstained" if answer.verdict == "unknown" and not answer.named else "alarm"
+            return "abstained" if answer.verdict == "unknown" and not answer.named_effects else "alarm"
         # Beside a rest a name counts like anywhere: one that is not there is wrong.
-        is_false = answer.verdict in ("unknown", "explained_in_part") and bool(answer.named - truth)
+        is_false = answer.verdict in ("unknown", "explained_in_part") and bool(answer.named_effects - truth)
         if any(cause.effect not in CATALOGUE for cause in case.causes):
             if answer.verdict in ("unknown", "explained_in_part") and not is_false:
                 return "right"
@@ -146,10 +146,10 @@ class CaseScore:
             return "set" if alias and alias in answer.candidates | {answer.first} else "wrong"
         if is_false:
             return "wrong"
-        if answer.verdict in ("explained", "explained_in_part") and answer.named == truth:
+        if answer.verdict in ("explained", "explained_in_part") and answer.named_effects == truth:
             return "right"
         if answer.verdict == "ambiguous":
-            if answer.named == truth or (len(truth) == 1 and answer.first in truth):
+            if answer.named_effects == truth or (len(truth) == 1 and answer.first in truth):
                 return "right"
             if truth <= answer.candidates and len(answer.candidates) <= max(3, len(truth) + 1):
                 return "set"
@@ -164,7 +164,7 @@ class CaseScore:
         return bool(self.answer and self.answer.stages and self.answer.stages[0] in self.label.case.stages)
 
     @property
-    def is_stage_left_open(self) -> bool:
+    def is_stage_open(self) -> bool:
         """Whether the report leaves two stages possible, one of them of a true cause."""
         stages = set(self.answer.stages) if self.answer else set()
         return len(stages) == 2 and not stages.isdisjoint(self.label.case.stages)

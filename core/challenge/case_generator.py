@@ -43,10 +43,10 @@ def _signed(rng: Rng, centre: float) -> float:
 
 def _saturation(rng: Rng, scope: Scope, scale: float) -> dict[str, float]:
     """Return one rail or the other, so far inside the used range that 4–12 % of it are lost at scale 1."""
-    lost_V = scale * rng.uniform(0.04, 0.12) * scope.span_V
+    clipped_V = scale * rng.uniform(0.04, 0.12) * scope.span_V
     if rng.random() < 0.25:
-        return {"low_V": scope.rest_V + lost_V, "high_V": scope.rig.vref_V}
-    return {"low_V": 0.0, "high_V": scope.peak_V - lost_V}
+        return {"low_V": scope.rest_V + clipped_V, "high_V": scope.rig.vref_V}
+    return {"low_V": 0.0, "high_V": scope.peak_V - clipped_V}
 
 
 def alias_Hz(line_Hz: float, rate_Hz: float) -> float:
@@ -165,7 +165,7 @@ SEED_BITS = 128
 """Bits of every seed: nobody can try them all against a path, a noise or a printed resistance."""
 
 
-def drawn_seed(rng: Rng) -> int:
+def draw_seed(rng: Rng) -> int:
     """Return a seed of `SEED_BITS` bits."""
     return int.from_bytes(rng.bytes(SEED_BITS // 8), "big")
 
@@ -195,12 +195,12 @@ def draw_rig(rng: Rng, adc_bits: int | None = None) -> tuple[Rig, float]:
 def _add_coloured_noise(rng: Rng, rig: Rig, scope: Scope) -> Rig:
     """Add coloured noise to output, force or both: 0.1–1 % of the used range, correlation time 0.1–2 s."""
     channel = rng.choice(["output", "force", "both"])
-    share, fading_s = log_uniform(rng, 0.001, 0.01), log_uniform(rng, 0.1, 2.0)
+    share, correlation_time_s = log_uniform(rng, 0.001, 0.01), log_uniform(rng, 0.1, 2.0)
     return replace(
         rig,
         coloured_V=share * scope.span_V if channel != "force" else 0.0,
         coloured_N=share * scope.peak_N if channel != "output" else 0.0,
-        coloured_s=fading_s,
+        coloured_s=correlation_time_s,
     )
 
 
@@ -279,10 +279,10 @@ def draw_case(seed: int, name: str, line: str) -> SealedCase:
     scope = Scope(rig, peak_N, rest_V, rig.vref_V * peak_ohm / (peak_ohm + rig.r_series_ohm))
     rig = _add_coloured_noise(rng, rig, scope) if line == "coloured" else rig
     causes = LINES[line](rng, scope)
-    plans = tuple(RunPlan(name_, drawn_seed(rng)) for name_ in _PROTOCOLS.get(line, FOUR_RUNS))
+    plans = tuple(RunPlan(name_, draw_seed(rng)) for name_ in _PROTOCOLS.get(line, FOUR_RUNS))
     needs_temperature = any("coefficient_per_K" in cause.values for cause in causes)
     unlogged = () if needs_temperature or rng.random() < 0.5 else ("temperature_C",)
-    kept_back = RunPlan("kept_back", drawn_seed(rng))
+    kept_back = RunPlan("kept_back", draw_seed(rng))
     tare_N = float(rng.choice([-1.0, 1.0]) * rng.uniform(0.005, 0.025)) * peak_N if line == "untared" else 0.0
     return SealedCase(
         name=name,
@@ -308,13 +308,13 @@ def draw_challenge(seed: int, count: int) -> list[SealedCase]:
     Lines with a floor come first: each has `MIN_CASES` cases before any other has one.
     """
     weights = np.array([_SHARES.get(line, 1) for line in LINES], dtype=np.float64)
-    least = np.array([line in MIN_SHARES for line in LINES]) * min(MIN_CASES, count // len(MIN_SHARES))
-    quota = least + np.floor(weights / weights.sum() * (count - least.sum())).astype(int)
+    min_counts = np.array([line in MIN_SHARES for line in LINES]) * min(MIN_CASES, count // len(MIN_SHARES))
+    quota = min_counts + np.floor(weights / weights.sum() * (count - min_counts.sum())).astype(int)
     rng = np.random.default_rng([seed, 10_007])
     rest = rng.choice(len(weights), count - int(quota.sum()), p=weights / weights.sum())
     lines = np.repeat(list(LINES), quota + np.bincount(rest, minlength=len(weights)))
     rng.shuffle(lines)
     width = max(3, len(str(count)))
     return [
-        draw_case(drawn_seed(rng), f"case-{number:0{width}d}", str(line)) for number, line in enumerate(lines, start=1)
+        draw_case(draw_seed(rng), f"case-{number:0{width}d}", str(line)) for number, line in enumerate(lines, start=1)
     ]

@@ -147,10 +147,10 @@ class SealedCase:
 def full_depth_mm(rig: Rig, peak_N: float) -> float:
     """Return the stage position at which the base model reaches a force."""
 
-    def left_N(mm: float) -> float:
+    def excess_N(mm: float) -> float:
         return float(rig.pad_force_N(np.array(mm))) - peak_N
 
-    return rig.u0_mm + float(brentq(left_N, 0.0, peak_N / rig.k1_N_mm, xtol=1e-14))
+    return rig.u0_mm + float(brentq(excess_N, 0.0, peak_N / rig.k1_N_mm, xtol=1e-14))
 
 
 def _stand_still(name: str, duration_s: float) -> Path:
@@ -203,7 +203,7 @@ def _residual_in_coloured_noise(case: SealedCase, columns: Array) -> float:
     for plan in case.plans:
         measured = case.measure(plan).columns
         fade = np.exp(-measured["t_s"] / rig.coloured_s)
-        ratios = [rig.coloured_V / rig.floor_V]
+        ratios = [rig.coloured_V / rig.noise_floor_V]
         ratios += [rig.coloured_N / rig.noise_N] if "force_N" in measured else []
         for ratio in ratios:
             covariance = ratio**2 * fade
@@ -219,7 +219,7 @@ def _noiseless_channels(case: SealedCase) -> Array:
     """Return all channels of all runs in units of their noise, without noise and rounding."""
     parts = []
     for columns in _noiseless_runs(case):
-        parts.append(columns["output_V"] / case.rig.floor_V)
+        parts.append(columns["output_V"] / case.rig.noise_floor_V)
         if "force_N" in columns:
             parts.append(columns["force_N"] / case.rig.noise_N)
     return np.concatenate(parts)
@@ -239,7 +239,7 @@ def _distance_without_stage(case: SealedCase) -> float:
         ohms = [one.r0_ohm / (1.0 - one.kappa_per_N * force_N) for one in moved]
         base_V, *volts = (rig.vref_V * ohm / (ohm + rig.r_series_ohm) for ohm in ohms)
         slope = np.gradient(base_V) / np.where(np.abs(np.gradient(force_N)) > 1e-9, np.gradient(force_N), np.inf)
-        noise_V = np.hypot(rig.floor_V, slope * rig.noise_N)
+        noise_V = np.hypot(rig.noise_floor_V, slope * rig.noise_N)
         gaps.append((columns["output_V"] - base_V) / noise_V)
         slopes.append(np.column_stack([(one_V - base_V) / noise_V for one_V in volts]))
     return _residual_norm(np.concatenate(gaps), np.concatenate(slopes))
@@ -258,7 +258,7 @@ SPREAD = {"u0_mm": 0.005, "k1_N_mm": 0.003, "k3_N_mm3": 0.003, "r0_ohm": 0.08, "
 class LotRun:
     """One recording of a lot: `source`, `units` or `audit`, and its unit."""
 
-    place: str
+    folder: str
     serial: str
     measured: Measured
 

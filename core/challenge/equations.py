@@ -73,7 +73,7 @@ def follows_temperature(values: Array, at: Moment, coefficient_per_K: float) -> 
     return np.asarray(values * (1.0 + coefficient_per_K * (at.temperature_C - at.temperature_C[0])))
 
 
-def drawn_intervals(at: Moment, count: float, mean_s: float) -> list[tuple[float, float]]:
+def draw_intervals(at: Moment, count: float, mean_s: float) -> list[tuple[float, float]]:
     """Draw this run's intervals: `count` of them, exponential lengths of at least five samples."""
     end_s = float(at.t_s[-1])
     lengths_s = np.maximum(5.0 / at.rig.sample_rate_Hz, at.rng.exponential(mean_s, round(count)))
@@ -83,7 +83,7 @@ def drawn_intervals(at: Moment, count: float, mean_s: float) -> list[tuple[float
 
 def _intermittent_contact(ohm: Array, at: Moment, step_ohm: float, count: float, mean_s: float) -> Array:
     is_open = np.zeros(len(ohm), dtype=bool)
-    for start_s, stop_s in drawn_intervals(at, count, mean_s):
+    for start_s, stop_s in draw_intervals(at, count, mean_s):
         is_open |= (at.t_s >= start_s) & (at.t_s < stop_s)
     return ohm + step_ohm * is_open
 
@@ -102,10 +102,10 @@ def _dropped_samples(instants_s: Array, at: Moment, count: float) -> Array:
     """Drop `count` samples of this run in up to three blocks; the later ones close up."""
     blocks = min(3, round(count))
     sizes = at.rng.multinomial(round(count) - blocks, np.full(blocks, 1.0 / blocks)) + 1
-    places = at.rng.integers(len(instants_s) // 20, 9 * len(instants_s) // 10, blocks)
+    begins = at.rng.integers(len(instants_s) // 20, 9 * len(instants_s) // 10, blocks)
     missing = np.zeros(len(instants_s))
-    for place, size in zip(places, sizes, strict=True):
-        missing[place:] += size
+    for begin, size in zip(begins, sizes, strict=True):
+        missing[begin:] += size
     return instants_s + missing / at.rig.sample_rate_Hz
 
 
@@ -178,7 +178,7 @@ def _curved_temperature(rest_ohm: Array, at: Moment, coefficient_per_K: float) -
 def _uneven_contact(ohm: Array, at: Moment, step_ohm: float, count: float, mean_s: float) -> Array:
     """Intervals whose steps differ by a factor of up to two."""
     added = np.zeros_like(ohm)
-    for start_s, stop_s in drawn_intervals(at, count, mean_s):
+    for start_s, stop_s in draw_intervals(at, count, mean_s):
         added[(at.t_s >= start_s) & (at.t_s < stop_s)] = step_ohm * at.rng.uniform(0.7, 1.4)
     return ohm + added
 

@@ -71,15 +71,21 @@ def explained_fraction(case: SealedCase, report: Mapping[str, Any]) -> float:
         NaN where the report names no twin, a cause belongs to one recording only, or the bare base
         leaves no gap; 0 where its numbers make no twin.
     """
-    named = {c["effect"]: c.get("parameters") for c in report["causes"] if c["probability"] >= MIN_NAMED_PROBABILITY}
-    if "base" not in report or not named or any(effect in PER_RUN for effect in named):
+    parameters_by_effect = {
+        c["effect"]: c.get("parameters") for c in report["causes"] if c["probability"] >= MIN_NAMED_PROBABILITY
+    }
+    if "base" not in report or not parameters_by_effect or any(effect in PER_RUN for effect in parameters_by_effect):
         return float("nan")
     try:
         rig, causes = with_base(case.rig, report["base"]), []
-        for effect, fitted in named.items():
+        for effect, fitted in parameters_by_effect.items():
             names = (*PARAMETERS[effect], *OTHER_PARAMETERS.get(effect, ()))
-            own = {ours: _finite(fitted[theirs]["value"]) for theirs, ours in names if theirs in fitted}
-            causes.append(Cause(effect, CATALOGUE_FORM, {**UNFITTED.get(effect, {}), **own}))
+            values = {
+                parameter: _finite(fitted[report_name]["value"])
+                for report_name, parameter in names
+                if report_name in fitted
+            }
+            causes.append(Cause(effect, CATALOGUE_FORM, {**UNFITTED.get(effect, {}), **values}))
         measured = case.measure(case.kept_back)
         with np.errstate(all="ignore"):
             after = _gap(case, measured, rig, tuple(causes))
@@ -87,7 +93,7 @@ def explained_fraction(case: SealedCase, report: Mapping[str, Any]) -> float:
         return 0.0
     if not np.isfinite(after):
         return 0.0
-    before = _gap(case, measured, refitted_base(case), ())
+    before = _gap(case, measured, refit_base(case), ())
     return float("nan") if before < MIN_GAP else 1.0 - after / before
 
 
@@ -99,15 +105,15 @@ def _finite(value: Any) -> float:
 
 def with_base(rig: Rig, base: Mapping[str, float]) -> Rig:
     """Return the rig with other base parameters, by the names of `BASE`."""
-    own: dict[str, Any] = {name: _finite(base[name]) for name in BASE}
-    return replace(rig, **own)
+    parameters: dict[str, Any] = {name: _finite(base[name]) for name in BASE}
+    return replace(rig, **parameters)
 
 
 def _gap(case: SealedCase, measured: Measured, rig: Rig, causes: tuple[Cause, ...]) -> float:
     """Return the sum over channels of (RMS residual − floor)/noise; the floor is the residual of the true rig."""
-    left = residual_rms(case, measured, rig, causes)
+    residuals = residual_rms(case, measured, rig, causes)
     min_share = residual_rms(case, measured, case.rig, case.causes)
-    return sum(max(0.0, after - least) for after, least in zip(left, min_share, strict=True))
+    return sum(max(0.0, after - noise_floor) for after, noise_floor in zip(residuals, min_share, strict=True))
 
 
 def residual_rms(case: SealedCase, measured: Measured, rig: Rig, causes: tuple[Cause, ...]) -> list[float]:
@@ -118,11 +124,11 @@ def residual_rms(case: SealedCase, measured: Measured, rig: Rig, causes: tuple[C
 
 
 def _residuals(rig: Rig, measured: Mapping[str, Array], predicted: Mapping[str, Array]) -> list[Array]:
-    noise = {"output_V": rig.floor_V, "force_N": rig.noise_N}
+    noise = {"output_V": rig.noise_floor_V, "force_N": rig.noise_N}
     return [(measured[name] - predicted[name]) / noise[name] for name in noise if name in measured]
 
 
-def refitted_base(case: SealedCase) -> Rig:
+def refit_base(case: SealedCase) -> Rig:
     """Fit the bare base model to the runs handed over, by SciPy's trust-region least squares."""
     recordings = [(plan, case.measure(plan).columns) for plan in case.plans]
     start = np.array([getattr(case.rig, name) for name in BASE])

@@ -46,10 +46,10 @@ def log_uniform(rng: Rng, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-def _ramps(name: str, rng: Rng, depth_mm: float, drawn_mm_s: Callable[[Rng], float]) -> Path:
+def _ramps(name: str, rng: Rng, depth_mm: float, draw_mm_s: Callable[[Rng], float]) -> Path:
     pen = _PathBuilder(rng.uniform(0.6, 2.0))
     while pen.now_s < RUN_S:
-        speed_mm_s = drawn_mm_s(rng)
+        speed_mm_s = draw_mm_s(rng)
         pen.press(depth_mm * rng.uniform(0.75, 1.0), speed_mm_s, rng.uniform(0.2, 1.0))
     return pen.path(name, RUN_S)
 

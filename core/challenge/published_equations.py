@@ -40,9 +40,9 @@ def _ogden_roxburgh(force_N: Array, at: Moment, size: float, cycles: float) -> A
     largest energy of a press to 3 N.
     """
     energy = at.rig.k1_N_mm * at.compression_mm**2 / 2.0 + at.rig.k3_N_mm3 * at.compression_mm**4 / 4.0
-    most = np.maximum.accumulate(energy)
+    max_energy = np.maximum.accumulate(energy)
     scale = cycles * 0.5 * 3.0**2 / (2.0 * at.rig.k1_N_mm)
-    return np.asarray(force_N * (1.0 - size * erf((most - energy) / scale)))
+    return np.asarray(force_N * (1.0 - size * erf((max_energy - energy) / scale)))
 
 
 @recursion
@@ -54,8 +54,8 @@ def _dahl_state(signal: Array, scale: float) -> Array:  # pragma: no cover - com
         step = (signal[k] - signal[k - 1]) / scale
         sign = 1.0 if step > 0.0 else -1.0
         # dz/dx = (1 − z·sign)² has the solution 1/(1 − z·sign) = 1/(1 − z₀·sign) + |x|.
-        left = max(1.0 - state * sign, 1e-12)
-        state = sign * (1.0 - 1.0 / (1.0 / left + abs(step)))
+        remainder = max(1.0 - state * sign, 1e-12)
+        state = sign * (1.0 - 1.0 / (1.0 / remainder + abs(step)))
         out[k] = state
     return out
 

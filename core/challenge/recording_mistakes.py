@@ -25,7 +25,7 @@ UNITS_OF_RUN: Mapping[str, Mapping[str, float]] = {
 }
 """The same where the other runs are right. A whole case in cm or lbf is as stiff as other pads."""
 
-MAX_SPOILT_SAMPLES = 12
+MAX_INVALID_SAMPLES = 12
 """Most samples that a broken transmission spoils in a run."""
 
 
@@ -139,7 +139,7 @@ def _swapped_runs(case: _MistakenCase, k: int, mistake: Mistake) -> Measured:
 
 def _out_of_range(values: Array, mistake: Mistake) -> Array:
     rng, corrupted = np.random.default_rng([mistake.seed, 6]), values.copy()
-    corrupted[rng.choice(len(values), int(rng.integers(1, MAX_SPOILT_SAMPLES + 1)), replace=False)] = mistake.factor
+    corrupted[rng.choice(len(values), int(rng.integers(1, MAX_INVALID_SAMPLES + 1)), replace=False)] = mistake.factor
     return corrupted
 
 

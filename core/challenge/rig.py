@@ -46,7 +46,7 @@ class Rig:
         return float(self.vref_V / (2**self.adc_bits - 1))
 
     @property
-    def floor_V(self) -> float:
+    def noise_floor_V(self) -> float:
         """Noise of the output including the rounding of the ADC, RMS."""
         return float(np.hypot(self.noise_V, self.lsb_V / np.sqrt(12.0)))
 
@@ -274,8 +274,8 @@ def _wander(rig: Rig, spread: float, rng: Rng, count: int) -> Array:
     """(count,) noise of this standard deviation whose correlation fades with exp(-t/coloured_s)."""
     if spread == 0.0:
         return np.zeros(count)
-    keep = np.exp(-1.0 / (rig.sample_rate_Hz * rig.coloured_s))
-    kicks = rng.normal(0.0, spread * np.sqrt(1.0 - keep**2), count)
+    decay = np.exp(-1.0 / (rig.sample_rate_Hz * rig.coloured_s))
+    kicks = rng.normal(0.0, spread * np.sqrt(1.0 - decay**2), count)
     # It has been running for ever when the recording begins.
     kicks[0] = rng.normal(0.0, spread)
-    return np.asarray(lfilter([1.0], [1.0, -keep], kicks))
+    return np.asarray(lfilter([1.0], [1.0, -decay], kicks))

@@ -171,20 +171,20 @@ def score_reports(
             fraction = realised(label, report)
         case_scores.append(CaseScore(label, answer, fraction, unread))
     answered = [(j, j.answer) for j in case_scores if j.answer is not None]
-    stated = np.array([p for _, a in answered for p in a.probabilities.values()])
+    predicted = np.array([p for _, a in answered for p in a.probabilities.values()])
     present = np.array([effect in j.truth for j, a in answered for effect in a.probabilities], dtype=np.float64)
     first = [(a.probabilities[a.first], j.is_first_right) for j, a in answered if a.first and a.verdict != "no_gap"]
     singles = [a.probabilities.get(next(iter(j.truth)), 0.0) for j, a in answered if len(j.truth) == 1]
     probabilities = Probabilities(
-        ece=calibration_error(stated, present),
+        ece=calibration_error(predicted, present),
         ece_first=calibration_error(np.array([p for p, _ in first]), np.array([float(y) for _, y in first])),
-        brier=float(np.mean((stated - present) ** 2)) if len(stated) else float("nan"),
+        brier=float(np.mean((predicted - present) ** 2)) if len(predicted) else float("nan"),
         on_truth=float(np.mean(singles)) if singles else float("nan"),
-        log_score=log_score(stated, present),
+        log_score=log_score(predicted, present),
         by_bin=tuple(
-            Bin(low, high, float(stated[here].mean()), int(present[here].sum()), int(here.sum()))
+            Bin(low, high, float(predicted[in_bin].mean()), int(present[in_bin].sum()), int(in_bin.sum()))
             for low, high in pairwise(PROBABILITY_EDGES)
-            if (here := (stated >= low) & (stated < high if high < 1.0 else stated <= high)).any()
+            if (in_bin := (predicted >= low) & (predicted < high if high < 1.0 else predicted <= high)).any()
         ),
     )
     return ScoreSheet(
@@ -217,7 +217,7 @@ def _rows(case_scores: Sequence[CaseScore]) -> Iterable[Row]:
             yield _row(line, "stage", visible, lambda j: j.is_stage_right)
             if line in ("outside", "published_outside"):
                 name = "stage right or held open between two"
-                yield _row(line, name, visible, lambda j: j.is_stage_right or j.is_stage_left_open)
+                yield _row(line, name, visible, lambda j: j.is_stage_right or j.is_stage_open)
 
 
 def _row(line: str, measure: str, cases: Sequence[CaseScore], is_hit: Callable[[CaseScore], bool]) -> Row:
@@ -228,30 +228,30 @@ def _detection(case_scores: Sequence[CaseScore]) -> Iterable[Detection]:
     singles = [j for j in case_scores if len(j.truth) == 1 and len(j.label.case.causes) == 1]
     for effect in sorted({next(iter(j.truth)) for j in singles}):
         for low, high in pairwise(DISTANCE_EDGES):
-            here = [j for j in singles if effect in j.truth and low <= j.label.distance_sigma < high]
-            if here:
-                named, honest = sum(j.is_first_right for j in here), sum(j.outcome in HONEST for j in here)
-                yield Detection(effect, low, high, named, honest, len(here))
+            scores = [j for j in singles if effect in j.truth and low <= j.label.distance_sigma < high]
+            if scores:
+                named, honest = sum(j.is_first_right for j in scores), sum(j.outcome in HONEST for j in scores)
+                yield Detection(effect, low, high, named, honest, len(scores))
 
 
-def calibration_error(stated: NDArray[np.float64], happened: NDArray[np.float64]) -> float:
+def calibration_error(predicted: NDArray[np.float64], happened: NDArray[np.float64]) -> float:
     """Return Σ (nᵦ/n)·|mean stated − mean happened| over ten bins of equal width."""
-    if len(stated) == 0:
+    if len(predicted) == 0:
         return float("nan")
-    bin_of = np.minimum((stated * 10).astype(int), 9)
-    return float(np.sum(np.abs(np.bincount(bin_of, stated - happened)))) / len(stated)
+    bin_of = np.minimum((predicted * 10).astype(int), 9)
+    return float(np.sum(np.abs(np.bincount(bin_of, predicted - happened)))) / len(predicted)
 
 
-def log_score(stated: NDArray[np.float64], present: NDArray[np.float64]) -> float:
+def log_score(predicted: NDArray[np.float64], present: NDArray[np.float64]) -> float:
     """Return the mean of −ln of the probability of the truth, in nats, over causes that are stated or true.
 
     What nobody states and nobody hid costs nothing, so that it would only hide what is wrong. A probability of 0 or 1
     counts as one in a thousand short of it.
     """
-    counts = (stated >= PROBABILITY_EDGES[0]) | (present > 0.0)
+    counts = (predicted >= PROBABILITY_EDGES[0]) | (present > 0.0)
     if not counts.any():
         return float("nan")
-    p = np.clip(stated[counts], MIN_PROBABILITY, 1.0 - MIN_PROBABILITY)
+    p = np.clip(predicted[counts], MIN_PROBABILITY, 1.0 - MIN_PROBABILITY)
     return float(np.mean(-np.log(np.where(present[counts] > 0.0, p, 1.0 - p))))
 
 

@@ -150,7 +150,7 @@ class NetworkFile:
         return hashlib.sha256(self._body).digest()[:8]
 
     def to_bytes(self) -> bytes:
-        return _sealed(Kind.NETWORK, 0, self.id, 0, 0, self.source_serial, self._body)
+        return _pack_file(Kind.NETWORK, 0, self.id, 0, 0, self.source_serial, self._body)
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +207,7 @@ class UnitFile:
             rows = zip(mix.weights.tolist(), mix.shift.tolist(), mix.bias.tolist(), strict=True)
             body += MIX_FIXED.pack(mix.keep, len(mix.bias), 0)
             body += b"".join(MIX_ROW.pack(bias, *weights, shift) for weights, shift, bias in rows)
-        return _sealed(Kind.UNIT, self.flags, self.network_id, self.revision, self.time_s, self.serial, body)
+        return _pack_file(Kind.UNIT, self.flags, self.network_id, self.revision, self.time_s, self.serial, body)
 
 
 def longest_step_ms(period_us: int) -> int:
@@ -235,7 +235,9 @@ def decode_serial(field: bytes) -> str:
         return text
 
 
-def _sealed(kind: Kind, flags: int, network_id: bytes, revision: int, time_s: int, serial: str, body: bytes) -> bytes:
+def _pack_file(
+    kind: Kind, flags: int, network_id: bytes, revision: int, time_s: int, serial: str, body: bytes
+) -> bytes:
     length = HEADER.size + len(body) + 4
     header = HEADER.pack(MAGIC, kind, MAJOR, MINOR, flags, length, network_id, revision, time_s, serial_field(serial))
     return header + body + struct.pack("<I", zlib.crc32(header + body))

@@ -23,7 +23,7 @@ from softcal.core.windows import TAPS
 
 
 @dataclass(frozen=True)
-class _Opened:
+class _CheckedFile:
     """A file whose header and CRC are good."""
 
     flags: int
@@ -35,7 +35,7 @@ class _Opened:
     body: bytes
 
 
-def _open(data: bytes, kind: Kind) -> _Opened:
+def _open(data: bytes, kind: Kind) -> _CheckedFile:
     name = f"{kind.name.lower()} file"
     if len(data) < blob.HEADER.size + 4:
         raise FileRefused(RefusalCause.LENGTH, f"{name} of {len(data)} bytes is shorter than its header; copy it again")
@@ -54,7 +54,9 @@ def _open(data: bytes, kind: Kind) -> _Opened:
         raise FileRefused(RefusalCause.CRC, f"{name} is damaged: its CRC-32 does not match; copy or export it again")
     if kind_number != kind:
         raise FileRefused(RefusalCause.KIND, f"a {name} was expected, this one is of kind {kind_number}")
-    return _Opened(flags, minor, network_id, revision, time_s, blob.decode_serial(serial), data[blob.HEADER.size : -4])
+    return _CheckedFile(
+        flags, minor, network_id, revision, time_s, blob.decode_serial(serial), data[blob.HEADER.size : -4]
+    )
 
 
 def _text(field: bytes) -> str:
@@ -71,9 +73,9 @@ def read_network(data: bytes) -> NetworkFile:
     Raises:
         FileRefused: the first check that fails.
     """
-    opened = _open(data, Kind.NETWORK)
+    checked = _open(data, Kind.NETWORK)
     try:
-        count, weight_type, taps, exponent, *rest = blob.NETWORK_FIXED.unpack_from(opened.body)
+        count, weight_type, taps, exponent, *rest = blob.NETWORK_FIXED.unpack_from(checked.body)
         sizes, (_, _, period_us, zero, lsb, output_unit, reference_unit, sha256) = rest[:8], rest[8:]
         if weight_type != blob.WEIGHTS_INT16 or taps != TAPS or not 1 <= count <= blob.MAX_LAYERS or period_us == 0:
             raise ValueError(f"weight type {weight_type}, {taps} taps, {count} layers, period {period_us} µs")
@@ -81,19 +83,19 @@ def read_network(data: bytes) -> NetworkFile:
             raise ValueError(f"sizes {sizes}, input scale {zero}, {lsb}")
         layers, at = [], blob.NETWORK_FIXED.size
         for columns, rows in zip(sizes[:count], sizes[1 : count + 1], strict=True):
-            layer, at = _parse_layer(opened.body, at, rows, columns)
+            layer, at = _parse_layer(checked.body, at, rows, columns)
             layers.append(layer)
         network = IntegerNetwork(tuple(layers), zero, lsb, exponent)
-        first, step, *counts, _ = blob.LEVELS.unpack_from(opened.body, at)
+        first, step, *counts, _ = blob.LEVELS.unpack_from(checked.body, at)
         levels, at = LoadLevels(first, step, tuple(counts)), at + blob.LEVELS.size
         if not step:
             raise ValueError("levels of the source have no distance")
         units = _text(output_unit), _text(reference_unit)
-        file = NetworkFile(network, sha256.hex(), opened.serial, period_us, *units, levels)
+        file = NetworkFile(network, sha256.hex(), checked.serial, period_us, *units, levels)
     except (ValueError, struct.error, IndexError) as error:
         raise _layout("network", error) from error
-    _check_end("network", opened, at)
-    if file.id != opened.network_id:
+    _check_end("network", checked, at)
+    if file.id != checked.network_id:
         raise FileRefused(RefusalCause.NETWORK, "network file: its id is not the hash of its body; export it again")
     return file
 
@@ -117,9 +119,9 @@ def _parse_layer(body: bytes, at: int, rows: int, columns: int) -> tuple[Integer
 
 def read_unit(data: bytes) -> UnitFile:
     """Read a unit file, checked without its network (`FileRefused`: the first check that fails)."""
-    opened = _open(data, Kind.UNIT)
+    checked = _open(data, Kind.UNIT)
     try:
-        body = opened.body
+        body = checked.body
         form, knots, bands, tests, code_min, code_max, out_min, out_max, *rest = blob.UNIT_FIXED.unpack_from(body)
         zero, lsb, pivot, _ = rest
         if form not in blob.FORMS or (knots > 0) != bool(form & blob.HAS_CURVE):
@@ -149,12 +151,12 @@ def read_unit(data: bytes) -> UnitFile:
             if not 0 <= test.start + (TAPS - 1) * test.step <= CODE_MAX or abs(test.expected) > ACTIVATION_MAX:
                 raise ValueError(f"self-test {test} leaves the range of codes")
         file = UnitFile(
-            opened.serial, opened.network_id, opened.revision, opened.time_s, opened.flags, device_map,
+            checked.serial, checked.network_id, checked.revision, checked.time_s, checked.flags, device_map,
             InputScale(zero, lsb), code_min, code_max, out_min, out_max, file_bands, file_tests, pivot,
         )  # fmt: skip
     except (ValueError, struct.error, IndexError) as error:
         raise _layout("unit", error) from error
-    _check_end("unit", opened, at)
+    _check_end("unit", checked, at)
     return file
 
 
@@ -165,7 +167,7 @@ def _parse_mix(body: bytes, at: int) -> tuple[IntegerMix, int]:
     return IntegerMix(keep, table[:, 1 : TAPS + 1], table[:, TAPS + 1], table[:, 0]), end
 
 
-def _check_end(name: str, opened: _Opened, end: int) -> None:
+def _check_end(name: str, checked: _CheckedFile, end: int) -> None:
     """Check the end of the body: a later minor version may append, earlier versions end at their last field."""
-    if len(opened.body) < end or (opened.minor <= blob.MINOR and len(opened.body) != end):
-        raise _layout(name, f"its contents end at byte {end} of a body of {len(opened.body)}")
+    if len(checked.body) < end or (checked.minor <= blob.MINOR and len(checked.body) != end):
+        raise _layout(name, f"its contents end at byte {end} of a body of {len(checked.body)}")

@@ -61,9 +61,9 @@ class InputScale:
     @classmethod
     def cover_range(cls, network: Network, output: Array) -> "InputScale":
         """A round full scale (1, 2 or 5 times a power of ten) that holds source and unit."""
-        reach = 6 * network.output_scale
-        low = min(float(output.min()), float(network.output_mean - reach))
-        high = max(float(output.max()), float(network.output_mean + reach))
+        half_range = 6 * network.output_scale
+        low = min(float(output.min()), float(network.output_mean - half_range))
+        high = max(float(output.max()), float(network.output_mean + half_range))
         largest = max(abs(low), abs(high))
         decade = 10.0 ** math.floor(math.log10(largest))
         top = next(step * decade for step in (1, 2, 5, 10) if largest <= step * decade * (1 + 1e-12))

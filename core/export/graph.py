@@ -127,9 +127,9 @@ def _limits(limits: Limits) -> tuple[list[Node], dict[str, Constant]]:
         name: np.array(getattr(limits, name), dtype=np.float32)
         for name in ("output_low", "output_high", "estimate_low", "estimate_high", "levels")
     }
-    for side, reach in (("minus", limits.minus), ("plus", limits.plus)):
-        floats |= {f"{side}_changes": np.diff(reach)[:, None].astype(np.float32)}
-        floats |= {f"{side}_first": np.array(reach[0], dtype=np.float32)}
+    for side, half_widths in (("minus", limits.minus), ("plus", limits.plus)):
+        floats |= {f"{side}_changes": np.diff(half_widths)[:, None].astype(np.float32)}
+        floats |= {f"{side}_first": np.array(half_widths[0], dtype=np.float32)}
     flags = {"out_of_range": OUT_OF_RANGE, "clamped": CLAMPED, "no_flag": 0}
     return nodes, {
         "one": np.array(1, dtype=np.float32),

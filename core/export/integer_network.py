@@ -123,12 +123,12 @@ class PiecewiseMap:
         """Carry codes of any shape into source-space counts, halves away from the left knot."""
         inside = np.clip(codes, self.codes[0], self.codes[-1])
         # The last knot begins no segment of its own.
-        left = np.minimum(np.searchsorted(self.codes, inside, side="right") - 1, len(self.codes) - 2)
-        span = self.codes[left + 1] - self.codes[left]
-        rise = self.values[left + 1] - self.values[left]
+        segment = np.minimum(np.searchsorted(self.codes, inside, side="right") - 1, len(self.codes) - 2)
+        span = self.codes[segment + 1] - self.codes[segment]
+        rise = self.values[segment + 1] - self.values[segment]
         # Rounded on the size and signed afterwards: falling and rising maps round alike.
-        step = (np.abs(rise) * (inside - self.codes[left]) + span // 2) // span
-        mapped: Integers = self.values[left] + np.sign(rise) * step
+        step = (np.abs(rise) * (inside - self.codes[segment]) + span // 2) // span
+        mapped: Integers = self.values[segment] + np.sign(rise) * step
         return mapped
 
 
@@ -174,9 +174,9 @@ class IntegerMix:
         _require((self.shift >= 0) & (self.shift <= 31), self.shift, "shifts by {}, 0 ... 31 is allowed")
         total = np.abs(self.weights).sum(axis=1) * ACTIVATION_MAX
         _require(total <= ACCUMULATOR_MAX, total, "can reach {} in its sum, 2^31 - 1 is the most")
-        reach = (total >> self.shift) + 2 + np.abs(self.bias)
+        max_terms = (total >> self.shift) + 2 + np.abs(self.bias)
         # |U_k| is at most k + 1; the recurrence multiplies a partial sum by up to 7.
-        widest = int(np.sum(reach * np.arange(1, count + 1)))
+        widest = int(np.sum(max_terms * np.arange(1, count + 1)))
         if SHAPE_CENTRE * widest > ACCUMULATOR_MAX or widest + self.keep * (ACTIVATION_MAX + 1) > ACCUMULATOR_MAX:
             raise ValueError(f"a mix can reach {widest}, which leaves 32 bits")
 

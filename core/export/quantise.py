@@ -34,8 +34,8 @@ def quantise_network(network: Network, source_windows: Array) -> integer.Integer
     Raises:
         UnitRefused: a row for which no scale keeps the 32-bit accumulator from overflowing.
     """
-    reach = HEADROOM * float(np.abs(source_windows - network.output_mean).max())
-    input_lsb = _scale_of(np.array([reach]))[0]
+    max_swing = HEADROOM * float(np.abs(source_windows - network.output_mean).max())
+    input_lsb = _scale_of(np.array([max_swing]))[0]
     top = HEADROOM * float(np.abs(evaluate_float64(network, source_windows)).max())
     if not (np.isfinite(top) and top > 0):
         raise UnitRefused(f"the network answers {top} on every window of the source; there is nothing to export")
@@ -71,10 +71,10 @@ def evaluate_float64(network: Network, windows: Array) -> Array:
     return activations(network, windows)[-1][:, 0]
 
 
-def _scale_of(reach: Array) -> Array:
-    """Real value of one count, so that `reach`, or the widest over `QUIET`, is the largest."""
-    widest = float(reach.max()) or 1.0
-    return np.maximum(reach, widest / QUIET) / ACTIVATION_MAX
+def _scale_of(ranges: Array) -> Array:
+    """Real value of one count, so that `ranges`, or the widest over `QUIET`, is the largest."""
+    widest = float(ranges.max()) or 1.0
+    return np.maximum(ranges, widest / QUIET) / ACTIVATION_MAX
 
 
 def quantise_layer(weights: Array, bias: Array, scale_in: Array, scale_out: Array) -> integer.IntegerLayer:
@@ -103,11 +103,11 @@ def _quantise_row(weights: Array, bias: float, scale_out: float) -> tuple[list[i
     # Rounding may add half a step a weight; the bias rounds the first shift.
     # The finest step that can still not overflow: steps are chosen by the proof, not by trial.
     budget = integer.ACCUMULATOR_MAX - len(weights) * ACTIVATION_MAX - 2**16
-    reach = float(np.abs(weights).sum()) * ACTIVATION_MAX + abs(bias)
-    if reach == 0.0:
+    max_sum = float(np.abs(weights).sum()) * ACTIVATION_MAX + abs(bias)
+    if max_sum == 0.0:
         return [0] * len(weights), 0, integer.MULTIPLIER_MIN, 0, 14
     # Either the largest weight or the sum of all of them sets the step.
-    step = max(largest / ACTIVATION_MAX, reach / budget)
+    step = max(largest / ACTIVATION_MAX, max_sum / budget)
     integers = [round(float(w) / step) for w in weights]
     integer_bias = round(bias / step)
     bound = sum(map(abs, integers)) * ACTIVATION_MAX + abs(integer_bias) + 2**15
@@ -145,10 +145,10 @@ def quantise_map(form: MapForm, scale: InputScale, network: integer.IntegerNetwo
         bounds = [b for b in (low, high) if values.min() < b < values.max()]
         crossings = np.interp(bounds, values[order], outputs[order])
         inside = np.abs(values - network.input_zero) <= network.input_lsb * ACTIVATION_MAX
-        outputs_kept = np.unique(np.concatenate([outputs[inside], crossings]))
+        outputs_in_range = np.unique(np.concatenate([outputs[inside], crossings]))
         # Knots closer than one code fall together; one of them is kept.
-        codes, first = np.unique(scale.codes(outputs_kept), return_index=True)
-        counts = np.rint((form.curve.apply(outputs_kept)[first] - network.input_zero) / network.input_lsb)
+        codes, first = np.unique(scale.codes(outputs_in_range), return_index=True)
+        counts = np.rint((form.curve.apply(outputs_in_range)[first] - network.input_zero) / network.input_lsb)
         stored = np.clip(counts, -ACTIVATION_MAX, ACTIVATION_MAX).astype(np.int64)
         curve = integer.PiecewiseMap(codes, stored)
         if isinstance(form.linear, Linear):
@@ -197,6 +197,6 @@ def half_width_by_band(estimate: Array | integer.Integers, below: Array, above: 
     """
     levels = np.linspace(estimate.min(), estimate.max(), MAX_BANDS + 1)[1:-1]
     band = np.searchsorted(levels, estimate, side="left")
-    here = [band == k if (band == k).any() else np.ones(len(estimate), dtype=bool) for k in range(MAX_BANDS)]
-    minus, plus = (np.array([np.mean(reach[rows]) for rows in here]) for reach in (below, above))
+    rows_by_band = [band == k if (band == k).any() else np.ones(len(estimate), dtype=bool) for k in range(MAX_BANDS)]
+    minus, plus = (np.array([np.mean(half_width[rows]) for rows in rows_by_band]) for half_width in (below, above))
     return levels, minus, plus

@@ -97,7 +97,7 @@ def fit_mix(count: int, windows: Array, mapped: Array, network: Network) -> Mix 
     exact = network.evaluate(mapped)
     best, min_error, fitted = None, np.inf, mapped
     for _ in range(STEPS):
-        mix = _Normal(count, windows, mapped, network, fitted).solved()
+        mix = _Normal(count, windows, mapped, network, fitted).solve()
         if mix is None:
             break
         fitted = mix.apply(windows)
@@ -126,16 +126,16 @@ class _Normal:
         design = np.hstack([design, np.sum(slope * moved, axis=1)[:, None]])
         target = missing + np.sum(slope * (fitted - self._centre), axis=1) / self._spread
         cross = (taps.T @ moved @ basis).reshape(-1)
-        whole = np.block([
+        window_terms = np.block([
             [np.kron(taps.T @ taps, basis.T @ basis), cross[:, None]],
             [cross[None, :], np.array([[np.sum(moved**2)]])],
         ])  # fmt: skip
         right = np.append((taps.T @ target_windows @ basis).reshape(-1), np.sum(moved * target_windows))
-        self._matrix = design.T @ design + WINDOW_WEIGHT * whole
+        self._matrix = design.T @ design + WINDOW_WEIGHT * window_terms
         self._matrix += RIDGE * float(np.trace(self._matrix)) / len(right) * np.eye(len(right))
         self._right = design.T @ target + WINDOW_WEIGHT * right
 
-    def solved(self) -> Mix | None:
+    def solve(self) -> Mix | None:
         """Return the best mix on the device's integers; None where a weight is too large."""
         # The share that stays is fixed first: every other unknown is linear beside it.
         keep = int(np.clip(round(KEEP_ONE * float(np.linalg.solve(self._matrix, self._right)[-1])), 0, 255))
@@ -144,8 +144,8 @@ class _Normal:
         if not np.all(np.isfinite(filled)) or filled.max() > 1 / KEEP_ONE:
             return None
         # The largest shift at which a row still fits its bytes is the finest step it can have.
-        room = np.log2(1 / KEEP_ONE / np.maximum(filled, 2.0**-MAX_SHIFT / ACTIVATION_MAX))
-        shift = np.clip(np.floor(room), 0, MAX_SHIFT).astype(np.int64)
+        headroom_bits = np.log2(1 / KEEP_ONE / np.maximum(filled, 2.0**-MAX_SHIFT / ACTIVATION_MAX))
+        shift = np.clip(np.floor(headroom_bits), 0, MAX_SHIFT).astype(np.int64)
         step = 1 / (KEEP_ONE * 2.0**shift)
         integers = np.rint(weights / step[:, None]).astype(np.int64)
         return Mix(keep, integers, shift, self.bias(keep / KEEP_ONE, integers * step[:, None]))

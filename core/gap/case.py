@@ -10,7 +10,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
-from softcal.core.messages.reason import Reason, in_words, reason
+from softcal.core.messages.reason import Reason, reason, with_sentences
 from softcal.core.recording import Array
 from softcal.core.twin.effects import ChainStage
 from softcal.core.twin.parameters import ReadoutMetadata
@@ -283,7 +283,7 @@ class DataMistake:
     repair: Reason
 
     def record(self) -> dict[str, object]:
-        return in_words(vars(self) | {"runs": list(self.runs) or "all"}, "evidence", "repair")
+        return with_sentences(vars(self) | {"runs": list(self.runs) or "all"}, "evidence", "repair")
 
 
 SHIFTED: Mapping[str, tuple[float, float]] = {"°F": (5.0 / 9.0, -160.0 / 9.0), "K": (1.0, -273.15)}

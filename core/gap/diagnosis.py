@@ -211,10 +211,10 @@ def checked(case: Case, model: Model = TWIN) -> Checked:
         return spoilt, None
     base = model.base_fit(case)
     spoilt, questions = model.mistakes_by_base(base)
-    return (spoilt, None) if spoilt else (questions, told_by(base))
+    return (spoilt, None) if spoilt else (questions, distinguished_by(base))
 
 
-def told_by(base: Fit) -> Identifiability:
+def distinguished_by(base: Fit) -> Identifiability:
     """Return what the runs of a base fit tell, and which experiments tell the rest."""
     model = base.problem.model
     return identifiability(base, model.visible(base.problem.case), model.menu(base))
@@ -236,7 +236,7 @@ def diagnose_with(
     spoilt, questions = model.mistakes_by_base(base)
     if spoilt:
         return Diagnosis.stopped(model, base, spoilt)
-    told = told_by(base)
+    told = distinguished_by(base)
     for untold in reasons(told):
         say(str(untold))
     # What every run may have of its own needs no cause: its equation's error would be named as one.

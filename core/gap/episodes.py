@@ -12,7 +12,7 @@ from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import energy, start_coordinates, wave_sums
 from softcal.core.gap.problem import Block, Episodes
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect, Placing
+from softcal.core.twin.effects import Effect, SearchTarget
 from softcal.core.twin.signals import compiled
 
 PLACEMENTS = 4
@@ -117,8 +117,8 @@ def placed_again(found: Fit) -> Fit:
     return best
 
 
-def _how(effect: Effect) -> Placing:
-    how = effect.signs.placing
+def _how(effect: Effect) -> SearchTarget:
+    how = effect.signs.search_target
     if how is None or how not in ROWS:
         raise ValueError(f"{effect.id} is episodic, but says not how its episodes are placed")
     return how
@@ -282,7 +282,7 @@ def with_line(found: Fit, effect: Effect) -> Fit | None:
     grid = np.unique(np.concatenate(parts))
     if not len(grid):
         return None
-    losses = [e.id for e in found.effects if e.signs.placing == Placing.LOSSES]
+    losses = [e.id for e in found.effects if e.signs.search_target == SearchTarget.LOSSES]
     power = np.zeros(len(grid))
     sums: dict[int, NDArray[np.complex128]] = {}
     for block in blocks:
@@ -308,7 +308,7 @@ def with_line(found: Fit, effect: Effect) -> Fit | None:
 
 def with_level(found: Fit, effect: Effect) -> Fit | None:
     """Add an effect that clips the output: fit without the flat tops, then set the level there."""
-    side = 1 if effect.signs.placing == Placing.CEILING else -1
+    side = 1 if effect.signs.search_target == SearchTarget.CEILING else -1
     problem = found.problem
     blocks = problem.blocks_of("output_V", "press")
     if not blocks:
@@ -337,14 +337,14 @@ def with_level(found: Fit, effect: Effect) -> Fit | None:
     return fit(problem, found.hypothesis.adding(effect), start)
 
 
-ROWS: Mapping[Placing, Place] = {Placing.LOSSES: _lost_samples, Placing.INTERVALS: _bad_contacts}
+ROWS: Mapping[SearchTarget, Place] = {SearchTarget.LOSSES: _lost_samples, SearchTarget.INTERVALS: _bad_contacts}
 """How the rows of an episodic effect are found."""
 
-PLACERS: Mapping[Placing, Placer] = {
-    Placing.LOSSES: with_losses,
-    Placing.INTERVALS: with_intervals,
-    Placing.LINE: with_line,
-    Placing.CEILING: with_level,
-    Placing.FLOOR: with_level,
+PLACERS: Mapping[SearchTarget, Placer] = {
+    SearchTarget.LOSSES: with_losses,
+    SearchTarget.INTERVALS: with_intervals,
+    SearchTarget.LINE: with_line,
+    SearchTarget.CEILING: with_level,
+    SearchTarget.FLOOR: with_level,
 }
 """How an effect that must be placed first is added to a fit."""

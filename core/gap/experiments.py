@@ -16,7 +16,7 @@ from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import energy, fit_scale, gram, start_coordinates
 from softcal.core.gap.method import TellingConfig
 from softcal.core.gap.problem import Problem, own_rows
-from softcal.core.messages.reason import Reason, in_words, reason, several
+from softcal.core.messages.reason import Reason, reason, several, with_sentences
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
 
@@ -34,7 +34,7 @@ class NextExperiment:
     minutes: float = 0.0
 
     def record(self) -> dict[str, object]:
-        return in_words(vars(self), "why")
+        return with_sentences(vars(self), "why")
 
 
 def most_telling(

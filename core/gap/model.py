@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from softcal.core.messages.reason import Reason, in_words
+from softcal.core.messages.reason import Reason, with_sentences
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Form, Parameter
 
@@ -75,7 +75,7 @@ class GapPlace:
     detail: Reason = Reason("gap.map.none")
 
     def record(self) -> dict[str, object]:
-        return in_words(vars(self), "regime", "detail")
+        return with_sentences(vars(self), "regime", "detail")
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from softcal.core.messages.reason import Reason, reason
 from softcal.core.profiles import pressed
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
-from softcal.core.twin.effects import ChainStage, Effect, Flow, Memory, Placing
+from softcal.core.twin.effects import ChainStage, Effect, Flow, Memory, SearchTarget
 from softcal.core.twin.empirical_terms import EmpiricalTerm
 from softcal.core.twin.parameters import SensorType
 from softcal.core.twin.simulate import EffectSetting, Twin
@@ -205,9 +205,9 @@ def loose_noise(found: Fit) -> LooseNoise | None:
     if dither_of(problem) is not None:
         return None
     rows = zip(found.effects, found.effect_values, strict=True)
-    fitted = [(effect.signs.placing, values) for effect, values in rows]
+    fitted = [(effect.signs.search_target, values) for effect, values in rows]
     tone = strongest_tone(found)
-    lines = [values for placing, values in fitted if placing == Placing.LINE]
+    lines = [values for search_target, values in fitted if search_target == SearchTarget.LINE]
     # A named line breathes as that of mains does: what its equation leaves is a tone beside it.
     is_beside_line = tone is not None and any(
         tone.channel == "output_V"
@@ -220,7 +220,9 @@ def loose_noise(found: Fit) -> LooseNoise | None:
         name = tone.channel.split("_")[0]
         seen = reason("gap.seen.tone", frequency_Hz=tone.frequency_Hz, channel=name, rms=tone.rms)
         return LooseNoise(stage, seen)
-    levels_V = [values[0] for placing, values in fitted if placing in (Placing.CEILING, Placing.FLOOR)]
+    levels_V = [
+        values[0] for search_target, values in fitted if search_target in (SearchTarget.CEILING, SearchTarget.FLOOR)
+    ]
     return _loose_output(found, levels_V)
 
 
@@ -371,7 +373,7 @@ def explained_twin(found: Fit, terms: Sequence[EmpiricalTerm] = ()) -> Twin:
         given = {p.name: v for p, v in zip(effect.parameters, values, strict=True)} | dict(effect.constants)
         form = form_of(found, effect)
         # What belongs to a recording alone, as the phase of a hum, is no parameter of the twin.
-        known = effect if form else EFFECTS[effect.id].side_with([effect.parameters[0].name])
+        known = effect if form else EFFECTS[effect.id].find_side([effect.parameters[0].name])
         fitted = {k: v for k, v in given.items() if k in known.value_names and np.isfinite(v)}
         settings.append(EffectSetting(effect.id, fitted, form=form))
     return Twin(base, tuple(settings), readout, tuple(terms))

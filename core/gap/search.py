@@ -19,7 +19,7 @@ from softcal.core.gap.fit import Fit, Lead, Probe, Tangent, fit
 from softcal.core.gap.linear import energy, from_fit, projected, start_coordinates, to_fit
 from softcal.core.gap.residual import coloured, is_noise, noise_of, with_driving_noise
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect, Form, Placing
+from softcal.core.twin.effects import Effect, Form, SearchTarget
 
 GENTLER = (0.1, 0.003)
 """Shares of a promised size from which a fit begins once more."""
@@ -84,7 +84,7 @@ class Search:
         self.model, self.candidates, self.say = base.problem.model, candidates, say
         self._config = self.model.search_config
         self._probes = self.model.probes(base, candidates)
-        self._to_place = [effect for effect in candidates if effect.signs.placing is not None]
+        self._to_place = [effect for effect in candidates if effect.signs.search_target is not None]
         self.start = self.base = self.best = base
         self.fits: dict[tuple[str, ...], Fit] = {(): base}
         self.unmodelled: Fit | None = None
@@ -274,16 +274,16 @@ class Search:
         missing = [e for e in self._to_place if e.id not in parent.ids]
         found = []
         for side in (side for e in missing for side in (e, *e.sides)):
-            if (placing := side.signs.placing) is None:
+            if (search_target := side.signs.search_target) is None:
                 size = side.parameters[0].name
                 raise ValueError(f"{side.id} ({size}) has a side that is placed and must be placed too")
-            found.append((placing, PLACERS[placing](parent, side)))
+            found.append((search_target, PLACERS[search_target](parent, side)))
         # Steps placed freely in time take a little off any structure; they must take a visible part.
         least = self._config.patch * max(self.base.chi2 - self.base.problem.count, 0.0)
         return [
             child
-            for placing, child in found
-            if child is not None and (placing != Placing.INTERVALS or parent.chi2 - child.chi2 > least)
+            for search_target, child in found
+            if child is not None and (search_target != SearchTarget.INTERVALS or parent.chi2 - child.chi2 > least)
         ]
 
     def settle_noise(self) -> None:

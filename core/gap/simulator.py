@@ -334,7 +334,7 @@ def candidate(
     place: str,
     *parameters: Parameter,
     probes: Sequence[tuple[float, ...]] = (),
-    hides_behind: tuple[str, ...] = (),
+    confounders: tuple[str, ...] = (),
 ) -> Effect:
     """Return an effect that a simulator can switch on.
 
@@ -347,7 +347,7 @@ def candidate(
     """
     if not parameters or parameters[0].neutral is None:
         raise InputError(f"candidate {name}: its first parameter must have the neutral value that switches it off")
-    signs = Signs(probes=partial(_given, tuple(probes)) if probes else None, hides_behind=hides_behind)
+    signs = Signs(probes=partial(_given, tuple(probes)) if probes else None, confounders=confounders)
     return Effect(name, place, Hook.READING, "", "a simulator's own", parameters, _elsewhere, signs=signs)
 
 

@@ -312,7 +312,7 @@ class TwinModel(Model):
             return NextExperiment("long_hold", Reason("gap.next.slow"))
         for effect_id, alias in _open_aliases(search.best).items():
             values = {"alias": Reason.parse(alias.detail), "advice": Reason.parse(alias.advice)}
-            return NextExperiment(alias.told_by, reason("gap.next.alias", effect=effect_id, **values))
+            return NextExperiment(alias.distinguished_by, reason("gap.next.alias", effect=effect_id, **values))
         return NextExperiment("none", Reason("gap.next.separated"))
 
     def report(self, diagnosis: "Diagnosis[TwinModel]") -> dict[str, object]:

@@ -23,7 +23,7 @@ from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Alias, ChainStage, Effect, Flow, Hook, Memory, Parameter, Step
 from softcal.core.twin.electronics import dither_V
-from softcal.core.twin.empirical_terms import PLACES, VARIABLES, EmpiricalTerm
+from softcal.core.twin.empirical_terms import TERM_TARGETS, VARIABLES, EmpiricalTerm
 from softcal.core.twin.mechanics import elastic_force
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.probes import ExcitationRange
@@ -116,7 +116,7 @@ def visible_effects(case: Case, effects: Mapping[str, Effect] = EFFECTS) -> tupl
 
 def is_told(case: Case, alias: Alias) -> bool:
     """Whether a run of the case tells an effect from what looks exactly like it elsewhere."""
-    return case.changes(alias.changing, alias.told_by, alias.by)
+    return case.changes(alias.changing, alias.distinguished_by, alias.by)
 
 
 def terms_of_twin(base: Fit) -> Iterator[EmpiricalTerm]:
@@ -128,7 +128,7 @@ def terms_of_twin(base: Fit) -> Iterator[EmpiricalTerm]:
         load_N = float(elastic_force(np.array(depth_mm), base.base.k1_N_mm, base.base.k3_N_mm3))
     else:
         load_N = depth_mm = max(float(np.max(run.driving_force.force_N)) for run in case.presses)
-    for place, name in product(PLACES, VARIABLES):
+    for place, name in product(TERM_TARGETS, VARIABLES):
         is_seen = case.has("stage_mm") if place == "F" else place in problem.scored_channels
         if is_seen and (not VARIABLES[name].needs or case.has(VARIABLES[name].needs)):
             yield EmpiricalTerm(place, name, 0.0, load_N, depth_mm)

@@ -54,8 +54,10 @@ def build_recording(
     """
     columns = {"output": output, "stage_mm": stage_mm, "reference": reference}
     t_s = typed_column("t_s", t_s)
-    given = {name: typed_column(name, values, can_miss=True) for name, values in columns.items() if values is not None}
-    for name, values in given.items():
+    present = {
+        name: typed_column(name, values, can_miss=True) for name, values in columns.items() if values is not None
+    }
+    for name, values in present.items():
         if len(values) != len(t_s):
             raise InputError(f"t_s has {len(t_s)} samples, {name} has {len(values)}; both must come from one recording")
         if np.isnan(values).all():
@@ -63,17 +65,17 @@ def build_recording(
     check_times(t_s)
     if sample_rate_Hz is None:
         sample_rate_Hz = 1.0 / float(np.median(np.diff(t_s))) if len(t_s) > 1 else float("nan")
-    inspection, is_valid = inspect_samples(t_s, given, sample_rate_Hz, config, lines)
+    inspection, is_valid = inspect_samples(t_s, present, sample_rate_Hz, config, lines)
     rows = np.flatnonzero(is_valid)
-    stage = given.get("stage_mm")
+    stage = present.get("stage_mm")
     recording = OutputRecording(
         serial,
         t_s[rows],
-        given["output"][rows],
+        present["output"][rows],
         float(sample_rate_Hz),
         output_unit,
         None if stage is None else stage[rows],
         inspection.masked,
     )
-    labels = given.get("reference")
+    labels = present.get("reference")
     return InspectedRecording(recording, None if labels is None else labels[rows], rows, inspection)

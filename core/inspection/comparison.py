@@ -40,9 +40,9 @@ def compare_recordings(source: LabelledRecording, other: LabelledRecording) -> t
 def compare_with_source(source: LabelledRecording, others: Iterable[LabelledRecording]) -> tuple[Reason, ...]:
     """Return the findings of several recordings relative to the source, each with its serial."""
     return tuple(
-        reason("inspect.of_unit", serial=other.serial, what=what)
+        reason("inspect.of_unit", serial=other.serial, what=finding)
         for other in others
-        for what in compare_recordings(source, other)
+        for finding in compare_recordings(source, other)
     )
 
 
@@ -65,12 +65,12 @@ def _units(source: LabelledRecording, other: LabelledRecording) -> Iterator[Reas
         return
     unit = source.reference_unit
     factors = {**FACTORS.get(unit, {}), f"k{unit} or m{unit}": 1e3}
-    apart = abs(np.log(loads))
-    named = min(factors, key=lambda name: abs(apart - np.log(factors[name])))
+    log_ratio = abs(np.log(loads))
+    unit_name = min(factors, key=lambda name: abs(log_ratio - np.log(factors[name])))
     by_output = np.log(loads / outputs) * np.sign(np.log(loads))
-    is_near = abs(apart - np.log(factors[named])) < np.log(NEAR)
-    if is_near and abs(by_output - np.log(factors[named])) < abs(by_output):
-        yield reason("inspect.other_unit", times=loads, factor=factors[named], named=named, unit=unit)
+    is_near = abs(log_ratio - np.log(factors[unit_name])) < np.log(NEAR)
+    if is_near and abs(by_output - np.log(factors[unit_name])) < abs(by_output):
+        yield reason("inspect.other_unit", times=loads, factor=factors[unit_name], named=unit_name, unit=unit)
 
 
 def _side(reference: Array) -> int:

@@ -58,12 +58,12 @@ class InspectionConfig:
         step_gain: a tare takes away at least this share of what the output leaves unexplained of the reference.
         single_jump: so many times as large as any other is a jump of the reference that makes a tare of a lasting step.
         max_lag_s: longest lag that is looked for.
-        least_lag_s: a shorter lag of the reference is not separable from a sensor's own.
+        min_lag_s: a shorter lag of the reference is not separable from a sensor's own.
         lag_gain: a lag is one where it leaves at most this part of the scatter at no lag.
         lag_tie: of lags that leave nearly the same scatter the shortest is taken: within this part of what a lag takes
             away.
         relaxed_gain: the same where the output follows the reference, as every sensor does a little.
-        held_rows: a reference that changes only every so many rows was sampled slower than the output.
+        hold_rows: a reference that changes only every so many rows was sampled slower than the output.
         stuck_s, stuck_factor: a reading between its ends that stands still for less, or for less than so many times
             the next longest stillness, is not stuck.
         stuck_share: a reference is, where it stands still while the output goes through more than this share of its
@@ -96,11 +96,11 @@ class InspectionConfig:
     step_gain: float = setting(0.2, MEASURED)
     single_jump: float = setting(1.5, MEASURED)
     max_lag_s: float = setting(1.5)
-    least_lag_s: float = setting(0.1, "eGaIn and nylon sensors: their references come 0.02 s late at most")
+    min_lag_s: float = setting(0.1, "eGaIn and nylon sensors: their references come 0.02 s late at most")
     lag_gain: float = setting(0.7, MEASURED)
     lag_tie: float = setting(0.1)
     relaxed_gain: float = setting(0.4, MEASURED)
-    held_rows: int = setting(3)
+    hold_rows: int = setting(3)
     flat_runs: int = setting(3)
     flat_band: float = setting(0.02, MEASURED)
     flat_factor: float = setting(2.0, MEASURED)

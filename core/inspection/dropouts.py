@@ -46,14 +46,14 @@ def find_dropouts(output: Array, stage_mm: Array | None, config: DropoutConfig) 
         if dropouts and begin - guard < dropouts[-1].end:
             continue
         for end in ends[(ends > begin) & (ends <= begin + max_samples)]:
-            dropout = _between(padded, int(begin), int(end), config)
+            dropout = _measure_dropout(padded, int(begin), int(end), config)
             if dropout and (stage_mm is None or not _is_press(output, stage_mm, dropout, config)):
                 dropouts.append(dropout)
                 break
     return dropouts
 
 
-def _edges(output: Array, steps: Array, is_stage_known: bool, config: DropoutConfig) -> tuple[Indices, Indices]:
+def _edges(output: Array, steps: Array, has_stage: bool, config: DropoutConfig) -> tuple[Indices, Indices]:
     """Return the steps at which a dropout may begin and end: far larger than those before, or after."""
     sizes, guard = np.abs(steps), config.neighbours + 1
     noise = float(np.median(np.abs(np.diff(output, 3)))) / THIRD_DIFFERENCE
@@ -61,26 +61,26 @@ def _edges(output: Array, steps: Array, is_stage_known: bool, config: DropoutCon
     count = float(np.min(changes[changes > 0.0], initial=np.inf))
     low, lower, higher, high = np.quantile(output, (0.01, config.max_share, 1.0 - config.max_share, 0.99)).tolist()
     usual = max(higher - lower, config.edge_steps * float(np.quantile(changes, 0.99)))
-    by_range = config.range_share * (high - low) if is_stage_known else usual
-    least = max(by_range, config.noises * noise, config.counts * count)
+    by_range = config.range_share * (high - low) if has_stage else usual
+    min_step = max(by_range, config.noises * noise, config.counts * count)
     neighbours = np.max(np.lib.stride_tricks.sliding_window_view(sizes, config.neighbours), axis=1)
     inner = np.arange(guard, len(steps) - guard)
-    is_large = sizes[inner] > least
+    is_large = sizes[inner] > min_step
     before, after = neighbours[inner - guard], neighbours[inner + 2]
     return inner[is_large & (sizes[inner] > config.edge_steps * before)], inner[
         is_large & (sizes[inner] > config.edge_steps * after)
     ]
 
 
-def _between(padded: Array, begin: int, end: int, config: DropoutConfig) -> Dropout | None:
+def _measure_dropout(padded: Array, begin: int, end: int, config: DropoutConfig) -> Dropout | None:
     """Return the dropout between two steps; None where they are not its edges."""
     inside = np.arange(begin + 1, end + 1)
     expected = np.interp(inside, (begin - 1, end + 2), (padded[begin - 1], padded[end + 2]))
     off = np.abs(padded[inside] - expected)
     furthest = int(np.argmax(off))
-    left, right = padded[begin + 1] - padded[begin], padded[end + 1] - padded[end]
-    sizes = abs(left), abs(right)
-    if left * right >= 0.0 or min(sizes) < config.edge_share * max(off[furthest], *sizes):
+    begin_step, end_step = padded[begin + 1] - padded[begin], padded[end + 1] - padded[end]
+    sizes = abs(begin_step), abs(end_step)
+    if begin_step * end_step >= 0.0 or min(sizes) < config.edge_share * max(off[furthest], *sizes):
         return None
     first = begin - config.neighbours - 1
     return Dropout(first, first + end - begin, float(padded[inside[furthest]]), float(expected[furthest]))

@@ -51,13 +51,13 @@ def _step(t_s: Array, output: Array, config: InspectionConfig) -> list[Inspectio
         return []
     moved = np.quantile(after, LEVELS) - np.quantile(before, LEVELS)
     middle = float(np.median(moved))
-    is_whole = bool(np.all(np.abs(moved - middle) < abs(middle) / 2)) and abs(middle) >= config.step_share * span
+    is_shift = bool(np.all(np.abs(moved - middle) < abs(middle) / 2)) and abs(middle) >= config.step_share * span
     near = slice(max(shift.row - config.step_rows, 0), shift.row + config.step_rows)
     jumps = np.diff(output[near])
     at = int(np.argmin(np.abs(jumps - middle)))
     # A drift moves the whole range too, but at no place at once.
     if (
-        not is_whole
+        not is_shift
         or abs(jumps[at] - middle) > abs(middle) / 2
         or shift.gains[shift.row] < max(config.step_gain, shift.trend_explained)
     ):
@@ -76,9 +76,9 @@ def _stuck(t_s: Array, output: Array, sample_rate_Hz: float, config: InspectionC
     start, length = int(starts[longest]), int(lengths[longest])
     scale = column_scale(output)
     low, high = np.quantile(output, (0.05, 0.95))
-    is_between = low + config.step_share * scale.span < output[start] < high - config.step_share * scale.span
+    is_inside = low + config.step_share * scale.span < output[start] < high - config.step_share * scale.span
     others = int(lengths[order[1]])
-    if not is_between or length < config.stuck_s * sample_rate_Hz or length < config.stuck_factor * others:
+    if not is_inside or length < config.stuck_s * sample_rate_Hz or length < config.stuck_factor * others:
         return []
     seconds = length / sample_rate_Hz
     finding = InspectionFinding(
@@ -98,7 +98,7 @@ def find_flat_ends(output: Array, config: InspectionConfig) -> list[tuple[float,
     band = max(config.flat_band * (high - low), 1.5 * column_scale(output).step)
     starts, lengths = equal_runs(output)
     for level in (float(output.max()), float(output.min())):
-        runs = starts[(output[starts] == level) & (lengths >= config.held_rows)]
+        runs = starts[(output[starts] == level) & (lengths >= config.hold_rows)]
         rows = np.flatnonzero(output == level)
         inside = np.count_nonzero(np.abs(output - level) <= band) - len(rows)
         is_rest = abs(level - float(np.median(output[: config.step_rows]))) < (high - low) / 2

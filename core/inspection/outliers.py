@@ -49,9 +49,9 @@ def find_overflows(values: Array, config: InspectionConfig) -> Mask:
     """
     is_code = ~np.isfinite(values) & ~np.isnan(values)
     while True:
-        left = values[np.isfinite(values) & ~is_code]
-        ends = {end for end in (left.min(initial=np.inf), left.max(initial=-np.inf)) if np.isfinite(end)}
-        codes = [end for end in ends if _is_apart(left, end, config)]
+        remaining = values[np.isfinite(values) & ~is_code]
+        ends = {end for end in (remaining.min(initial=np.inf), remaining.max(initial=-np.inf)) if np.isfinite(end)}
+        codes = [end for end in ends if _is_apart(remaining, end, config)]
         if not codes:
             return is_code
         is_code |= np.isin(values, codes)
@@ -111,7 +111,7 @@ def _spike_rows(
     times_s = np.concatenate([[t_s[0] - period_s], t_s, [t_s[-1] + period_s]])
     steps = np.abs(np.diff(padded))
     min_height = max(min_share * column_scale(values).span, np.finfo(float).tiny)
-    low, high = _range_of_most(values, min_height, config)
+    low, high = _inlier_range(values, min_height, config)
     is_apart = (values <= low) | (values >= high)
     heights = {(length, sign): _run_heights(sign * padded, length) for length in lengths for sign in (1, -1)}
     # Spikes, and the lines that stand in their place, have finer steps than the readout.
@@ -176,12 +176,12 @@ def _unusual_heights(
     }
 
 
-def _range_of_most(values: Array, least: float, config: InspectionConfig) -> tuple[float, float]:
+def _inlier_range(values: Array, min_gap: float, config: InspectionConfig) -> tuple[float, float]:
     """Return the last values beyond which a few others lie apart by a gap; infinite where none do."""
     ordered = np.sort(values)
     few = max(1, int(config.outlier_share * len(values)))
     lower, upper = ordered[: few + 1], ordered[-few - 1 :]
-    low, high = np.flatnonzero(np.diff(lower) > least), np.flatnonzero(np.diff(upper) > least)
+    low, high = np.flatnonzero(np.diff(lower) > min_gap), np.flatnonzero(np.diff(upper) > min_gap)
     return (
         float(lower[low[-1]]) if len(low) else -np.inf,
         float(upper[high[0] + 1]) if len(high) else np.inf,

@@ -95,12 +95,12 @@ def _lag(
     is_low = (scatters <= padded[:-2]) & (scatters <= padded[2:]) & (scatters <= bound)
     best = min((shifts[k] for k in np.flatnonzero(is_low)), key=abs)
     best = min(range(best - stride + 1, best + stride), key=scatter)
-    least, unshifted = scatter(best), scatter(0)
+    min_scatter, unshifted = scatter(best), scatter(0)
     gain = config.lag_gain if best > 0 else config.relaxed_gain
-    if abs(best) < config.least_lag_s * sample_rate_Hz or unshifted <= 0 or least > gain * unshifted:
+    if abs(best) < config.min_lag_s * sample_rate_Hz or unshifted <= 0 or min_scatter > gain * unshifted:
         return []
     lag_s = best / sample_rate_Hz
-    return [InspectionFinding("lag", "reference", 0, len(t_s), float(t_s[0]), lag_s, 1 - least / unshifted)]
+    return [InspectionFinding("lag", "reference", 0, len(t_s), float(t_s[0]), lag_s, 1 - min_scatter / unshifted)]
 
 
 def _slower_reference(t_s: Array, reference: Array, config: InspectionConfig) -> list[InspectionFinding]:
@@ -109,35 +109,35 @@ def _slower_reference(t_s: Array, reference: Array, config: InspectionConfig) ->
         return []
     usual = int(np.median(lengths[1:-1]))
     # A reference at rest holds for several periods: whole numbers of them.
-    is_whole = np.mean(lengths[1:-1] % usual == 0) > 0.9
-    held_s = usual * float(np.median(np.diff(t_s)))
+    is_periodic = np.mean(lengths[1:-1] % usual == 0) > 0.9
+    hold_s = usual * float(np.median(np.diff(t_s)))
     # Time stamps are rounded.
-    if usual < config.held_rows or round(held_s, 3) < config.least_lag_s or not is_whole:
+    if usual < config.hold_rows or round(hold_s, 3) < config.min_lag_s or not is_periodic:
         return []
-    rate_Hz = 1 / held_s
+    rate_Hz = 1 / hold_s
     return [InspectionFinding("held", "reference", 0, len(t_s), float(t_s[0]), rate_Hz, float(usual))]
 
 
 def _tares(t_s: Array, output: Array, reference: Array, config: InspectionConfig) -> list[InspectionFinding]:
     """Return where reference and output separate permanently at one sample: the reference was tared, or set again."""
-    span, least = column_scale(reference).span, config.step_rows
-    if len(reference) <= 2 * least + 1:
+    span, margin = column_scale(reference).span, config.step_rows
+    if len(reference) <= 2 * margin + 1:
         return []
     shift, steps = find_shift(reference, _curve_cells(output)), np.diff(reference)
     # The load moves on at its pace while the reference jumps.
     jumps = np.zeros(len(steps))
     jumps[1:-1] = steps[1:-1] - (steps[:-2] + steps[2:]) / 2
-    near = np.arange(max(shift.row - least, least), min(shift.row + least, len(steps) - least))
+    near = np.arange(max(shift.row - margin, margin), min(shift.row + margin, len(steps) - margin))
     # Drift and creep hide a part of the step from the levels.
     fitting = near[_agree(jumps[near], shift.amount)]
-    largest = least + int(np.argmax(np.abs(jumps[least : len(jumps) - least])))
+    largest = margin + int(np.argmax(np.abs(jumps[margin : len(jumps) - margin])))
     others = np.abs(np.delete(jumps, np.s_[largest - 1 : largest + 2])).max()
     # No press is as fast as this jump, the reference stays where it jumped to, and the output has not followed.
     settled = largest + 1 + round(config.max_lag_s / float(np.median(np.diff(t_s))))
     lasting = np.median(reference[largest + 1 : largest + 6]) - np.median(reference[largest - 4 : largest + 1])
-    left = np.median(shift.residual[settled : settled + least]) if settled + least <= len(reference) else 0.0
-    left -= np.median(shift.residual[largest + 1 - least : largest + 1])
-    is_step = _agree(float(lasting), jumps[largest]) and _agree(left, jumps[largest])
+    offset = np.median(shift.residual[settled : settled + margin]) if settled + margin <= len(reference) else 0.0
+    offset -= np.median(shift.residual[largest + 1 - margin : largest + 1])
+    is_step = _agree(float(lasting), jumps[largest]) and _agree(offset, jumps[largest])
     if len(fitting) and shift.gains[shift.row] > max(config.step_gain, shift.trend_explained):
         row = int(fitting[np.argmax(np.abs(jumps[fitting]))])
     elif abs(jumps[largest]) > config.single_jump * others and is_step:

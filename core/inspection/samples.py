@@ -77,8 +77,8 @@ def _invalid(
     if name == "stage_mm" or is_invalid.all():
         return
     filled = fill(values, is_invalid)
-    least = config.reference_spike_share if name == REFERENCE else config.spike_share
-    is_spike = find_spikes(t_s, filled, rate_Hz, least, config) & ~is_invalid
+    min_share = config.reference_spike_share if name == REFERENCE else config.spike_share
+    is_spike = find_spikes(t_s, filled, rate_Hz, min_share, config) & ~is_invalid
     yield "spike", is_spike
     if name != REFERENCE:
         is_dropout = np.zeros(len(values), dtype=np.bool_)

@@ -35,8 +35,8 @@ def timing_findings(
             continue
         for row in range(start, stop):
             missing = float(round(steps[row] * sample_rate_Hz) - 1)
-            beside = slice(max(row + 1 - config.pause_rows, 0), row + 1 + config.pause_rows)
-            is_pause = steps[row] >= config.pause_s and bool(is_at_rest[beside].all())
+            neighbours = slice(max(row + 1 - config.pause_rows, 0), row + 1 + config.pause_rows)
+            is_pause = steps[row] >= config.pause_s and bool(is_at_rest[neighbours].all())
             kind = "pause" if is_pause else "gap"
             findings.append(
                 InspectionFinding(kind, "t_s", row + 1, row + 2, float(t_s[row]), float(steps[row]), missing)

@@ -69,7 +69,7 @@ def _is_family(thing: object) -> bool:
 PLUGINS = PluginKind[MapFamily]("softcal.maps", "map family", "a MapFamily", _is_family, lambda family: family.name)
 """Families that other installed packages bring along."""
 
-FAMILIES: Mapping[str, MapFamily] = PLUGINS.beside(BUILTIN_FAMILIES, taken=(DEFAULT,))
+FAMILIES: Mapping[str, MapFamily] = PLUGINS.merge_plugins(BUILTIN_FAMILIES, reserved=(DEFAULT,))
 
 
 def family(name: str) -> MapFamily:

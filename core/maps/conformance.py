@@ -50,10 +50,10 @@ def _of_map(family: MapFamily, fitted: UnitMap, problem: FitProblem) -> Iterator
         yield "apply_signal(signal) is not apply(windows(signal))"
     if not np.allclose(fitted.apply(probe[::-1].copy())[::-1], mapped, rtol=0, atol=1e-9):
         yield "the map of a window depends on the windows beside it"
-    rebuilt = family.from_arrays(fitted.arrays(), json.loads(json.dumps(fitted.settings())))
-    if not np.array_equal(rebuilt.apply(probe.copy()), mapped):
+    rebuild_config = family.from_arrays(fitted.arrays(), json.loads(json.dumps(fitted.settings())))
+    if not np.array_equal(rebuild_config.apply(probe.copy()), mapped):
         yield "from_arrays(arrays(), settings()) gives another map"
-    if map_sha256(rebuilt) != map_sha256(fitted):
+    if map_sha256(rebuild_config) != map_sha256(fitted):
         yield "the rebuilt map has another hash"
     load = problem.network.evaluate(problem.source.windows[: len(probe)])
     with_map, without = (rms(problem.network.evaluate(w) - load) for w in (mapped, probe))

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from math import floor, isfinite, log10
 
-MOST_DECIMALS = 9
+MAX_DECIMALS = 9
 """No paper needs more; where this many do not tell two numbers apart, they are equal."""
 
 
@@ -11,9 +11,9 @@ def decimals_of(uncertainty: float) -> int:
     """Return the decimal place of the second significant digit of an uncertainty; below 0 left of the point."""
     if not (isfinite(uncertainty) and uncertainty > 0):
         return 3
-    place = 1 - floor(log10(uncertainty))
+    decimals = 1 - floor(log10(uncertainty))
     # 0.0996 is 0.10: rounding may take it into the next decade.
-    return 1 - floor(log10(round(uncertainty, place)))
+    return 1 - floor(log10(round(uncertainty, decimals)))
 
 
 def decimals_of_limit(limit: float) -> int:
@@ -26,21 +26,21 @@ def with_decimals(value: float, decimals: int) -> str:
     return f"{round(value, decimals):.{max(decimals, 0)}f}"
 
 
-def written_uncertainty(uncertainty: float) -> str:
+def format_uncertainty(uncertainty: float) -> str:
     """Return an uncertainty with two significant digits."""
     return with_decimals(uncertainty, decimals_of(uncertainty) if uncertainty else 0)
 
 
-def written_value(value: float, uncertainty: float) -> str:
+def format_value(value: float, uncertainty: float) -> str:
     """Return a value with as many decimals as its uncertainty, given with two significant digits."""
     return with_decimals(value, decimals_of(uncertainty))
 
 
-def telling_decimals(values: Mapping[str, float], decimals: int, pairs: Sequence[tuple[str, str]]) -> int:
+def find_decimals(values: Mapping[str, float], decimals: int, pairs: Sequence[tuple[str, str]]) -> int:
     """Return the least decimals from these on with which every pair of numbers compares as the exact ones do."""
 
-    def is_told(place: int) -> bool:
-        shown = {name: float(with_decimals(value, place)) for name, value in values.items()}
-        return all((shown[a] <= shown[b]) == (values[a] <= values[b]) for a, b in pairs)
+    def keeps_order(digits: int) -> bool:
+        rounded = {name: float(with_decimals(value, digits)) for name, value in values.items()}
+        return all((rounded[a] <= rounded[b]) == (values[a] <= values[b]) for a, b in pairs)
 
-    return next((place for place in range(decimals, MOST_DECIMALS) if is_told(place)), MOST_DECIMALS)
+    return next((digits for digits in range(decimals, MAX_DECIMALS) if keeps_order(digits)), MAX_DECIMALS)

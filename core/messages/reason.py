@@ -39,8 +39,8 @@ def add_messages(messages: Mapping[str, str]) -> None:
     Raises:
         ValueError: a code has another sentence already; none of them was added.
     """
-    if taken := [code for code, sentence in messages.items() if ENGLISH.get(code, sentence) != sentence]:
-        raise ValueError(f"{', '.join(taken)}: these codes have another message already; choose other codes")
+    if conflicting := [code for code, sentence in messages.items() if ENGLISH.get(code, sentence) != sentence]:
+        raise ValueError(f"{', '.join(conflicting)}: these codes have another message already; choose other codes")
     ENGLISH.update(messages)
 
 
@@ -49,7 +49,7 @@ def load_messages_by(load: Callable[[], object]) -> None:
     _LOADERS.append(load)
 
 
-def is_known(code: str) -> bool:
+def has_message(code: str) -> bool:
     """Whether a code has a message, once those that are loaded late are there."""
     while code not in ENGLISH and _LOADERS:
         _LOADERS.pop()()
@@ -69,36 +69,36 @@ class Reason:
     values: Mapping[str, Value] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not is_known(self.code):
+        if not has_message(self.code):
             raise ValueError(f"reason {self.code!r} is none of {', '.join(ENGLISH)}")
 
     def __hash__(self) -> int:
         return hash((self.code, tuple(sorted(self.values.items(), key=lambda item: item[0]))))
 
     def __str__(self) -> str:
-        return self.said(ENGLISH)
+        return self.render(ENGLISH)
 
-    def said(self, sentences: Mapping[str, str]) -> str:
+    def render(self, sentences: Mapping[str, str]) -> str:
         """Return the sentence by sentences of a language; what that lacks is said in English."""
-        values = {name: v.said(sentences) if isinstance(v, Reason) else v for name, v in self.values.items()}
-        return filled(sentences.get(self.code, ENGLISH[self.code]), values)
+        values = {name: v.render(sentences) if isinstance(v, Reason) else v for name, v in self.values.items()}
+        return fill_sentence(sentences.get(self.code, ENGLISH[self.code]), values)
 
     def to_json(self) -> dict[str, object]:
         values = {name: v.to_json() if isinstance(v, Reason) else v for name, v in self.values.items()}
         return {"code": self.code, "values": values}
 
     @classmethod
-    def parse(cls, kept: object) -> "Reason":
+    def parse(cls, stored: object) -> "Reason":
         """Read a reason that was kept: `to_json`, or a sentence that was quoted.
 
         A code that nobody here knows, of a package that is not installed, stays readable as its own name.
         """
-        if isinstance(kept, Reason):
-            return kept
-        if not isinstance(kept, Mapping):
-            return plain(str(kept))
-        code, values = str(kept["code"]), kept["values"]
-        if not is_known(code):
+        if isinstance(stored, Reason):
+            return stored
+        if not isinstance(stored, Mapping):
+            return plain(str(stored))
+        code, values = str(stored["code"]), stored["values"]
+        if not has_message(code):
             return plain(" ".join([code, *(f"{name} {value}" for name, value in values.items())]))
         return cls(code, {name: cls.parse(v) if isinstance(v, Mapping) else v for name, v in values.items()})
 
@@ -111,7 +111,7 @@ class _Filler(Formatter):
         return text
 
 
-def filled(sentence: str, values: Mapping[str, object]) -> str:
+def fill_sentence(sentence: str, values: Mapping[str, object]) -> str:
     """Return a sentence with its values filled in; errors beside a limit have its decimals, as everywhere."""
     limit = values.get("limit")
     if isinstance(limit, float):
@@ -134,21 +134,21 @@ def plain(text: str) -> Reason:
     return Reason(PLAIN, {"text": text})
 
 
-def to_kept(why: Reason | str) -> object:
+def to_stored(given: Reason | str) -> object:
     """Return what a table keeps of a reason: its code and values, or its sentence."""
-    cause = Reason.parse(why)
-    return str(cause) if cause.code == PLAIN else cause.to_json()
+    parsed = Reason.parse(given)
+    return str(parsed) if parsed.code == PLAIN else parsed.to_json()
 
 
-def packed(reasons: Iterable[Reason | str]) -> str:
-    """Return reasons as one text for a column that holds messages; `unpacked` reads them back."""
-    said = tuple(map(Reason.parse, reasons))
-    if not any(why.code != PLAIN for why in said):
-        return joined(said)
-    return json.dumps([why.to_json() for why in said], ensure_ascii=False)
+def pack_reasons(reasons: Iterable[Reason | str]) -> str:
+    """Return reasons as one text for a column that holds messages; `unpack_reasons` reads them back."""
+    parsed = tuple(map(Reason.parse, reasons))
+    if not any(one.code != PLAIN for one in parsed):
+        return to_line(parsed)
+    return json.dumps([one.to_json() for one in parsed], ensure_ascii=False)
 
 
-def unpacked(message: str) -> tuple[Reason, ...]:
+def unpack_reasons(message: str) -> tuple[Reason, ...]:
     """Return the reasons that a message was packed from; another message is one sentence."""
     if not message.startswith('[{"code"'):
         return (plain(message),) if message else ()
@@ -161,24 +161,24 @@ def several(reasons: Sequence[Reason], code: str = "and") -> Reason:
     return reason(code, first=first, rest=several(rest, code)) if rest else first
 
 
-def root_of(why: Reason) -> Reason:
+def root_of(cause: Reason) -> Reason:
     """Return what a run died of, without what became of its stage."""
-    inner = why.values.get("why") if why.code == "rig.aborted" else None
-    return root_of(inner) if isinstance(inner, Reason) else why
+    inner = cause.values.get("why") if cause.code == "rig.aborted" else None
+    return root_of(inner) if isinstance(inner, Reason) else cause
 
 
-def joined(reasons: Iterable[Reason]) -> str:
+def to_line(reasons: Iterable[Reason]) -> str:
     """Return several reasons as one English line."""
     return "; ".join(str(one) for one in reasons)
 
 
-def in_words(values: Mapping[str, object], *names: str) -> dict[str, object]:
+def with_sentences(values: Mapping[str, object], *names: str) -> dict[str, object]:
     """Return a record with its reasons of these names in English, and all of them as `reasons`."""
-    why = {name: value for name in names if isinstance(value := values[name], Reason)}
+    reasons = {name: value for name in names if isinstance(value := values[name], Reason)}
     return {
         **values,
-        **{name: str(one) for name, one in why.items()},
-        "reasons": [one.to_json() for one in why.values()],
+        **{name: str(one) for name, one in reasons.items()},
+        "reasons": [one.to_json() for one in reasons.values()],
     }
 
 

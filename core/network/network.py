@@ -47,8 +47,8 @@ class Network:
         return (self.weights[0].shape[0], *(w.shape[1] for w in self.weights))
 
     def arrays(self) -> dict[str, Array]:
-        named = {f"weight_{i}": w for i, w in enumerate(self.weights)}
-        return named | {f"bias_{i}": b for i, b in enumerate(self.biases)}
+        parameters = {f"weight_{i}": w for i, w in enumerate(self.weights)}
+        return parameters | {f"bias_{i}": b for i, b in enumerate(self.biases)}
 
     def settings(self) -> dict[str, float | str]:
         return {name: getattr(self, name) for name in (*_SCALES, *_UNITS)}
@@ -57,9 +57,9 @@ class Network:
     def from_arrays(cls, arrays: dict[str, Array], settings: dict[str, float | str]) -> "Network":
         depth = sum(name.startswith("weight_") for name in arrays)
         weights, biases = (tuple(arrays[f"{name}_{i}"] for i in range(depth)) for name in ("weight", "bias"))
-        facts: dict[str, Any] = {name: float(settings[name]) for name in _SCALES}
-        facts |= {name: str(settings[name]) for name in _UNITS}
-        return cls(weights, biases, **facts)
+        scalars: dict[str, Any] = {name: float(settings[name]) for name in _SCALES}
+        scalars |= {name: str(settings[name]) for name in _UNITS}
+        return cls(weights, biases, **scalars)
 
     @cached_property
     def id(self) -> str:

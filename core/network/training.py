@@ -127,9 +127,9 @@ def merge_members(members: list[list[tuple[Array, Array]]]) -> tuple[tuple[Array
         last = depth == len(members[0]) - 1
         parts = [w for w, _ in layers]
         if depth == 0:
-            joined = np.hstack(parts)
+            merged = np.hstack(parts)
         else:
-            joined = np.vstack(parts) / len(parts) if last else scipy.linalg.block_diag(*parts)
-        weights.append(joined)
+            merged = np.vstack(parts) / len(parts) if last else scipy.linalg.block_diag(*parts)
+        weights.append(merged)
         biases.append(np.mean([b for _, b in layers], axis=0) if last else np.concatenate([b for _, b in layers]))
     return tuple(weights), tuple(biases)

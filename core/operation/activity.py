@@ -189,16 +189,16 @@ def _covariance(values: Array, min_scatter: float) -> Array:
     """Return the (k, k) covariance of (n, k) values about a straight line over their index: a drift is no noise."""
     slope, _ = _trend(values)
     time = np.linspace(-0.5, 0.5, len(values))
-    left = values - values.mean(axis=0) - np.outer(time, slope)
+    residuals = values - values.mean(axis=0) - np.outer(time, slope)
     # Two degrees of freedom went to the line. Few cycles may differ by less than usual by chance: widened for that.
     free = len(values) - 2
-    scatter = left.T @ left / free * (1 + 2 / free)
+    scatter = residuals.T @ residuals / free * (1 + 2 / free)
     return np.asarray(scatter + min_scatter**2 * np.eye(len(scatter)))
 
 
 def _find_pivots(activity: Activity, rest_is_low: bool, curve: RestCurve, shares: tuple[float, ...]) -> Array:
     """Return the log gains that a change of the loads shows, rising, and the level each leaves where it was."""
-    usual = activity.level + np.exp(activity.log_scale) * activity.shape
+    typical_output = activity.level + np.exp(activity.log_scale) * activity.shape
 
     def drift_at(output: Array) -> Array:
         cycle = Cycle(
@@ -206,7 +206,9 @@ def _find_pivots(activity: Activity, rest_is_low: bool, curve: RestCurve, shares
         )
         return activity.estimate_drift(cycle, rest_is_low)
 
-    shifts, log_gains = np.array([drift_at(curve.scale_load(usual, share)) - drift_at(usual) for share in shares]).T
+    shifts, log_gains = np.array(
+        [drift_at(curve.scale_load(typical_output, share)) - drift_at(typical_output) for share in shares]
+    ).T
     # Beyond its range a sensor saturates, and more load does not show.
     is_observed = np.concatenate([[True], np.diff(log_gains) > 0]) & (np.sign(log_gains) == np.sign(np.log(shares)))
     shifts, log_gains = shifts[is_observed], log_gains[is_observed]
@@ -230,8 +232,8 @@ def _trend(values: Array) -> tuple[Array, Array]:
     """Return change and scatter of (n, k) values along a straight line over their index."""
     time = np.linspace(-0.5, 0.5, len(values))
     slope = time @ values / (time @ time)
-    left = values - values.mean(axis=0) - np.outer(time, slope)
-    return slope, left.std(axis=0)
+    residuals = values - values.mean(axis=0) - np.outer(time, slope)
+    return slope, residuals.std(axis=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +253,7 @@ class CalibratedOperation:
     high: float
     duration_s: float
     cycle_samples: float
-    usual_cycle_s: float
+    typical_cycle_s: float
     max_samples: int
     rest_is_low: bool
     zero: float | None
@@ -293,15 +295,15 @@ def learn_operation(
     learning = learn_activity(standard, rest_is_low, method, curve)
     if not is_covered:
         learning = LearningResult(None, "the calibration recording is no sequence of cycles", np.zeros(2))
-    usual_s = float(np.median([c.duration_s for c in cycles])) if cycles else max_samples / recording.sample_rate_Hz
-    usual = recording.sample_rate_Hz * usual_s
+    typical_s = float(np.median([c.duration_s for c in cycles])) if cycles else max_samples / recording.sample_rate_Hz
+    typical_samples = recording.sample_rate_Hz * typical_s
     # A sensor that creeps takes a while to settle under a use that begins: that is no drift.
-    if len(settled := standard[math.ceil(method.stream.settling / usual) :]) > 2:
+    if len(settled := standard[math.ceil(method.stream.settling / typical_samples) :]) > 2:
         slope, scatter = _trend(np.array([[c.level, np.log(c.scale)] for c in settled]))
         sd = trend_sd(np.maximum(scatter, method.activity.min_scatter), len(settled))
         learning = replace(learning, trend=slope * len(cycles) / len(settled), trend_sd=sd * len(cycles) / len(settled))
     duration_s = float(np.ptp(recording.t_s))
     zero = None if zero_output is None else (zero_output - mean) / scale
     return CalibratedOperation(
-        mean, scale, low, high, duration_s, usual, usual_s, max_samples, rest_is_low, zero, learning, curve
+        mean, scale, low, high, duration_s, typical_samples, typical_s, max_samples, rest_is_low, zero, learning, curve
     )

@@ -143,8 +143,8 @@ class Adapter(StreamEstimator):
         if not self._tracker.is_unsettled:
             self._hold_reason = self._update_hold_reason(uncertainty.ambiguous)
         gain, offset = self._tracker.correction()
-        ends = np.array([self._operation.low, self._operation.high])
-        change = (gain - self._current.gain) * ends + offset - self._current.offset
+        extremes = np.array([self._operation.low, self._operation.high])
+        change = (gain - self._current.gain) * extremes + offset - self._current.offset
         # Below this size a new correction is not worth a row of the record.
         if np.max(np.abs(change)) < self._method.uncertainty.swap * self._operation.scale:
             gain, offset = self._current.gain, self._current.offset
@@ -193,9 +193,9 @@ class Adapter(StreamEstimator):
         segmenter, tracker = self._parts()
         segmenter.restore(state["cutter"])
         tracker.restore(state["tracker"])
-        of_use = from_state(HoldReason, state["hold_reason"])
+        hold_reason = from_state(HoldReason, state["hold_reason"])
         self._last = from_state(Observation, state["last"])
-        self._segmenter, self._tracker, self._hold_reason = segmenter, tracker, of_use
+        self._segmenter, self._tracker, self._hold_reason = segmenter, tracker, hold_reason
         self._evidence = [None if pair is None else (pair[0], pair[1]) for pair in state["evidence"]]
 
 

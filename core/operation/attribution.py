@@ -51,7 +51,7 @@ class DriftAttribution:
 
         The step of its rest, in scales, vouches for the gain that came with it alone, found over so many cycles.
         """
-        share = self._sure_share(float(drift[1]), float(covariance[1, 1]))
+        share = self._significance(float(drift[1]), float(covariance[1, 1]))
         applied = float(self.applied_drift(drift, covariance)[1])
         return replace(
             self._with_seated_gain(applied),
@@ -87,7 +87,7 @@ class DriftAttribution:
         fixed_level = state.fixed_level(drift)
         if fixed_level is None:
             return state
-        level = self.level + weight * (self._sure_movement(drift, covariance, fixed_level) - self.level)
+        level = self.level + weight * (self._significant_movement(drift, covariance, fixed_level) - self.level)
         step = abs(level - self.counted_level)
         # Hysteresis: a rest that wobbles about one place must not add up to a long way.
         if step <= self.config.step:
@@ -115,12 +115,12 @@ class DriftAttribution:
         """
         if self.zero is None:
             return False
-        place, zero = (level + movement(drift, level) for level in (activity.rest, self.zero))
+        position, zero = (level + movement(drift, level) for level in (activity.rest, self.zero))
         now = activity.rest + movement(drift + step, activity.rest)
-        if abs(now - activity.rest) < abs(place - activity.rest):
+        if abs(now - activity.rest) < abs(position - activity.rest):
             return False
-        preloaded = abs(zero - place) > self.config.preload
-        return preloaded and 0 < (now - place) / (zero - place) <= 1 + self.config.preload / abs(zero - place)
+        preloaded = abs(zero - position) > self.config.preload
+        return preloaded and 0 < (now - position) / (zero - position) <= 1 + self.config.preload / abs(zero - position)
 
     def fixed_level(self, drift: Array) -> float | None:
         """Return the level between rest, zero load and pivot that moved least; None where no rest is known."""
@@ -141,21 +141,21 @@ class DriftAttribution:
         A log gain turns the output about a level, the one that use cannot move. It is bounded: were it use after all,
         it would move the mean no further than correcting the shift of the rest has repaid.
         """
-        log_gain = sure = self._sure(float(drift[1]), covariance)
+        log_gain = significant_gain = self._soft_threshold(float(drift[1]), covariance)
         level = self.fixed_level(drift)
         if level is None:
             return np.zeros(2)
         max_log_gain = self.gain_per_shift(level) * self.rest_path
-        vouched = float(np.clip(log_gain, self.seated_gain - max_log_gain, self.seated_gain + max_log_gain))
+        bounded_gain = float(np.clip(log_gain, self.seated_gain - max_log_gain, self.seated_gain + max_log_gain))
         if self.cycles_left:
             # The log gain applied before the re-seating and what came with it, which its step vouches for.
-            came = self._sure(float(drift[1]) - self.log_gain_before, covariance)
+            reseating_gain = self._soft_threshold(float(drift[1]) - self.log_gain_before, covariance)
             max_log_gain = self.gain_per_shift(level) * self.step
-            vouched = self.applied_before + float(np.clip(came, -max_log_gain, max_log_gain))
+            bounded_gain = self.applied_before + float(np.clip(reseating_gain, -max_log_gain, max_log_gain))
         # Never more than is estimated: gain and use that cancel are less likely than neither.
-        log_gain = float(np.clip(vouched, min(0.0, log_gain), max(0.0, log_gain)))
-        shift = self._sure_movement(drift, covariance, level)
-        creep = self.creep(level, sure - log_gain)
+        log_gain = float(np.clip(bounded_gain, min(0.0, log_gain), max(0.0, log_gain)))
+        shift = self._significant_movement(drift, covariance, level)
+        creep = self.creep(level, significant_gain - log_gain)
         shift -= float(np.clip(shift, min(0.0, creep), max(0.0, creep)))
         return np.array([shift - np.expm1(log_gain) * level, log_gain])
 
@@ -165,8 +165,8 @@ class DriftAttribution:
         displacement = -level * float(np.expm1(log_gain)) * 0.5
         return float(np.clip(displacement, -self.config.step, self.config.step))
 
-    def _sure(self, log_gain: float, covariance: Array) -> float:
-        return log_gain * max(self.proven_share, self._sure_share(log_gain, float(covariance[1, 1])))
+    def _soft_threshold(self, log_gain: float, covariance: Array) -> float:
+        return log_gain * max(self.proven_share, self._significance(log_gain, float(covariance[1, 1])))
 
     @property
     def may_be_preload(self) -> bool:
@@ -188,7 +188,7 @@ class DriftAttribution:
 
     def is_operation_as_likely(self, drift: Array, covariance: Array, applied: Array) -> bool:
         """Return whether most of a sure log gain is not among what is applied, for use explains it as well."""
-        return bool(abs(applied[1]) < 0.5 * abs(self._sure(float(drift[1]), covariance)))
+        return bool(abs(applied[1]) < 0.5 * abs(self._soft_threshold(float(drift[1]), covariance)))
 
     def gain_per_shift(self, level: float) -> float:
         """Return the log gain about a level that moves the mean of the calibrated use, 0, as far as a shift of 1.
@@ -197,18 +197,18 @@ class DriftAttribution:
         """
         return 1 / max(abs(level), 0.5)
 
-    def _sure_movement(self, drift: Array, covariance: Array, level: float) -> float:
+    def _significant_movement(self, drift: Array, covariance: Array, level: float) -> float:
         """Return the movement of a level, shrunk by the chance that there is none."""
         slope = np.array([1.0, np.exp(drift[1]) * level])
         displacement = movement(drift, level)
-        return displacement * self._sure_share(displacement, float(slope @ covariance @ slope))
+        return displacement * self._significance(displacement, float(slope @ covariance @ slope))
 
-    def sure_size(self, values: Array, sd: Array) -> float:
+    def significant_size(self, values: Array, sd: Array) -> float:
         """Return the size of (n,) values with standard deviations (n,), each shrunk by the chance that it is none."""
-        sure = [v * self._sure_share(v, d**2) for v, d in zip(values.tolist(), sd.tolist(), strict=True)]
-        return float(np.linalg.norm(sure))
+        significant = [v * self._significance(v, d**2) for v, d in zip(values.tolist(), sd.tolist(), strict=True)]
+        return float(np.linalg.norm(significant))
 
-    def _sure_share(self, value: float, variance: float) -> float:
+    def _significance(self, value: float, variance: float) -> float:
         """Return the soft threshold of a value: 0 where it may be chance, 1 where it surely is not."""
         none, full = self.config.soft_threshold
         sigmas = abs(value) / np.sqrt(max(variance, 1e-12))

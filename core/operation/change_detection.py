@@ -70,10 +70,10 @@ class ChangeDetector:
         activity, (surprise, _) = now.activities[index], self.surprise(now, cycle, index)
         drifts = [activity.estimate_drift(c, self._operation.rest_is_low) for c in (*now.jumps, cycle)]
         apart = drifts[-1] - np.mean(drifts[:-1], axis=0)
-        near, far = (float(d @ np.linalg.solve(activity.noise, d)) for d in (apart, surprise))
-        return near < far
+        jump_distance, prediction_distance = (float(d @ np.linalg.solve(activity.noise, d)) for d in (apart, surprise))
+        return jump_distance < prediction_distance
 
-    def meet(self, now: TrackerState, cycle: Cycle, index: int) -> JumpReaction:
+    def classify_jump(self, now: TrackerState, cycle: Cycle, index: int) -> JumpReaction:
         """Hold a sudden change until like cycles say what it was, then follow it or not."""
         config, activity, drift = self._method.jump, now.activities[index], now.filter.drift
         max_cycles = self._method.learning.cycles
@@ -141,9 +141,9 @@ class ChangeDetector:
             return False
         # A rest of two levels, one before and one after the move, is spread more than a usual rest.
         unsteady = cycle.scale * end_spread(cycle.shape, self._operation.rest_is_low)
-        usual = float(np.exp(activity.log_scale + now.filter.drift[1]))
-        usual *= end_spread(activity.shape, self._operation.rest_is_low)
-        is_steady = unsteady <= usual + self._min_jump[0] / 2
+        typical_spread = float(np.exp(activity.log_scale + now.filter.drift[1]))
+        typical_spread *= end_spread(activity.shape, self._operation.rest_is_low)
+        is_steady = unsteady <= typical_spread + self._min_jump[0] / 2
         is_within = abs(now.filter.drift[0] + step) <= self._method.drift.max_drift[0]
         now.trial_shift = step if is_steady and is_within else 0.0
         return now.trial_shift != 0
@@ -193,11 +193,11 @@ class ChangeDetector:
             return False
         if not now.activities:
             # How far level and scale surely moved until a first activity was learnt.
-            now.learning_shift = now.attribution.sure_size(learning.trend, learning.trend_sd)
+            now.learning_shift = now.attribution.significant_size(learning.trend, learning.trend_sd)
             if now.opening_level_sd:
                 since = np.array([activity.level - now.opening_level])
                 sd = np.array([math.hypot(now.opening_level_sd, math.sqrt(activity.drift_covariance[0, 0]))])
-                now.learning_shift = math.hypot(now.learning_shift, now.attribution.sure_size(since, sd))
+                now.learning_shift = math.hypot(now.learning_shift, now.attribution.significant_size(since, sd))
         # The calibrated activity is never forgotten: it alone knows the zero of the drift.
         if len(now.activities) == self._method.learning.activities:
             oldest = 1 if self._operation.learning.activity is not None else 0
@@ -219,15 +219,15 @@ class ChangeDetector:
         attribution = self._method.attribution
         if len(cycles) < self._method.activity.min_cycles:
             return 0.0
-        away, sd, turning = self._rest_beyond_others(now, cycles)
+        distance, sd, turning = self._rest_beyond_others(now, cycles)
         now.rest_distance = abs(self._rest_beyond_others(now, cycles[-self._method.activity.min_cycles :])[0])
         sd = math.hypot(sd, math.sqrt(float(now.filter.drift_covariance()[0, 0])))
-        sure = now.attribution.sure_size(np.array([away]), np.array([sd]))
-        if away < 0:
-            return max(0.0, sure - attribution.step)
+        significant = now.attribution.significant_size(np.array([distance]), np.array([sd]))
+        if distance < 0:
+            return max(0.0, significant - attribution.step)
         if not now.activities:
             return 0.0
-        return math.sqrt(0.5) * max(0.0, sure - max(turning, attribution.step))
+        return math.sqrt(0.5) * max(0.0, significant - max(turning, attribution.step))
 
     def _rest_beyond_others(self, now: TrackerState, cycles: list[Cycle]) -> tuple[float, float, float]:
         """Return where the rest of cycles lies against zero load and any known rest, in scales of the calibrated use.
@@ -240,6 +240,6 @@ class ChangeDetector:
         levels.append(((operation.low if operation.rest_is_low else operation.high) - operation.mean) / operation.scale)
         expected = float(now.filter.drift[0]) + float(np.exp(now.filter.drift[1])) * np.array(levels)
         rests = np.array([cycle.rest(operation.rest_is_low) for cycle in cycles])
-        away = min(float(rests.mean() - expected.min()), 0.0) + max(float(rests.mean() - expected.max()), 0.0)
+        distance = min(float(rests.mean() - expected.min()), 0.0) + max(float(rests.mean() - expected.max()), 0.0)
         turning = float(np.mean([cycle.scale * end_spread(cycle.shape, operation.rest_is_low) for cycle in cycles]))
-        return away if operation.rest_is_low else -away, float(rests.std()) / len(rests) ** 0.5, turning
+        return distance if operation.rest_is_low else -distance, float(rests.std()) / len(rests) ** 0.5, turning

@@ -107,14 +107,14 @@ class CycleSegmenter:
         config: thresholds and lengths.
     """
 
-    def __init__(self, low: float, high: float, usual: float, max_samples: int, config: CycleConfig) -> None:
+    def __init__(self, low: float, high: float, typical_samples: float, max_samples: int, config: CycleConfig) -> None:
         self._max_samples, self._config = max_samples, config
         # Shorter cycles are joined until a change over a window means something.
         min_samples = 2 * TAPS
-        self._overdue_samples = config.overdue * max(usual, min_samples)
+        self._overdue_samples = config.overdue * max(typical_samples, min_samples)
         self._min_swing = config.band[0] * (high - low)
         self._levels = (np.arange(config.quantiles) + 0.5) / config.quantiles
-        self._now = SegmenterState(low, high, usual, min_samples)
+        self._now = SegmenterState(low, high, typical_samples, min_samples)
 
     def restart(self) -> None:
         """Forget the cycle under way, after a gap or a fault: it ends in no `Cycle`."""
@@ -142,12 +142,12 @@ class CycleSegmenter:
                 self._begin()
         self._collect(t_s[start:], output[start:])
         now.silent = len(output) - start + (0 if start else now.silent)
-        usual = max(self._overdue_samples, self._config.overdue * now.cycle_samples)
+        overdue = max(self._overdue_samples, self._config.overdue * now.cycle_samples)
         # Twice as long each time until a cycle is found: one that lasts longer than the wait is never seen whole.
-        wait = min(usual * 2.0**now.waits, max(usual, self._max_samples))
+        max_silent = min(overdue * 2.0**now.waits, max(overdue, self._max_samples))
         if now.count >= max(self._max_samples, 2 * now.min_samples):
             ended.append(self._finish(is_complete=False))
-        elif now.silent > wait:
+        elif now.silent > max_silent:
             # The turning points of the samples since the last turn.
             recent = now.samples[-max(1, now.silent // now.stride) :]
             low, high = (float(v) for v in np.quantile(recent, self._config.swing))

@@ -52,8 +52,8 @@ class DriftFilter:
         gain = self.covariance @ measurement.T @ np.linalg.inv(covariance + noise)
         retained = np.eye(len(self.mean)) - gain @ measurement
         # Joseph's form stays symmetric and positive however often it is applied.
-        left = retained @ self.covariance @ retained.T + gain @ noise @ gain.T
-        return DriftFilter(self.mean + gain @ (value - expected), left)
+        posterior = retained @ self.covariance @ retained.T + gain @ noise @ gain.T
+        return DriftFilter(self.mean + gain @ (value - expected), posterior)
 
     def with_independent(self, variance: Array) -> "DriftFilter":
         """Return the filter with one activity more, whose bias is independent of the drift."""

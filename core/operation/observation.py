@@ -117,7 +117,7 @@ class TrackerState:
         if self.to_settle:
             return self.carried_drift
         drift, sensor = self.filter.drift, self.sensor_drift
-        sure = self.attribution.applied_drift(drift, self.covariance)
+        significant = self.attribution.applied_drift(drift, self.covariance)
         # Each is a lower bound of what is drift.
-        applied = np.where(np.abs(drift - sensor) < np.abs(drift - sure), sensor, sure)
+        applied = np.where(np.abs(drift - sensor) < np.abs(drift - significant), sensor, significant)
         return np.asarray(applied + np.array([self.trial_shift, 0.0]))

@@ -168,11 +168,11 @@ class QueuedTransport(StreamEstimator):
         # All of it may be another use: nothing in a queue tells it from drift.
         self._uncertainty = max(fitted.rms_chance, fitted.rms_shift)
         predicted = float(np.hypot(self._calibrated_rmse, self._uncertainty))
-        is_sure = fitted.rms_shift**2 > uncertainty.certain * fitted.rms_chance**2
-        is_due = is_sure and predicted > uncertainty.alarm_ratio * self._calibrated_rmse
+        is_significant = fitted.rms_shift**2 > uncertainty.certain * fitted.rms_chance**2
+        is_due = is_significant and predicted > uncertainty.alarm_ratio * self._calibrated_rmse
         self._alarm_reason = with_remedy(QUEUE) if is_due else ""
-        usual = self._network.evaluate(self._calibration.unit_map.apply(self._calibration_windows))
-        is_blind = fitted.rms_chance > self._method.online.blind * float(usual.std())
+        estimates = self._network.evaluate(self._calibration.unit_map.apply(self._calibration_windows))
+        is_blind = fitted.rms_chance > self._method.online.blind * float(estimates.std())
         self._set_current(
             replace(
                 self._current,
@@ -204,7 +204,7 @@ class QueuedTransport(StreamEstimator):
         return {"alarm": self._alarm_reason, "arrays": {name: values.tolist() for name, values in arrays.items()}}
 
     def _restore_subclass(self, state: Mapping[str, Any]) -> None:
-        if (queue := DriftTracking.of(state["method"]).online.queue) != self._queue:
+        if (queue := DriftTracking.from_json(state["method"]).online.queue) != self._queue:
             raise InputError(f"its queues have {queue} windows, this one {self._queue}; {queue} was expected")
         arrays: dict[str, Array] = {}
         for name, rows in state["arrays"].items():

@@ -43,33 +43,35 @@ def _to_json(content: Any) -> object:
     return [_to_json(each) for each in content] if isinstance(content, list) else content
 
 
-def from_state(kind: type[Value], state: Mapping[str, Any], **given: Any) -> Value:
+def from_state(kind: type[Value], state: Mapping[str, Any], **unstored: Any) -> Value:
     """Return a value from what `to_state` wrote.
 
     Args:
-        given: fields that are not stored.
+        unstored: fields that are not stored.
 
     Raises:
         InputError: a field is missing or unknown, or an array has another shape than declared.
     """
     declared, types = _stored_fields(kind), get_type_hints(kind)
     # Unknown fields are refused as well: a newer version may have meant something by them.
-    wrong = {one.name for one in declared} ^ set(state)
-    if wrong:
-        raise InputError(f"its state does not fit this version: {kind.__name__}.{min(wrong)} is missing or unknown")
+    mismatched = {one.name for one in declared} ^ set(state)
+    if mismatched:
+        raise InputError(
+            f"its state does not fit this version: {kind.__name__}.{min(mismatched)} is missing or unknown"
+        )
     lengths: dict[str, int] = {}
     values = {}
     for one in declared:
-        content, own_type = state[one.name], types[one.name]
+        content, field_type = state[one.name], types[one.name]
         if "shape" in one.metadata:
             content = _array(f"{kind.__name__}.{one.name}", one.metadata["shape"], content, lengths)
-        elif is_dataclass(own_type):
-            content = from_state(own_type, content)  # type: ignore[arg-type]
-        elif get_origin(own_type) is list:
-            (item,) = get_args(own_type)
+        elif is_dataclass(field_type):
+            content = from_state(field_type, content)  # type: ignore[arg-type]
+        elif get_origin(field_type) is list:
+            (item,) = get_args(field_type)
             content = [from_state(item, each) if is_dataclass(item) else each for each in content]  # type: ignore[arg-type]
         values[one.name] = content
-    return kind(**values, **given)
+    return kind(**values, **unstored)
 
 
 def _stored_fields(kind: Any) -> "list[Field[Any]]":

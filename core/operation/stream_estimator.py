@@ -103,8 +103,8 @@ class StreamEstimator(ABC):
         self._is_watched = is_watched
         self._sample_rate_Hz, self._blank = recording.sample_rate_Hz, float(recording.output.mean())
         # The error the calibration promises, in the reference unit.
-        promised, half = calibration.predicted_rmse, calibration.interval.half_width
-        self._calibrated_rmse = rms(half) / NORMAL_90 if promised is None else promised
+        predicted_rmse, half = calibration.predicted_rmse, calibration.interval.half_width
+        self._calibrated_rmse = rms(half) / NORMAL_90 if predicted_rmse is None else predicted_rmse
         self._row, self._silent_batches, self._is_silent, self._uncertainty = 0, 0, True, 0.0
         self._window_buffer = self._new_window_buffer()
 
@@ -238,8 +238,8 @@ class StreamEstimator(ABC):
         """
         if (stored := state.get("format")) != self._format:
             raise InputError(f"its state has format {stored}, what goes on here has format {self._format}")
-        if wrong := set(self.state()) ^ set(state):
-            raise InputError(f"its state does not fit this version: {min(wrong)} is missing or unknown")
+        if mismatched := set(self.state()) ^ set(state):
+            raise InputError(f"its state does not fit this version: {min(mismatched)} is missing or unknown")
         # All of it is read before any of it counts: a state that does not fit changes nothing.
         current, window_buffer = from_state(MapUpdate, state["current"]), self._new_window_buffer()
         window_buffer.restore(state["intake"])
@@ -248,7 +248,7 @@ class StreamEstimator(ABC):
         self._row, self._uncertainty = int(state["row"]), float(state["uncertainty"])
         self._silent_batches, self._is_silent = int(state["silent_batches"]), bool(state["is_silent"])
         self._updates.clear()
-        return self._method.changes(DriftTracking.of(state["method"]))
+        return self._method.changes(DriftTracking.from_json(state["method"]))
 
     @abstractmethod
     def _subclass_state(self) -> dict[str, object]:

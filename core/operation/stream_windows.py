@@ -83,14 +83,14 @@ class WindowBuffer:
             flag=np.full(batch, "", dtype=FLAG_TYPE),
         )
         state = self._state
-        for place, (time_s, value) in enumerate(zip(t_s.tolist(), output.tolist(), strict=True), start=first):
+        for row, (time_s, value) in enumerate(zip(t_s.tolist(), output.tolist(), strict=True), start=first):
             if not (math.isfinite(time_s) and math.isfinite(value)) or self._is_late(time_s):
-                result.flag[place] = INVALID
+                result.flag[row] = INVALID
                 continue
             step_s = 0.0 if state.last_s is None else time_s - state.last_s
-            result.is_valid[place] = True
+            result.is_valid[row] = True
             # Two thresholds: any gap breaks the window, but one of a window leaves the cycle of use as it is.
-            result.is_restart[place] = step_s < 0 or step_s > TAPS * self._period_s
+            result.is_restart[row] = step_s < 0 or step_s > TAPS * self._period_s
             if step_s < 0 or step_s > GAP_FACTOR * self._period_s:
                 state.filled, state.run, state.waiting_for = 0, 0, GAP
             state.run = state.run + 1 if state.run and value == state.output[-1] else 1
@@ -99,13 +99,13 @@ class WindowBuffer:
             state.filled = min(state.filled + 1, TAPS)
             state.last_s = time_s
             if state.filled < TAPS:
-                result.flag[place] = state.waiting_for
+                result.flag[row] = state.waiting_for
                 continue
-            result.windows[place], result.is_full[place], result.run[place] = state.output, True, state.run
+            result.windows[row], result.is_full[row], result.run[row] = state.output, True, state.run
             # Over a whole window the jitter of single time stamps cancels.
             mean_period_s = (time_s - state.times_s[0]) / (TAPS - 1)
             if abs(mean_period_s / self._period_s - 1) > self._config.rate_tolerance:
-                result.flag[place] = WRONG_RATE
+                result.flag[row] = WRONG_RATE
         return result
 
     def _is_late(self, t_s: float) -> bool:

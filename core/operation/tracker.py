@@ -61,9 +61,9 @@ class DriftTracker:
             # What moved while a machine repeated its loads was the sensor, beyond what its least scatter makes of one.
             chance = float(trend_sd(method.activity.min_scatter, 1))
             start = DriftAttribution(operation.zero, config=method.attribution)
-            sure = start.sure_size(operation.learning.trend, operation.learning.trend_sd)
-            self._drift_share = calibrated_activity.regularity * sure**2 / (sure**2 + chance**2)
-        self._overdue_s = method.cycle.overdue * operation.usual_cycle_s
+            significant = start.significant_size(operation.learning.trend, operation.learning.trend_sd)
+            self._drift_share = calibrated_activity.regularity * significant**2 / (significant**2 + chance**2)
+        self._overdue_s = method.cycle.overdue * operation.typical_cycle_s
         self._detector = ChangeDetector(operation, method)
         self._settling = max(1, math.ceil(method.stream.settling / operation.cycle_samples))
         self._now = TrackerState(
@@ -198,12 +198,12 @@ class DriftTracker:
         now = self._now
         activity = now.activities[index]
         if self._detector.is_jump(now, cycle, index) or self._detector.is_like_last_jumps(now, cycle, index):
-            met = self._detector.meet(now, cycle, index)
-            if met.verdict == HELD:
-                return self._hold(cycle, met.reason, index)
-            if met.filter is not None:
-                self._accept(met.filter, index)
-            return self._observation(cycle.end_s, met.verdict, met.reason, index)
+            reaction = self._detector.classify_jump(now, cycle, index)
+            if reaction.verdict == HELD:
+                return self._hold(cycle, reaction.reason, index)
+            if reaction.filter is not None:
+                self._accept(reaction.filter, index)
+            return self._observation(cycle.end_s, reaction.verdict, reaction.reason, index)
         # One cycle within reach of the old use does not end another: after several the others are forgotten.
         jumps = now.jumps[: len(now.jumps) // 2]
         surprise, expected = self._detector.surprise(now, cycle, index)
@@ -271,13 +271,13 @@ class DriftTracker:
     def _compare_unknown(self, cycle: Cycle) -> Observation:
         now = self._now
         now.jumps.clear()
-        was_known, now.was_recognised, now.unexplained_jump = now.was_recognised, False, 0.0
+        followed_known, now.was_recognised, now.unexplained_jump = now.was_recognised, False, 0.0
         # A shift that may have come in use nobody compared is in doubt for every use that is learnt from it. A gain is
         # not: the next cycle within reach, of a larger or a smaller use, would be taken for one.
         unobserved = self._method.drift.unobserved**2 * cycle.duration_s / self._operation.duration_s
         now.filter = now.filter.predict(np.diag([unobserved, 0.0]))
         # A sensor re-seated in the midst of a cycle gives it another shape.
-        if was_known and self._detector.is_like_but_for_shape(now, cycle, now.latest):
+        if followed_known and self._detector.is_like_but_for_shape(now, cycle, now.latest):
             if self._detector.try_rest(now, cycle, now.latest):
                 now.unexplained_jump = abs(now.trial_shift)
                 return self._observation(cycle.end_s, TRIED, REST_MOVED, -1)

@@ -58,7 +58,7 @@ class DriftEvidence:
     rest_distance: float = 0.0
 
     @property
-    def left(self) -> float:
+    def unapplied(self) -> float:
         """Square of the drift that is estimated and not applied."""
         return float(np.sum((self.drift - self.applied_drift) ** 2))
 
@@ -80,9 +80,9 @@ class DriftUncertainty:
     ambiguous: Mapping[str, float]
 
 
-def with_remedy(why: str) -> str:
+def with_remedy(cause: str) -> str:
     """Return why, and what to do."""
-    return f"{why}; {COMPARE}"
+    return f"{cause}; {COMPARE}"
 
 
 def estimate_uncertainty(evidence: DriftEvidence, config: UncertaintyConfig) -> DriftUncertainty:
@@ -101,18 +101,20 @@ def estimate_uncertainty(evidence: DriftEvidence, config: UncertaintyConfig) -> 
     variance = share * (evidence.variance + evidence.lag**2)
     variance += config.correction**2 * (evidence.size + evidence.rest_path**2)
     variance += evidence.operation_variance + evidence.process_variance
-    open_ends = evidence.unexplained_jump**2 + evidence.learning_shift**2 + evidence.rest_offset**2
+    unexplained = evidence.unexplained_jump**2 + evidence.learning_shift**2 + evidence.rest_offset**2
     unobserved = evidence.unobserved**2
     counted = 0.0 if evidence.is_learning else unobserved
-    left, beyond = evidence.left, max(0.0, evidence.left - evidence.variance)
+    unapplied, excess = evidence.unapplied, max(0.0, evidence.unapplied - evidence.variance)
     return DriftUncertainty(
-        interval_inflation=float(np.sqrt(variance + unobserved + open_ends + left + 2 * evidence.rest_distance**2)),
-        error_inflation=float(np.sqrt(variance + counted + open_ends + 0.5 * beyond)),
+        interval_inflation=float(
+            np.sqrt(variance + unobserved + unexplained + unapplied + 2 * evidence.rest_distance**2)
+        ),
+        error_inflation=float(np.sqrt(variance + counted + unexplained + 0.5 * excess)),
         ambiguous={
             UNCOMPARED: counted,
             MOVED_WHILE_LEARNT: evidence.learning_shift**2,
             REST_ELSEWHERE: evidence.rest_offset**2,
             JUMP: evidence.unexplained_jump**2,
-            OPEN: max(0.0, left - config.certain * evidence.variance) + (1 - share) * evidence.lag**2,
+            OPEN: max(0.0, unapplied - config.certain * evidence.variance) + (1 - share) * evidence.lag**2,
         },
     )

@@ -75,10 +75,10 @@ def share_beyond(count: int, risk: float, confidence: float) -> float:
     return 1.0 if rank > count else float(betaincinv(count - rank + 1, rank, confidence))
 
 
-def pooled_scale(groups: Sequence[Array], coverage: float, has_unseen: bool = False) -> float:
+def pooled_scale(groups: Sequence[Array], coverage: float, has_new_unit: bool = False) -> float:
     """Return the factor on an interval's half-width by which it covers this share of the samples of one more unit.
 
-    Every unit weighs the same, however long its recording. `has_unseen` gives the unit to come a weight of its own at
+    Every unit weighs the same, however long its recording. `has_new_unit` gives the unit to come a weight of its own at
     infinity: the bound of hierarchical conformal prediction (Dunn, Wasserman and Ramdas 2023; Lee, Barber and Willett
     2023), which holds for any spread between units. Without it the coverage is that of the audited units: right on
     average as their number grows, and far narrower where they are few.
@@ -92,12 +92,12 @@ def pooled_scale(groups: Sequence[Array], coverage: float, has_unseen: bool = Fa
         raise InputError("no audited unit: a scale for the intervals needs one at least")
     scores = np.concatenate(groups)
     # Weights by unit, not by sample: a long recording is no more evidence on other units than a short one.
-    units = len(groups) + (1 if has_unseen else 0)
+    units = len(groups) + (1 if has_new_unit else 0)
     weight = np.repeat([1 / (units * len(group)) for group in groups], [len(group) for group in groups])
     order = np.argsort(scores)
     # Cumulative sums round: without the margin an exact share would take one sample too many.
-    reached = np.searchsorted(np.cumsum(weight[order]), coverage - 1e-12)
-    return float("inf") if reached == len(order) else float(scores[order][reached])
+    index = np.searchsorted(np.cumsum(weight[order]), coverage - 1e-12)
+    return float("inf") if index == len(order) else float(scores[order][index])
 
 
 def _check_share(name: str, value: float) -> None:
@@ -105,11 +105,11 @@ def _check_share(name: str, value: float) -> None:
         raise InputError(f"{name} {value:g}; a number between 0 and 1 was expected, such as 0.1")
 
 
-PROMISE_HEADER = ("if all hold", "beyond, on average", "beyond, at 90 %", "margin needed", "promise of 1 in 10")
+CRITERION_HEADER = ("if all hold", "beyond, on average", "beyond, at 90 %", "margin needed", "promise of 1 in 10")
 
 
-def promise_rows(config: ReleaseConfig, units: int | None = None) -> list[list[object]]:
-    """Return one row per number of audits that leaves a unit over, none beyond the limit, under `PROMISE_HEADER`.
+def criterion_rows(config: ReleaseConfig, units: int | None = None) -> list[list[object]]:
+    """Return one row per number of audits that leaves a unit over, none beyond the limit, under `CRITERION_HEADER`.
 
     The average and the share at a confidence hold for errors of any form. The margin is by how many standard deviations
     of the log ratio the mean must stay below the limit for the promise by variables (ISO 3951).

@@ -83,11 +83,11 @@ def plan_audit(forecasts: Mapping[str, float], config: AuditConfig = AuditConfig
             raise InputError(f"unit {serial}: forecast error is {rmse}; only units with a forecast can be accepted")
     ranked = sorted(forecasts, key=lambda serial: (-forecasts[serial], serial))
     doubtful, rest = ranked[: config.doubtful], sorted(ranked[config.doubtful :])
-    drawn = np.random.default_rng(config.seed).permutation(len(rest))[: config.random]
-    return AuditPlan(tuple(doubtful), tuple(rest[k] for k in sorted(drawn)), len(rest), config.allowed_share)
+    chosen = np.random.default_rng(config.seed).permutation(len(rest))[: config.random]
+    return AuditPlan(tuple(doubtful), tuple(rest[k] for k in sorted(chosen)), len(rest), config.allowed_share)
 
 
-def judge_lot(
+def evaluate_audit(
     plan: AuditPlan, forecasts: Mapping[str, float], measured: Mapping[str, float], limit: Limit
 ) -> LotStatement:
     """Update the lot's verdict with the measured errors of the checked units.
@@ -108,15 +108,15 @@ def judge_lot(
     word = "fail" if failed else "pass" if upper <= allowed else "conditional"
     ratios = [measured[serial] / forecasts[serial] for serial in plan.serials]
     ratio = float(np.sqrt(np.mean(np.square(ratios)))) if ratios else float("nan")
-    most, unchecked = upper - random_failed, plan.population - len(plan.random)
+    max_nonconforming, unchecked = upper - random_failed, plan.population - len(plan.random)
     bound = f"{limit.maximum_rmse:.3g} {limit.unit}"
     text = f"units checked: {len(plan.serials)}, of these beyond {bound}: {len(failed)}; " + (
-        f"accepted units not checked: {unchecked}, of these beyond it: {most} at most (95 % confidence)"
+        f"accepted units not checked: {unchecked}, of these beyond it: {max_nonconforming} at most (95 % confidence)"
         if unchecked
         else "no accepted unit is left unchecked"
     )
     process = failing_share(len(plan.random), random_failed, CONFIDENCE)
-    return LotStatement(word, failed, most, process, ratio, text)
+    return LotStatement(word, failed, max_nonconforming, process, ratio, text)
 
 
 def nonconforming_upper(population: int, checked: int, failed: int) -> int:

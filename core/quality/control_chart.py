@@ -15,7 +15,7 @@ D2 = 1.128
 """Mean range of two normal values in standard deviations."""
 
 FEWEST = 8
-FEWEST_FOR_CAPABILITY = 25
+MIN_FOR_CAPABILITY = 25
 
 FAR, MAX_FAR_SHARE = 4.0, 0.1
 """Values so many sigma out have a cause of their own and no part in the limits (Montgomery, Introduction to Statistical
@@ -144,8 +144,8 @@ def capability(chart: ControlChart, minimum: float | None, maximum: float | None
         raise InputError(Reason("chart.no_limit"))
     if minimum is not None and maximum is not None and minimum >= maximum:
         raise InputError(reason("chart.limits_crossed", minimum=minimum, maximum=maximum))
-    if count < FEWEST_FOR_CAPABILITY:
-        raise InputError(reason("chart.capability.few", count=count, least=FEWEST_FOR_CAPABILITY))
+    if count < MIN_FOR_CAPABILITY:
+        raise InputError(reason("chart.capability.few", count=count, least=MIN_FOR_CAPABILITY))
     if not chart.is_stable:
         first = chart.instabilities[0]
         raise InputError(reason("chart.unstable", rule=RULES[first.rule - 1][0], number=first.index + 1))

@@ -45,7 +45,7 @@ class Override:
 
 
 @dataclass(frozen=True)
-class RigFacts:
+class RigStatus:
     """What the rig says of itself.
 
     Args:
@@ -64,7 +64,7 @@ class RigFacts:
 
 
 @dataclass(frozen=True)
-class StationFacts:
+class StationStatus:
     """What is known when somebody wants to run.
 
     Args:
@@ -79,7 +79,7 @@ class StationFacts:
     shift_began: datetime
     golden: GoldenCheck | None
     qualification: QualificationAtGate | None = None
-    rig: RigFacts = RigFacts()
+    rig: RigStatus = RigStatus()
     zero_return_limit_N: float = 0.2
     warm_up: timedelta = timedelta(minutes=15)
     has_cell: bool = True
@@ -107,7 +107,7 @@ class Gate:
         return not self.reasons or self.is_overridden
 
 
-def may_run(facts: StationFacts, kind: OrderKind = OrderKind.UNIT) -> Gate:
+def may_run(status: StationStatus, kind: OrderKind = OrderKind.UNIT) -> Gate:
     """Return whether a station may run, and every reason why not.
 
     A golden unit may be pressed while only its own check is missing, so that a station can be qualified again. A
@@ -116,17 +116,17 @@ def may_run(facts: StationFacts, kind: OrderKind = OrderKind.UNIT) -> Gate:
     """
     if kind in (OrderKind.CHECK, OrderKind.LOAD):
         return Gate()
-    certificate = _certificate(facts) if facts.has_cell and facts.needs_certificate else []
-    cell = [*certificate, _warm_up(facts), _zero(facts)] if facts.has_cell else []
-    qualified = [_qualification(facts)] if facts.qualification is not None or facts.needs_qualification else []
-    conditions = [*cell, _homing(facts.rig), *qualified]
-    if kind is not OrderKind.GOLDEN and facts.needs_golden:
-        conditions.append(_golden(facts))
-    has_override = facts.override is not None and facts.now <= facts.override.until
+    certificate = _certificate(status) if status.has_cell and status.needs_certificate else []
+    cell = [*certificate, _warm_up(status), _zero(status)] if status.has_cell else []
+    qualified = [_qualification(status)] if status.qualification is not None or status.needs_qualification else []
+    conditions = [*cell, _homing(status.rig), *qualified]
+    if kind is not OrderKind.GOLDEN and status.needs_golden:
+        conditions.append(_golden(status))
+    has_override = status.override is not None and status.now <= status.override.until
     return Gate(tuple(conditions), has_override and not all(condition.is_good for condition in conditions))
 
 
-def quarantined(
+def quarantined_units(
     pressed: Sequence[tuple[str, datetime]], checks: Sequence[GoldenCheck], now: datetime
 ) -> tuple[str, ...]:
     """Return the names of the units pressed since the last good check, once a check has failed (ISO/IEC 17025, 6.4.9).
@@ -135,67 +135,67 @@ def quarantined(
     a clock that was ahead: a failed check counts as one of now, a unit as pressed since, a good check does not count.
     Names come in the order they were pressed; none while the newest check is good.
     """
-    known = sorted((c for c in checks if c.at <= now or not c.is_in_control), key=lambda check: check.at)
-    if not known or known[-1].is_in_control:
+    relevant = sorted((c for c in checks if c.at <= now or not c.is_in_control), key=lambda check: check.at)
+    if not relevant or relevant[-1].is_in_control:
         return ()
     # Between the last good and the first bad check nobody knows when the station went wrong: all of them are suspect.
-    good = [check.at for check in known if check.is_in_control]
+    good = [check.at for check in relevant if check.is_in_control]
     since = good[-1] if good else datetime.min.replace(tzinfo=now.tzinfo)
     return tuple(serial for serial, at in sorted(pressed, key=lambda unit: unit[1]) if since < at)
 
 
-def _certificate(facts: StationFacts) -> list[Condition]:
-    certificate = facts.certificate
+def _certificate(status: StationStatus) -> list[Condition]:
+    certificate = status.certificate
     name = Reason("gate.name.certificate")
     if certificate is None:
         return [Condition(name, False, Reason("gate.no_certificate"))]
-    is_valid = facts.now.date() <= certificate.valid_until
+    is_valid = status.now.date() <= certificate.valid_until
     code = "gate.valid" if is_valid else "gate.ended"
     in_date = Condition(name, is_valid, reason(code, number=certificate.number, day=str(certificate.valid_until)))
-    reaches = reason("gate.reaches", force_N=facts.largest_force_N, most_N=certificate.capacity_N)
-    if facts.largest_force_N > certificate.capacity_N:
+    reaches = reason("gate.reaches", force_N=status.largest_force_N, most_N=certificate.capacity_N)
+    if status.largest_force_N > certificate.capacity_N:
         return [in_date, Condition(Reason("gate.name.force_range"), False, reason("gate.too_far", reaches=reaches))]
     return [in_date, Condition(Reason("gate.name.force_range"), True, reaches)]
 
 
-def _warm_up(facts: StationFacts) -> Condition:
-    name, left = Reason("gate.name.warm_up"), facts.warm_up - facts.rig.powered
-    if left > timedelta(0):
+def _warm_up(status: StationStatus) -> Condition:
+    name, remaining = Reason("gate.name.warm_up"), status.warm_up - status.rig.powered
+    if remaining > timedelta(0):
         # Rounded up: "0 more min" beside a closed gate would be a riddle.
-        return Condition(name, False, reason("gate.warms", minutes=-(-int(left.total_seconds()) // 60)))
-    return Condition(name, True, reason("gate.warm", minutes=int(facts.rig.powered.total_seconds()) // 60))
+        return Condition(name, False, reason("gate.warms", minutes=-(-int(remaining.total_seconds()) // 60)))
+    return Condition(name, True, reason("gate.warm", minutes=int(status.rig.powered.total_seconds()) // 60))
 
 
-def _zero(facts: StationFacts) -> Condition:
-    name, fault = Reason("gate.name.zero_return"), facts.rig.zero_fault
-    moved = {"moved_N": facts.rig.zero_return_N, "limit_N": facts.zero_return_limit_N}
-    if fault or abs(facts.rig.zero_return_N) > facts.zero_return_limit_N:
-        why = Reason.parse(fault) if fault else reason("gate.zero_moved", **moved)
-        return Condition(name, False, reason("gate.zero_fault", why=why))
-    return Condition(name, True, reason("gate.zero", **moved))
+def _zero(status: StationStatus) -> Condition:
+    name, fault = Reason("gate.name.zero_return"), status.rig.zero_fault
+    values = {"moved_N": status.rig.zero_return_N, "limit_N": status.zero_return_limit_N}
+    if fault or abs(status.rig.zero_return_N) > status.zero_return_limit_N:
+        cause = Reason.parse(fault) if fault else reason("gate.zero_moved", **values)
+        return Condition(name, False, reason("gate.zero_fault", why=cause))
+    return Condition(name, True, reason("gate.zero", **values))
 
 
-def _homing(rig: RigFacts) -> Condition:
+def _homing(rig: RigStatus) -> Condition:
     name = Reason("gate.name.homing")
     if rig.homing_fault:
         return Condition(name, False, reason("gate.homing_fault", why=Reason.parse(rig.homing_fault)))
     return Condition(name, True, Reason("gate.homed") if rig.is_homed else Reason("gate.homes"))
 
 
-def _qualification(facts: StationFacts) -> Condition:
-    name, qualification = Reason("gate.name.qualification"), facts.qualification
+def _qualification(status: StationStatus) -> Condition:
+    name, qualification = Reason("gate.name.qualification"), status.qualification
     if qualification is None:
         return Condition(name, False, Reason("gate.no_qualification"))
     if not qualification.is_passed:
         return Condition(name, False, Reason("gate.not_qualified"))
-    is_valid = facts.now.date() < qualification.due_on
+    is_valid = status.now.date() < qualification.due_on
     code = "gate.qualified" if is_valid else "gate.qualification_ended"
     return Condition(name, is_valid, reason(code, day=str(qualification.due_on)))
 
 
-def _golden(facts: StationFacts) -> Condition:
-    name, golden = Reason("gate.name.golden"), facts.golden
-    if golden is None or golden.at < facts.shift_began:
+def _golden(status: StationStatus) -> Condition:
+    name, golden = Reason("gate.name.golden"), status.golden
+    if golden is None or golden.at < status.shift_began:
         return Condition(name, False, Reason("gate.no_golden"))
     if not golden.is_in_control:
         return Condition(name, False, reason("gate.golden_bad", serial=golden.serial))

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from softcal.core.errors import InputError
 from softcal.core.messages.reason import Reason, reason
 
-MOST_LOADS = 2
+MAX_LOADS = 2
 """Gain and level are two numbers; a third load would fix nothing more."""
 
-WANTED, READ, FROM_START = "load.wanted", "load.read", "load.contradict"
+REQUESTED, READ, FROM_START = "load.wanted", "load.read", "load.contradict"
 """Codes of what a run said: loads are to be read, one was read, all are to be read again from the first."""
 
 REPEATED = ("load.unsteady", "load.unloaded", "load.same")
@@ -45,7 +45,7 @@ def loads_text(loads: Sequence[KnownLoad]) -> str:
     )
 
 
-def loads_of(text: str) -> tuple[KnownLoad, ...]:
+def parse_loads(text: str) -> tuple[KnownLoad, ...]:
     """Return the loads of `loads_text`."""
     pairs = (part.partition("+-") for part in text.split(";") if part)
     return tuple(KnownLoad(float(value), float(expanded) if expanded else None) for value, _, expanded in pairs)
@@ -53,11 +53,11 @@ def loads_of(text: str) -> tuple[KnownLoad, ...]:
 
 def next_step(message: Sequence[Reason]) -> int:
     """Return the number, from 1, of the load that is read next after a run that said this; 0 for none."""
-    said = message[0] if message else None
-    step = int(str(said.values.get("step", 0))) if said is not None else 0
-    if said is None or said.code not in (WANTED, READ, FROM_START, *REPEATED):
+    newest = message[0] if message else None
+    step = int(str(newest.values.get("step", 0))) if newest is not None else 0
+    if newest is None or newest.code not in (REQUESTED, READ, FROM_START, *REPEATED):
         return 0
-    return step + 1 if said.code in (WANTED, READ) else 1 if said.code == FROM_START else step
+    return step + 1 if newest.code in (REQUESTED, READ) else 1 if newest.code == FROM_START else step
 
 
 def load_order(step: int, load: KnownLoad) -> str:
@@ -65,19 +65,19 @@ def load_order(step: int, load: KnownLoad) -> str:
     return f"{step}: {load.value!r}"
 
 
-def ordered_load(told: str) -> tuple[int, float]:
+def ordered_load(text: str) -> tuple[int, float]:
     """Return step and load of `load_order`.
 
     Raises:
         InputError: an order that names none.
     """
-    step, _, value = told.partition(": ")
+    step, _, value = text.partition(": ")
     try:
         return int(step), float(value)
     except ValueError as error:
-        raise InputError(reason("load.no_step", told=told[:40] or "–")) from error
+        raise InputError(reason("load.no_step", told=text[:40] or "–")) from error
 
 
-def asked_loads(message: Sequence[Reason]) -> tuple[KnownLoad, ...]:
+def requested_loads(message: Sequence[Reason]) -> tuple[KnownLoad, ...]:
     """Return the loads that a run asked for."""
-    return loads_of(str(message[0].values.get("loads", ""))) if message else ()
+    return parse_loads(str(message[0].values.get("loads", ""))) if message else ()

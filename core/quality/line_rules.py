@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.messages.reason import reason
-from softcal.core.quality.known_loads import MOST_LOADS, KnownLoad
+from softcal.core.quality.known_loads import MAX_LOADS, KnownLoad
 
 LETTERS = ("as scanned", "upper", "lower")
 RETESTS: Mapping[str, int] = {"pass": 1, "conditional": 1, "fail": 1, "retest": 3}
@@ -37,8 +37,8 @@ class LineRules:
     def __post_init__(self) -> None:
         loads = tuple(load if isinstance(load, KnownLoad) else KnownLoad(*load) for load in self.loads)
         object.__setattr__(self, "loads", loads)
-        if len(loads) > MOST_LOADS:
-            raise InputError(reason("load.too_many", count=len(loads), most=MOST_LOADS))
+        if len(loads) > MAX_LOADS:
+            raise InputError(reason("load.too_many", count=len(loads), most=MAX_LOADS))
         if len({load.value for load in loads}) < len(loads):
             raise InputError(reason("load.twice", value=loads[0].value))
         try:
@@ -53,14 +53,14 @@ class LineRules:
             if verdict not in RETESTS or not 0 <= times <= 99:
                 raise InputError(f"retests {verdict}={times}; 0 to 99 after one of {', '.join(RETESTS)} was expected")
 
-    def spelled(self, scanned: str) -> str:
+    def spell(self, scanned: str) -> str:
         return {"upper": scanned.upper(), "lower": scanned.lower()}.get(self.letters, scanned)
 
     def fits(self, serial: str) -> bool:
         """Whether a serial may belong to this lot."""
         return not self.serial_pattern or re.fullmatch(self.serial_pattern, serial) is not None
 
-    def retests_left(self, verdict: str, tests: int) -> int:
+    def remaining_retests(self, verdict: str, tests: int) -> int:
         """Return how often a unit may still be pressed again after so many tests and its newest verdict."""
         return max(0, self.retests.get(verdict, 0) - max(0, tests - 1))
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from softcal.core.messages.reason import Reason, Value, reason, several
 from softcal.core.quality.qualification import Qualification
-from softcal.core.quality.release import AuditedUnit, PromisedRelease, release
+from softcal.core.quality.release import AuditedUnit, ReleaseDecision, release
 from softcal.core.quality.sittings import SampledUnits, sampled_units
 from softcal.core.unit.adjustments import SampleRelease
 from softcal.core.unit.line_spread import SeenGains
@@ -22,7 +22,7 @@ class LotRelease:
     """What is decided on the unmeasured units of a lot, and what is promised about those released.
 
     Args:
-        found: which of them are released; None without a qualification.
+        decision: which of them are released; None without a qualification.
         seen: gains that audited units of this lot read their loads with; None where too few were audited.
         days: by serial, the error that another day adds as golden runs show it; empty without them.
         corrected_by: number of audited units behind the correction of the lot's maps; 0 where there is none.
@@ -33,7 +33,7 @@ class LotRelease:
     limit: Limit
     config: ReleaseConfig
     forecasts: Mapping[str, float]
-    found: PromisedRelease | None
+    decision: ReleaseDecision | None
     widening: Widening
     seen: SeenGains | None = None
     days: Mapping[str, float] = field(default_factory=dict)
@@ -44,58 +44,60 @@ class LotRelease:
     @property
     def audits(self) -> tuple[AuditedUnit, ...]:
         """The audited units it rests on; where they do not suffice, those of the lot."""
-        return self.qualification.audits or self.qualification.here
+        return self.qualification.audits or self.qualification.lot_audits
 
     @property
     def released(self) -> tuple[str, ...]:
         """Serials released on the audits of others."""
-        return () if self.found is None else self.found.released
+        return () if self.decision is None else self.decision.released
 
     @property
     def forecast_scale(self) -> float:
         """Mean of measured over forecast error: what a forecast of this lot is to be multiplied with; 1 if unknown."""
-        return 1.0 if self.found is None else float(np.exp(self.found.ratios.centre))
+        return 1.0 if self.decision is None else float(np.exp(self.decision.ratios.centre))
 
     @cached_property
     def statement(self) -> Reason:
         """The promise, or why there is none, and what the audits show beside it."""
-        said, unit = [self._promised()], self.limit.unit
+        parts, unit = [self._criterion_statement()], self.limit.unit
         if self.seen is not None:
-            said.append(reason("release.gains", centre=self.seen.centre, spread=self.seen.spread))
+            parts.append(reason("release.gains", centre=self.seen.centre, spread=self.seen.spread))
         if self.sampled is not None and self.sampled.reason is not None:
-            said.append(self.sampled.reason)
+            parts.append(self.sampled.reason)
         if self.days:
-            said.append(reason("release.days", day=max(self.days.values()), unit=unit))
+            parts.append(reason("release.days", day=max(self.days.values()), unit=unit))
         if self.corrected_by:
-            said.append(reason("release.common", audits=self.corrected_by))
+            parts.append(reason("release.common", audits=self.corrected_by))
         if self.doubts:
-            said.append(reason("release.doubts", serials=", ".join(self.doubts)))
-        return several(said)
+            parts.append(reason("release.doubts", serials=", ".join(self.doubts)))
+        return several(parts)
 
-    def _promised(self) -> Reason:
-        promised, here, which = self.found, self.qualification.here, self.qualification.reason
+    def _criterion_statement(self) -> Reason:
+        decision, lot_audits, which = self.decision, self.qualification.lot_audits, self.qualification.reason
         if not self.limit.is_stated:
             return reason("release.no_limit")
         bound: Mapping[str, Value] = {"limit": self.limit.maximum_rmse, "unit": self.limit.unit}
-        if not self.forecasts and here:
-            return reason("release.none_left", seen=_audited(here, reason("part.here", audits=len(here)), bound))
-        if promised is None:
+        if not self.forecasts and lot_audits:
+            return reason(
+                "release.none_left", seen=_audited(lot_audits, reason("part.here", audits=len(lot_audits)), bound)
+            )
+        if decision is None:
             return reason("release.unqualified", why=which)
-        seen = _audited(self.qualification.audits, which, bound)
+        observed = _audited(self.qualification.audits, which, bound)
         if not self.forecasts:
-            return reason("release.none_left", seen=seen)
+            return reason("release.none_left", seen=observed)
         count = len(self.forecasts)
-        if not promised.released:
-            part, factor = self.config.min_part, promised.factor
-            return reason("release.poor", seen=seen, part=part, open=count, factor=factor)
+        if not decision.released:
+            part, factor = self.config.min_part, decision.factor
+            return reason("release.poor", seen=observed, part=part, open=count, factor=factor)
         return reason(
             "release.promised",
-            seen=seen,
+            seen=observed,
             risk=self.config.risk,
             confidence=self.config.confidence,
-            released=len(promised.released),
+            released=len(decision.released),
             open=count,
-            any_form=any_form(promised),
+            any_form=any_form(decision),
             **bound,
         )
 
@@ -105,62 +107,68 @@ class LotRelease:
         Args:
             number: of the statement.
         """
-        if self.found is None or serial not in self.forecasts:
+        if self.decision is None or serial not in self.forecasts:
             return None
-        return self._sample_release(number, self.found, serial in self.released, self.days.get(serial, 0.0))
+        return self._sample_release(number, self.decision, serial in self.released, self.days.get(serial, 0.0))
 
     def next_unit(self, number: int) -> SampleRelease | None:
         """Return what this decision says of a unit that is to come; None where nothing is released on it."""
-        return None if self.found is None or not self.released else self._sample_release(number, self.found, False, 0.0)
+        return (
+            None
+            if self.decision is None or not self.released
+            else self._sample_release(number, self.decision, False, 0.0)
+        )
 
-    def _sample_release(self, number: int, found: PromisedRelease, is_released: bool, day_rmse: float) -> SampleRelease:
+    def _sample_release(
+        self, number: int, decision: ReleaseDecision, is_released: bool, day_rmse: float
+    ) -> SampleRelease:
         return SampleRelease(
             number=number,
             limit_rmse=self.limit.maximum_rmse,
             is_released=is_released,
             scale=self.forecast_scale,
-            factor=found.factor if np.isfinite(found.factor) else None,
+            factor=decision.factor if np.isfinite(decision.factor) else None,
             widening=self.widening,
             day_rmse=day_rmse,
-            audits=self._audits(found),
+            audits=self._audits(decision),
             risk=self.config.risk,
             confidence=self.config.confidence,
             sitting="" if self.sampled is None else self.sampled.sitting,
         )
 
-    def _audits(self, promised: PromisedRelease) -> Reason:
-        ratios = promised.ratios
+    def _audits(self, decision: ReleaseDecision) -> Reason:
+        ratios = decision.ratios
         if ratios.lots > 1:
             return reason("part.of_lots", audits=ratios.audits, lots=ratios.lots)
         return reason("part.here", audits=ratios.audits)
 
     def to_json(self) -> dict[str, object]:
         """Return it as the JSON of `softcal batch --json` and `softcal lot release --json`."""
-        promised = self.found
-        ratios = None if promised is None else {**vars(promised.ratios)}
+        decision = self.decision
+        ratios = None if decision is None else {**vars(decision.ratios)}
         return {
             "audits": len(self.qualification.audits),
-            "audited": len(self.qualification.here),
+            "audited": len(self.qualification.lot_audits),
             "risk": self.config.risk,
             "confidence": self.config.confidence,
             "statement": str(self.statement),
             "statement_reason": self.statement.to_json(),
             "qualification": self.qualification.source,
             "reason": str(self.qualification.reason),
-            "wanted": self.qualification.wanted,
+            "wanted": self.qualification.required,
             "considered": len(self.forecasts),
             "released": list(self.released),
-            "factor": None if promised is None or not np.isfinite(promised.factor) else promised.factor,
+            "factor": None if decision is None or not np.isfinite(decision.factor) else decision.factor,
             "ratios": ratios,
-            "share_any_form": None if promised is None else promised.share_any_form,
-            "risk_any_form": None if promised is None else promised.risk_any_form,
+            "share_any_form": None if decision is None else decision.share_any_form,
+            "risk_any_form": None if decision is None else decision.risk_any_form,
             "interval_scale": self.widening.scale,
             "interval_added": self.widening.added,
             "gains": None if self.seen is None else vars(self.seen),
             "day_rmse": max(self.days.values(), default=None),
             "limit": self.limit.to_json(),
             "corrected_by": self.corrected_by,
-            "set_aside": {serial: str(why) for serial, why in self.doubts.items()},
+            "set_aside": {serial: str(cause) for serial, cause in self.doubts.items()},
         }
 
 
@@ -170,10 +178,10 @@ def release_lot(
     limit: Limit,
     config: ReleaseConfig,
     widening: Widening = Widening(),  # noqa: B008 - frozen
-    least: float = 0.0,
-    seen: SeenGains | None = None,
+    min_count: float = 0.0,
+    gains: SeenGains | None = None,
     days: Mapping[str, float] | None = None,
-    doubts: Mapping[str, Reason] | None = None,
+    suspects: Mapping[str, Reason] | None = None,
     corrected_by: int = 0,
     sittings: Mapping[str, str] | None = None,
     candidates: Collection[str] | None = None,
@@ -182,7 +190,7 @@ def release_lot(
 
     Args:
         forecasts: forecast RMSE by serial of the units no finding stands against.
-        least: number of units that must pass, or none is released.
+        min_count: number of units that must pass, or none is released.
         days: by serial, the error that another day adds as golden runs show it, in the forecasts' unit.
         sittings: by serial, of the units that share an error with those of their sitting.
         candidates: serials that may be released; None for all.
@@ -192,20 +200,20 @@ def release_lot(
     )
     forecasts = {serial: rmse for serial, rmse in forecasts.items() if serial in sampled.serials}
     may_release = qualification.is_given and limit.is_stated
-    decided = release(forecasts, sampled.audits, limit, config, least, days, candidates) if may_release else None
-    days, doubts = days or {}, doubts or {}
+    decided = release(forecasts, sampled.audits, limit, config, min_count, days, candidates) if may_release else None
+    days, suspects = days or {}, suspects or {}
     return LotRelease(
-        qualification, limit, config, forecasts, decided, widening, seen, days, doubts, corrected_by, sampled
+        qualification, limit, config, forecasts, decided, widening, gains, days, suspects, corrected_by, sampled
     )
 
 
 def _audited(audits: Sequence[AuditedUnit], which: Reason, bound: Mapping[str, Value]) -> Reason:
-    beyond = sum(audit.measured_rmse > float(bound["limit"]) for audit in audits)  # type: ignore[arg-type]
-    return reason("part.audits_beyond", audits=which, beyond=beyond, **bound)
+    nonconforming = sum(audit.measured_rmse > float(bound["limit"]) for audit in audits)  # type: ignore[arg-type]
+    return reason("part.audits_beyond", audits=which, beyond=nonconforming, **bound)
 
 
-def any_form(promised: PromisedRelease) -> Reason:
+def any_form(decision: ReleaseDecision) -> Reason:
     """Return what holds for the released units for ratios of any distribution."""
-    if promised.share_any_form < 1:
-        return reason("part.any_form", share=promised.share_any_form, risk=promised.risk_any_form)
-    return reason("part.any_form_mean", risk=promised.risk_any_form)
+    if decision.share_any_form < 1:
+        return reason("part.any_form", share=decision.share_any_form, risk=decision.risk_any_form)
+    return reason("part.any_form_mean", risk=decision.risk_any_form)

@@ -35,9 +35,9 @@ class Qualification:
 
     source: str
     audits: tuple[AuditedUnit, ...]
-    wanted: int
+    required: int
     reason: Reason
-    here: tuple[AuditedUnit, ...] = ()
+    lot_audits: tuple[AuditedUnit, ...] = ()
 
     @property
     def is_given(self) -> bool:
@@ -46,7 +46,7 @@ class Qualification:
 
 
 def qualify(
-    here: Sequence[AuditedUnit],
+    lot_audits: Sequence[AuditedUnit],
     past: Sequence[PastAudit],
     now: datetime,
     sensor_model: str,
@@ -66,44 +66,46 @@ def qualify(
         units: of this lot, measured or not; None where more may come than anybody knows.
     """
     config = method.release
-    wanted = min_units(config.risk)
-    if len(here) >= wanted:
-        return Qualification(THIS_LOT, tuple(here), 0, reason("part.here", audits=len(here)), tuple(here))
+    required = min_units(config.risk)
+    if len(lot_audits) >= required:
+        return Qualification(
+            THIS_LOT, tuple(lot_audits), 0, reason("part.here", audits=len(lot_audits)), tuple(lot_audits)
+        )
     if not sensor_model:
-        return _none(here, reason("part.no_model"), config, units)
-    same = [audit for audit in past if (audit.sensor_model, audit.method_id) == (sensor_model, method.id)]
+        return _none(lot_audits, reason("part.no_model"), config, units)
+    comparable = [audit for audit in past if (audit.sensor_model, audit.method_id) == (sensor_model, method.id)]
     lasts = timedelta(days=config.lasts_days)
-    fresh = [audit for audit in same if now - audit.made_at <= lasts]
-    failed = [audit.made_at for audit in fresh if audit.has_failed]
+    recent = [audit for audit in comparable if now - audit.made_at <= lasts]
+    failed = [audit.made_at for audit in recent if audit.has_failed]
     since = max([*failed, *([golden_failed_at] if golden_failed_at else [])], default=None)
-    standing = [audit for audit in fresh if since is None or audit.made_at > since]
-    lots = {audit.unit.lot_id for audit in standing}
-    if len(standing) + len(here) >= wanted and len(lots) >= config.min_lots:
-        audits = (*here, *(audit.unit for audit in standing))
-        seen = reason("part.of_lots", audits=len(standing), lots=len(lots))
-        return Qualification(EARLIER_LOTS, audits, 0, seen, tuple(here))
+    valid = [audit for audit in recent if since is None or audit.made_at > since]
+    lots = {audit.unit.lot_id for audit in valid}
+    if len(valid) + len(lot_audits) >= required and len(lots) >= config.min_lots:
+        audits = (*lot_audits, *(audit.unit for audit in valid))
+        evidence = reason("part.of_lots", audits=len(valid), lots=len(lots))
+        return Qualification(EARLIER_LOTS, audits, 0, evidence, tuple(lot_audits))
     failing = (
         (not past, reason("part.no_lot")),
-        (not same, reason("part.other_method")),
-        (not fresh, reason("part.old_audits", days=config.lasts_days)),
-        (len(standing) < len(fresh), reason("part.withdrawn")),
-        (True, reason("part.few_lots", audits=len(standing), lots=len(lots), least=config.min_lots)),
+        (not comparable, reason("part.other_method")),
+        (not recent, reason("part.old_audits", days=config.lasts_days)),
+        (len(valid) < len(recent), reason("part.withdrawn")),
+        (True, reason("part.few_lots", audits=len(valid), lots=len(lots), least=config.min_lots)),
     )
-    return _none(here, next(why for is_so, why in failing if is_so), config, units)
+    return _none(lot_audits, next(cause for applies, cause in failing if applies), config, units)
 
 
 def small_lot(units: int, config: ReleaseConfig) -> Reason | None:
     """Say what a lot is to do that has no unit left once enough are audited; None for a larger one."""
-    wanted = min_units(config.risk)
-    if units > wanted:
+    required = min_units(config.risk)
+    if units > required:
         return None
-    return reason("part.small_lot", units=units, wanted=wanted, least=config.min_lots)
+    return reason("part.small_lot", units=units, wanted=required, least=config.min_lots)
 
 
-def _none(here: Sequence[AuditedUnit], why: Reason, config: ReleaseConfig, units: int | None) -> Qualification:
-    missing, small = min_units(config.risk) - len(here), None if units is None else small_lot(units, config)
+def _none(lot_audits: Sequence[AuditedUnit], cause: Reason, config: ReleaseConfig, units: int | None) -> Qualification:
+    missing, small = min_units(config.risk) - len(lot_audits), None if units is None else small_lot(units, config)
     if small is None or units is None:
-        said = reason("part.unqualified", audits=len(here), why=why, missing=missing)
-        return Qualification(NONE, (), missing, said, tuple(here))
-    said = reason("part.unqualified_small", audits=len(here), why=why, small=small)
-    return Qualification(NONE, (), max(units - len(here), 0), said, tuple(here))
+        missing_reason = reason("part.unqualified", audits=len(lot_audits), why=cause, missing=missing)
+        return Qualification(NONE, (), missing, missing_reason, tuple(lot_audits))
+    missing_reason = reason("part.unqualified_small", audits=len(lot_audits), why=cause, small=small)
+    return Qualification(NONE, (), max(units - len(lot_audits), 0), missing_reason, tuple(lot_audits))

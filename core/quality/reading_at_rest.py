@@ -51,9 +51,9 @@ def level_at_rest(
     drift, spread = abs(float(np.mean(second) - np.mean(first))), float(np.std(output))
     if drift > config.drift * span or spread > config.restless * span:
         raise InputError(reason("load.unsteady", drift=drift / span, spread=spread / span))
-    level, least = float(np.mean(output)), 2 * config.drift * span
-    if load.value > 0 and abs(level - float(np.median(recorded[: max(1, len(recorded) // 100)]))) < least:
+    level, min_change = float(np.mean(output)), 2 * config.drift * span
+    if load.value > 0 and abs(level - float(np.median(recorded[: max(1, len(recorded) // 100)]))) < min_change:
         raise InputError(reason("load.unloaded", level=level))
-    if any(abs(level - other) < least for other in before):
+    if any(abs(level - other) < min_change for other in before):
         raise InputError(reason("load.same", level=level))
     return level

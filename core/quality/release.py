@@ -82,7 +82,7 @@ class Ratios:
 
 
 @dataclass(frozen=True)
-class PromisedRelease:
+class ReleaseDecision:
     """Which of the unmeasured units of a lot are released, and what is promised about them.
 
     Args:
@@ -127,13 +127,13 @@ def audited_ratios(audits: Sequence[AuditedUnit], config: ReleaseConfig) -> Rati
     free = float(np.sum(sizes - 1))
     # Each lot about its own mean: a lot whose forecasts are all out by one factor is not a scattered one.
     squares = sum(float(np.sum((group - group.mean()) ** 2)) for group in groups)
-    within = squares / free * (1 - float(np.mean(1 / sizes))) if free else 0.0
+    within_lots = squares / free * (1 - float(np.mean(1 / sizes))) if free else 0.0
     # Lots that agree by luck must not prove that lots are alike.
-    between = max(float(np.var(means, ddof=1)), config.min_spread**2 / len(groups))
-    whole = between + within
-    degrees = whole**2 / (between**2 / (len(groups) - 1) + (within**2 / free if free else 0.0))
-    count = len(groups) * whole / between
-    return Ratios(int(sizes.sum()), len(groups), float(means.mean()), float(np.sqrt(whole)), largest, count, degrees)
+    between_lots = max(float(np.var(means, ddof=1)), config.min_spread**2 / len(groups))
+    total = between_lots + within_lots
+    degrees = total**2 / (between_lots**2 / (len(groups) - 1) + (within_lots**2 / free if free else 0.0))
+    count = len(groups) * total / between_lots
+    return Ratios(int(sizes.sum()), len(groups), float(means.mean()), float(np.sqrt(total)), largest, count, degrees)
 
 
 def release(
@@ -141,10 +141,10 @@ def release(
     audits: Sequence[AuditedUnit],
     limit: Limit,
     config: ReleaseConfig,
-    least: float = 0.0,
+    min_count: float = 0.0,
     days: Mapping[str, float] | None = None,
     candidates: Collection[str] | None = None,
-) -> PromisedRelease:
+) -> ReleaseDecision:
     """Choose which unmeasured units to release so that the promise holds for the released ones.
 
     A unit in a share r of all units exceeds its bound at most. Were m of n released on it, a share r n / m of these
@@ -174,25 +174,25 @@ def release(
     ordered = sorted(chosen, key=lambda serial: (need[serial], serial))
     needed = np.array([need[serial] for serial in ordered])
     count, factor = considered, ratios.bound(config)
-    least = max(config.min_part * considered, least, 1)
+    min_count = max(config.min_part * considered, min_count, 1)
     while (passing := int(np.count_nonzero(needed[:count] * factor <= 1))) < count:
         count = passing
-        if count < least:
+        if count < min_count:
             break
         factor = ratios.bound(config, config.risk * count / considered)
-    if count < least:
-        return PromisedRelease((), factor, ratios, 1.0, 1.0)
+    if count < min_count:
+        return ReleaseDecision((), factor, ratios, 1.0, 1.0)
     share = risk = 1.0
     if count and ratios.lots > 1:
         # Lots are exchangeable as wholes only: the bound is the largest of that many lots.
         risk = min(1 / (ratios.lots + 1) / (count / considered), 1.0)
     elif count:
         one = min_risk(ratios.audits)
-        beyond = share_beyond(ratios.audits, one, config.confidence)
-        share, risk = (min(value / (count / considered), 1.0) for value in (beyond, one))
-    return PromisedRelease(tuple(ordered[:count]), factor, ratios, share, risk)
+        nonconforming = share_beyond(ratios.audits, one, config.confidence)
+        share, risk = (min(value / (count / considered), 1.0) for value in (nonconforming, one))
+    return ReleaseDecision(tuple(ordered[:count]), factor, ratios, share, risk)
 
 
-def min_passing(units: int, held: int, config: ReleaseConfig) -> float:
-    """Return how many unmeasured units must pass so that `min_part` of a lot does, of which `held` were measured."""
-    return config.min_part * units - held
+def min_passing(units: int, audited: int, config: ReleaseConfig) -> float:
+    """Return how many unmeasured units must pass so that `min_part` of a lot does, of which `audited` were measured."""
+    return config.min_part * units - audited

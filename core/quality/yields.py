@@ -75,12 +75,12 @@ def yields(runs: Mapping[str, Sequence[UnitRun]], golden: Collection[str] = (), 
     )
 
 
-def kind(why: Reason) -> str:
+def kind(reason: Reason) -> str:
     """Return what reasons are counted by: their code with the codes in it, as "statement measured above".
 
     The sentence itself where it was quoted from a file or a device.
     """
-    if why.code == PLAIN:
-        return str(why)
-    parts = (value.code for value in why.values.values() if isinstance(value, Reason) and value.code != PLAIN)
-    return " ".join((why.code, *parts))
+    if reason.code == PLAIN:
+        return str(reason)
+    parts = (value.code for value in reason.values.values() if isinstance(value, Reason) and value.code != PLAIN)
+    return " ".join((reason.code, *parts))

@@ -10,8 +10,8 @@ from functools import partial
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Placing, Signs
-from softcal.core.twin.forms import plus
+from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, SearchTarget, Signs
+from softcal.core.twin.forms import extended_form
 from softcal.core.twin.probes import Sizes
 from softcal.core.twin.signals import extend_buffer, read_at
 
@@ -43,9 +43,9 @@ def _dropped_samples(flow: Flow, _: Sequence[float], state: Memory) -> None:
     # The median: the step across a gap is no sampling period.
     period_s = float(np.median(flow.step_s[flow.step_s > 0])) if np.any(flow.step_s > 0) else 0.0
     instants_s = flow.t_s.copy()
-    for lost_at_s, count in flow.episodes.get("dropped_samples", ()):
+    for loss_s, count in flow.episodes.get("dropped_samples", ()):
         # Later samples close up: each loss moves all that follow it.
-        instants_s = instants_s + count * period_s * (flow.t_s >= lost_at_s)
+        instants_s = instants_s + count * period_s * (flow.t_s >= loss_s)
     _read_at(flow, instants_s, state)
 
 
@@ -66,8 +66,8 @@ EFFECTS = (
         signs=Signs(
             probes=Sizes((0.5, -0.5), "period_s"),
             clock="delay",
-            hides_behind=("channel_creep", "readout_lag"),
-            shown_by=("rate_sweep", "fast_ramps"),
+            confounders=("channel_creep", "readout_lag"),
+            best_experiments=("rate_sweep", "fast_ramps"),
         ),
     ),
     in_stage(
@@ -79,10 +79,10 @@ EFFECTS = (
         signs=Signs(
             probes=Sizes((2.0,), "period_per_duration"),
             clock="rate",
-            hides_behind=("dropped_samples", "clock_offset"),
-            shown_by=("fast_ramps",),
+            confounders=("dropped_samples", "clock_offset"),
+            best_experiments=("fast_ramps",),
         ),
-    ).with_forms(plus(_skew_curve, "bending clock", (Parameter("bend", "1/s", -1e-3, 1e-3, 1e-5), 0.0))),
+    ).with_forms(extended_form(_skew_curve, "bending clock", (Parameter("bend", "1/s", -1e-3, 1e-3, 1e-5), 0.0))),
     in_stage(
         id="dropped_samples",
         equation="output samples missing, later ones closed up",
@@ -90,6 +90,6 @@ EFFECTS = (
         parameters=(Parameter("count", "", 0.0, 1000.0, 5.0, neutral=0.0),),
         step=_dropped_samples,
         is_episodic=True,
-        signs=Signs(placing=Placing.LOSSES, hides_behind=("clock_skew",), shown_by=("fast_ramps",)),
+        signs=Signs(search_target=SearchTarget.LOSSES, confounders=("clock_skew",), best_experiments=("fast_ramps",)),
     ),
 )

@@ -18,11 +18,11 @@ BUILTIN_EFFECTS: Mapping[str, Effect] = MappingProxyType(
 """The effects of the written catalogue, by identifier."""
 
 PLUGINS = PluginKind[Effect](
-    "softcal.effects", "effect", "an Effect", lambda thing: isinstance(thing, Effect), lambda effect: effect.id
+    "softcal.effects", "effect", "an Effect", lambda entry: isinstance(entry, Effect), lambda effect: effect.id
 )
 """Effects that other installed packages bring along."""
 
-EFFECTS: Mapping[str, Effect] = MappingProxyType(PLUGINS.beside(BUILTIN_EFFECTS))
+EFFECTS: Mapping[str, Effect] = MappingProxyType(PLUGINS.merge_plugins(BUILTIN_EFFECTS))
 """Every effect that a diagnosis can name, by identifier."""
 
 

@@ -108,7 +108,7 @@ Step: TypeAlias = Callable[[Flow, Sequence[float], Memory], None]
 """Change the flow in place by an effect with these parameter values and this memory."""
 
 
-class Placing(Enum):
+class SearchTarget(Enum):
     """Quantities of an effect that a search must estimate from the recordings before the fit."""
 
     LOSSES = "instants at which samples of the output were lost"
@@ -125,14 +125,14 @@ class Alias:
     Args:
         detail: its description; a plug-in gives a sentence, which is shown unchanged.
         share: of the effect's place that it gets while nothing tells the two apart.
-        told_by: kind of the run that tells them apart ...
+        distinguished_by: kind of the run that tells them apart ...
         changing, by: ... when this channel changes in it by so much.
     """
 
     stage: ChainStage
     detail: Reason | str
     share: float
-    told_by: str
+    distinguished_by: str
     changing: str
     by: float
     advice: Reason | str
@@ -145,20 +145,20 @@ class Signs:
     Args:
         needs: channels that must be recorded and change, besides the one of its stage.
         probes: where a search begins; the usual size and shapes around the usual ones where None.
-        placing: what must be found in the recordings first.
+        search_target: what must be found in the recordings first.
         clock: how its size moves the output's instants: by a constant, or in proportion to time.
-        hides_behind: effects that look like it on poor recordings.
-        shown_by: experiments that show it best.
+        confounders: effects that look like it on poor recordings.
+        best_experiments: experiments that show it best.
         remedy: what to measure where no experiment tells it from its rivals.
         alias: a departure outside the catalogue that looks exactly like it.
     """
 
     needs: tuple[str, ...] = ()
     probes: Probes | None = None
-    placing: Placing | None = None
+    search_target: SearchTarget | None = None
     clock: Literal["delay", "rate"] | None = None
-    hides_behind: tuple[str, ...] = ()
-    shown_by: tuple[str, ...] = ()
+    confounders: tuple[str, ...] = ()
+    best_experiments: tuple[str, ...] = ()
     remedy: Reason | str = ""
     alias: Alias | None = None
 
@@ -217,7 +217,7 @@ class Effect:
         """Whether the values of one run carry no information about another run."""
         return self.is_episodic or self.of_runs is not None
 
-    def side_with(self, names: Sequence[str]) -> "Effect":
+    def find_side(self, names: Sequence[str]) -> "Effect":
         """Return the side with parameters of these names; itself where none has all."""
         every = (self, *self.sides)
         return next((side for side in every if set(names) <= {p.name for p in side.parameters}), self)
@@ -230,7 +230,7 @@ class Effect:
         Args:
             sized: gives a parameter the bounds it has on a rig of this size.
         """
-        if self.signs.placing in (Placing.LOSSES, Placing.INTERVALS, Placing.LINE):
+        if self.signs.search_target in (SearchTarget.LOSSES, SearchTarget.INTERVALS, SearchTarget.LINE):
             return []
         first, *shapes = (sized(p) for p in self.parameters)
         rows: Sequence[tuple[float, ...]] = [(0.2 * first.usual,)]
@@ -247,7 +247,7 @@ class Effect:
     def value_names(self) -> tuple[str, ...]:
         return (*(p.name for p in self.parameters), *(name for name, _ in self.constants))
 
-    def form_called(self, name: str) -> "Effect | None":
+    def find_form(self, name: str) -> "Effect | None":
         """Return the form of this name, itself for an empty one; None without such a form."""
         return next((f.effect for f in self.forms if f.effect.equation == name), None) if name else self
 

@@ -20,7 +20,7 @@ from softcal.core.twin.effects import (
     Hook,
     Memory,
     Parameter,
-    Placing,
+    SearchTarget,
     Signs,
     adds,
     grows,
@@ -28,7 +28,7 @@ from softcal.core.twin.effects import (
     memory,
     sets,
 )
-from softcal.core.twin.forms import constant, drifts, plus
+from softcal.core.twin.forms import constant, drift_forms, extended_form
 from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.twin.probes import ExcitationRange, Sizes
 from softcal.core.twin.signals import compiled, low_pass, read_at
@@ -137,7 +137,7 @@ MAINS_HUM = in_stage(
     source="pick-up of the mains; 1–10 mV",
     parameters=HUM,
     step=adds("output_V", _hum),
-    signs=Signs(placing=Placing.LINE, shown_by=("rest",)),
+    signs=Signs(search_target=SearchTarget.LINE, best_experiments=("rest",)),
     of_runs=_hum_of_runs,
 )
 
@@ -148,7 +148,7 @@ CLIPPED_BELOW = in_stage(
     source="range of an amplifier or an ADC that does not reach zero",
     parameters=(Parameter("V_min", "V", 0.0, 100.0, 0.5, neutral=0.0),),
     step=sets("output_V", lambda flow, v, state: np.maximum(flow.output_V, v[0])),
-    signs=Signs(placing=Placing.FLOOR),
+    signs=Signs(search_target=SearchTarget.FLOOR),
 )
 """The other side of a clipped output; a setting that gives `V_min` means this one."""
 
@@ -162,13 +162,13 @@ ADC_SATURATION = in_stage(
     step=sets("output_V", lambda flow, v, state: np.minimum(flow.output_V, v[0])),
     signs=Signs(
         probes=_near_the_top,
-        placing=Placing.CEILING,
-        hides_behind=("loadcell_nonlinearity",),
-        shown_by=("dummy_resistor",),
+        search_target=SearchTarget.CEILING,
+        confounders=("loadcell_nonlinearity",),
+        best_experiments=("dummy_resistor",),
     ),
     sides=(CLIPPED_BELOW,),
 ).with_forms(
-    plus(
+    extended_form(
         sets("output_V", lambda flow, v, state: v[0] - v[1] * np.logaddexp(0.0, (v[0] - flow.output_V) / v[1])),
         "soft clip",
         (Parameter("width", "V", 1e-4, 0.5, 0.01), 0.01),
@@ -185,12 +185,12 @@ EFFECTS = (
         step=sets("output_V", lambda flow, v, state: _lag(flow, state, "low_pass_V", v[0])),
         signs=Signs(
             probes=Sizes((0.5, 3.0, 10.0), "period_s"),
-            hides_behind=("channel_creep", "clock_offset"),
-            shown_by=("rate_sweep",),
+            confounders=("channel_creep", "clock_offset"),
+            best_experiments=("rate_sweep",),
         ),
     ).with_forms(
-        plus(_lag_2, "second order", (Parameter("tau2", "s", 0.0, 3.0, 0.05), 0.02)),
-        plus(
+        extended_form(_lag_2, "second order", (Parameter("tau2", "s", 0.0, 3.0, 0.05), 0.02)),
+        extended_form(
             sets("output_V", _lag_sampled),
             "computed sample by sample",
             (Parameter("late", "", -0.6, 1.1, 0.5), 0.0),
@@ -206,8 +206,8 @@ EFFECTS = (
         step=hands_on("wiring_ohm"),
         signs=Signs(
             probes=Sizes((0.01, 0.1), "series_ohm"),
-            hides_behind=("channel_collapse", "loadcell_nonlinearity"),
-            shown_by=("dummy_resistor",),
+            confounders=("channel_collapse", "loadcell_nonlinearity"),
+            best_experiments=("dummy_resistor",),
         ),
     ),
     in_stage(
@@ -219,11 +219,11 @@ EFFECTS = (
         step=grows("reference_V", lambda flow, v, state: flow.t_s),
         signs=Signs(
             probes=Sizes((0.01,), "rate_per_s"),
-            hides_behind=("ageing_drift", "thermal_drift"),
-            shown_by=("dummy_resistor", "long_hold"),
+            confounders=("ageing_drift", "thermal_drift"),
+            best_experiments=("dummy_resistor", "long_hold"),
             remedy=CLIMATE,
         ),
-    ).with_forms(*drifts(partial(grows, "reference_V"))),
+    ).with_forms(*drift_forms(partial(grows, "reference_V"))),
     MAINS_HUM,
     ADC_SATURATION,
 )

@@ -18,13 +18,13 @@ from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, memory
 from softcal.core.twin.signals import direction_state, largest_so_far, low_pass
 
-Place = Literal["F", "force_N", "output_V"]
+TermTarget = Literal["F", "force_N", "output_V"]
 """What a term is added to: the force, which every later stage feels; the reading; the output."""
 
-PLACES: tuple[Place, ...] = get_args(Place)
-HOOKS: Mapping[Place, Hook] = {"F": Hook.FORCE, "force_N": Hook.READING, "output_V": Hook.CLOCK}
-STAGES: Mapping[Place, str] = {"F": "mechanics", "force_N": "load_cell", "output_V": "electronics"}
-UNITS: Mapping[Place, str] = {"F": "N", "force_N": "N", "output_V": "V"}
+TERM_TARGETS: tuple[TermTarget, ...] = get_args(TermTarget)
+HOOKS: Mapping[TermTarget, Hook] = {"F": Hook.FORCE, "force_N": Hook.READING, "output_V": Hook.CLOCK}
+STAGES: Mapping[TermTarget, str] = {"F": "mechanics", "force_N": "load_cell", "output_V": "electronics"}
+UNITS: Mapping[TermTarget, str] = {"F": "N", "force_N": "N", "output_V": "V"}
 
 MEMORY_s = (0.1, 0.5, 2.0, 8.0, 30.0)
 """Fading times of the memories: a few samples to a whole run, a factor of four to five apart."""
@@ -152,15 +152,15 @@ class EmpiricalTerm:
         InputError: unknown place or variable, a coefficient not finite, or a span not above 0.
     """
 
-    place: Place
+    place: TermTarget
     variable: str
     coefficient: float
     load_N: float
     depth_mm: float
 
     def __post_init__(self) -> None:
-        if self.place not in PLACES:
-            raise InputError(f"an empirical term acts on {self.place!r}; known are {', '.join(PLACES)}")
+        if self.place not in TERM_TARGETS:
+            raise InputError(f"an empirical term acts on {self.place!r}; known are {', '.join(TERM_TARGETS)}")
         if self.variable not in VARIABLES:
             raise InputError(f"an empirical term follows {self.variable!r}; known are {', '.join(VARIABLES)}")
         if not np.isfinite(self.coefficient):

@@ -29,9 +29,9 @@ Maker: TypeAlias = Callable[[Effect], Form]
 """Makes a form of an effect from the effect's own parameters."""
 
 
-def in_form(
+def custom_form(
     step: Step,
-    what: str,
+    equation: str,
     parameters: Sequence[Parameter],
     carry: Sequence[tuple[int | None, float]],
     constants: Sequence[str] = (),
@@ -44,14 +44,16 @@ def in_form(
     """
 
     def make(effect: Effect) -> Form:
-        own = tuple((name, np.nan) for name in constants)
-        form = replace(effect, step=step, parameters=tuple(parameters), equation=what, forms=(), constants=own)
+        constant_values = tuple((name, np.nan) for name in constants)
+        form = replace(
+            effect, step=step, parameters=tuple(parameters), equation=equation, forms=(), constants=constant_values
+        )
         return Form(form, tuple(carry))
 
     return make
 
 
-def two(what: str) -> Maker:
+def doubled_form(equation: str) -> Maker:
     """Return a maker of a form that is the effect twice, with two sizes and two shapes."""
 
     def make(effect: Effect) -> Form:
@@ -59,30 +61,30 @@ def two(what: str) -> Maker:
         second = (replace(size, name=f"{size.name}2"), replace(shape, name=f"{shape.name}2"))
         # One faster and one slower: both alike would be a saddle that descent never leaves.
         carry = ((0, 0.5), (1, 1 / SPLIT), (0, 0.5), (1, SPLIT))
-        return in_form(effect.step, what, (size, shape, *second), carry)(effect)
+        return custom_form(effect.step, equation, (size, shape, *second), carry)(effect)
 
     return make
 
 
-def plus(step: Step, what: str, *extra: tuple[Parameter, float], constants: Sequence[str] = ()) -> Maker:
+def extended_form(step: Step, equation: str, *extra: tuple[Parameter, float], constants: Sequence[str] = ()) -> Maker:
     """Return a function that creates a form with further parameters, each with its starting value."""
 
     def make(effect: Effect) -> Form:
-        own: list[tuple[int | None, float]] = [(k, 1.0) for k in range(len(effect.parameters))]
-        carry = [*own, *((None, value) for _, value in extra)]
-        return in_form(step, what, (*effect.parameters, *(p for p, _ in extra)), carry, constants)(effect)
+        base_carry: list[tuple[int | None, float]] = [(k, 1.0) for k in range(len(effect.parameters))]
+        carry = [*base_carry, *((None, value) for _, value in extra)]
+        return custom_form(step, equation, (*effect.parameters, *(p for p, _ in extra)), carry, constants)(effect)
 
     return make
 
 
-def stop_form(step: Step, what: str, *constants: str) -> Maker:
+def stop_form(step: Step, equation: str, *constants: str) -> Maker:
     """Return a maker of a form of stop operators, one weight for each of `STOPS`.
 
     Args:
         constants: the largest value of their input, and what else the step reads off.
     """
     weights = [Parameter(f"w{k}", "", -0.5, 1.0, 0.05, neutral=0.0) for k in range(len(STOPS))]
-    return in_form(step, what, weights, [(0, 0.5)] * len(STOPS), constants)
+    return custom_form(step, equation, weights, [(0, 0.5)] * len(STOPS), constants)
 
 
 def constant(values: Sequence[float], state: Memory, at: int, name: str, read: Callable[[], float]) -> float:
@@ -135,13 +137,13 @@ def stops(signal: Array, values: Sequence[float], state: Memory, name: str) -> A
     return out
 
 
-def drifts(step: Callable[[Quantity], Step]) -> tuple[Maker, Maker]:
+def drift_forms(step: Callable[[Quantity], Step]) -> tuple[Maker, Maker]:
     """Return the forms of a drift that slows down: a power of time, or a saturation after a few τ.
 
     Args:
         step: makes a step from a time that is equal to t after 30 s, or runs like t at first.
     """
     return (
-        plus(step(lambda flow, v, state: 30.0 * (flow.t_s / 30.0) ** v[1]), "power of time", (POWER, 0.8)),
-        plus(step(lambda flow, v, state: -v[1] * np.expm1(-flow.t_s / v[1])), "settling", (SETTLING, 40.0)),
+        extended_form(step(lambda flow, v, state: 30.0 * (flow.t_s / 30.0) ** v[1]), "power of time", (POWER, 0.8)),
+        extended_form(step(lambda flow, v, state: -v[1] * np.expm1(-flow.t_s / v[1])), "settling", (SETTLING, 40.0)),
     )

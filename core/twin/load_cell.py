@@ -7,7 +7,7 @@ import numpy as np
 
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs, adds, grows, sets
-from softcal.core.twin.forms import drifts, low_passes, plus, two
+from softcal.core.twin.forms import doubled_form, drift_forms, extended_form, low_passes
 from softcal.core.twin.probes import Shapes, Sizes, Times
 
 SPAN = Parameter("F_max", "N", 10.0, 10.0, 10.0, weight=0.0, is_fixed=True)
@@ -41,10 +41,10 @@ EFFECTS = (
         step=sets("reading_N", _tanh),
         signs=Signs(
             probes=Sizes((4.0,), "force_N"),
-            hides_behind=("loadcell_nonlinearity", "channel_collapse", "frame_compliance"),
-            shown_by=("dead_weights",),
+            confounders=("loadcell_nonlinearity", "channel_collapse", "frame_compliance"),
+            best_experiments=("dead_weights",),
         ),
-    ).with_forms(plus(sets("reading_N", _knee), "knee", (Parameter("sharpness", "", 0.8, 30.0, 1.0), 2.0))),
+    ).with_forms(extended_form(sets("reading_N", _knee), "knee", (Parameter("sharpness", "", 0.8, 30.0, 1.0), 2.0))),
     in_stage(
         id="loadcell_nonlinearity",
         equation="F_meas = F + λ·F·(1 − F/F_max)",
@@ -54,11 +54,11 @@ EFFECTS = (
         signs=Signs(
             # The span has one value on a rig, whatever is tried.
             probes=Shapes(0.01, (1.0,), "force_N"),
-            hides_behind=("loadcell_saturation", "channel_collapse", "wiring_resistance"),
-            shown_by=("dead_weights",),
+            confounders=("loadcell_saturation", "channel_collapse", "wiring_resistance"),
+            best_experiments=("dead_weights",),
         ),
     ).with_forms(
-        plus(
+        extended_form(
             sets("reading_N", _curve),
             "cubic and quartic term",
             (Parameter("quadratic", "", -0.5, 0.5, 0.01), 0.0),
@@ -78,16 +78,18 @@ EFFECTS = (
         ),
         signs=Signs(
             probes=Times(0.01, without=2),
-            hides_behind=("loadcell_drift", "stress_relaxation"),
-            shown_by=("dead_weights", "long_hold"),
+            confounders=("loadcell_drift", "stress_relaxation"),
+            best_experiments=("dead_weights", "long_hold"),
         ),
-    ).with_forms(two("two creep times")),
+    ).with_forms(doubled_form("two creep times")),
     in_stage(
         id="loadcell_drift",
         equation="F_meas = F + r·t",
         source="zero drift of the amplifier; 0.01–0.1 % of full scale per K",
         parameters=(Parameter("r", "N/s", -0.1, 0.1, 0.001, neutral=0.0),),
         step=adds("reading_N", lambda flow, v, state: flow.t_s),
-        signs=Signs(probes=Sizes((0.0125,), "force_rate_N_s"), hides_behind=("loadcell_creep",), shown_by=("rest",)),
-    ).with_forms(*drifts(partial(adds, "reading_N"))),
+        signs=Signs(
+            probes=Sizes((0.0125,), "force_rate_N_s"), confounders=("loadcell_creep",), best_experiments=("rest",)
+        ),
+    ).with_forms(*drift_forms(partial(adds, "reading_N"))),
 )

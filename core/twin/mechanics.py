@@ -15,14 +15,14 @@ from softcal.core.twin.forms import (
     POWER,
     STOPS,
     constant,
-    in_form,
+    custom_form,
+    doubled_form,
+    extended_form,
     loops,
     low_passes,
     pairs,
-    plus,
     stop_form,
     stops,
-    two,
 )
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.probes import Shapes, Sizes, Times
@@ -92,9 +92,9 @@ def _toe_rest(x: float, toe: float, tail: float) -> tuple[float, float]:
     if tail < 1e-6:
         rest = np.exp(-x / toe)
         return rest, rest
-    reach = 1.0 + tail * x / toe
-    rest = reach ** (-1.0 / tail)
-    return rest, rest / reach
+    growth = 1.0 + tail * x / toe
+    rest = growth ** (-1.0 / tail)
+    return rest, rest / growth
 
 
 def _settled(flow: Flow, v: Sequence[float], _: Memory) -> Array:
@@ -135,8 +135,8 @@ EFFECTS = (
         step=sets("pad_mm", lambda flow, v, state: play(flow.pad_mm, v[0], memory(state, "y", flow.pad_mm[0] - v[0]))),
         signs=Signs(
             probes=Sizes((0.007, 0.035), "depth_mm"),
-            hides_behind=("loadcell_creep", "mechanical_hysteresis"),
-            shown_by=("small_reversals", "rigid_block"),
+            confounders=("loadcell_creep", "mechanical_hysteresis"),
+            best_experiments=("small_reversals", "rigid_block"),
             remedy=PLATEN,
         ),
     ),
@@ -152,11 +152,11 @@ EFFECTS = (
         step=sets("contact_mm", _settled),
         signs=Signs(
             probes=Shapes(0.007, (0.05, 0.15, 0.5, 1.5), "duration_s", "depth_mm"),
-            hides_behind=("mullins_softening", "stress_relaxation"),
-            shown_by=("slow_touch_down",),
+            confounders=("mullins_softening", "stress_relaxation"),
+            best_experiments=("slow_touch_down",),
             remedy=PLATEN,
         ),
-    ).with_forms(two("two settling times")),
+    ).with_forms(doubled_form("two settling times")),
     in_stage(
         id="frame_compliance",
         hook=Hook.CONTACT,
@@ -166,12 +166,14 @@ EFFECTS = (
         step=hands_on("compliance_mm_N"),
         signs=Signs(
             probes=Sizes((0.02, 0.06), "softness_mm_N"),
-            hides_behind=("loadcell_saturation", "misaligned_contact", "loadcell_nonlinearity"),
-            shown_by=("rigid_block",),
+            confounders=("loadcell_saturation", "misaligned_contact", "loadcell_nonlinearity"),
+            best_experiments=("rigid_block",),
             remedy=PLATEN,
         ),
     ).with_forms(
-        plus(hands_on("compliance_mm_N", "toe_mm"), "joint that closes", (Parameter("l", "mm", 0.0, 0.5, 0.05), 0.01))
+        extended_form(
+            hands_on("compliance_mm_N", "toe_mm"), "joint that closes", (Parameter("l", "mm", 0.0, 0.5, 0.05), 0.01)
+        )
     ),
     in_stage(
         id="misaligned_contact",
@@ -182,13 +184,15 @@ EFFECTS = (
         step=hands_on("toe_mm"),
         signs=Signs(
             probes=Sizes((0.03, 0.15), "depth_mm"),
-            hides_behind=("frame_compliance",),
-            shown_by=("slow_touch_down",),
+            confounders=("frame_compliance",),
+            best_experiments=("slow_touch_down",),
             remedy=PLATEN,
         ),
     ).with_forms(
         # An edge that is rounded or not straight goes on closing long after the pad is touched.
-        plus(hands_on("toe_mm", "toe_tail"), "toe that fades by a power", (Parameter("tail", "", 0.0, 3.0, 0.5), 0.3))
+        extended_form(
+            hands_on("toe_mm", "toe_tail"), "toe that fades by a power", (Parameter("tail", "", 0.0, 3.0, 0.5), 0.3)
+        )
     ),
     in_stage(
         id="stress_relaxation",
@@ -205,10 +209,10 @@ EFFECTS = (
         ),
         signs=Signs(
             probes=Times(0.02),
-            hides_behind=("mechanical_hysteresis", "loadcell_creep"),
-            shown_by=("steps_with_holds", "rate_sweep", "long_hold"),
+            confounders=("mechanical_hysteresis", "loadcell_creep"),
+            best_experiments=("steps_with_holds", "rate_sweep", "long_hold"),
         ),
-    ).with_forms(two("two relaxation times")),
+    ).with_forms(doubled_form("two relaxation times")),
     in_stage(
         id="mechanical_hysteresis",
         hook=Hook.FORCE,
@@ -221,11 +225,11 @@ EFFECTS = (
         step=sets("force_N", lambda flow, v, state: flow.force_N * loops(flow.deformation_mm, v, state)),
         signs=Signs(
             probes=Shapes(0.01, (0.02, 0.06, 0.2, 0.6), "depth_mm"),
-            hides_behind=("stress_relaxation", "backlash"),
-            shown_by=("rate_sweep", "small_reversals"),
+            confounders=("stress_relaxation", "backlash"),
+            best_experiments=("rate_sweep", "small_reversals"),
         ),
     ).with_forms(
-        two("two loops"),
+        doubled_form("two loops"),
         stop_form(sets("force_N", _force_stops), "stop operators on the force", "reach_N"),
         stop_form(sets("force_N", _stroke_stops), "stop operators on the compression", "reach_mm", "stiffness_N_mm"),
     ),
@@ -237,15 +241,17 @@ EFFECTS = (
         parameters=(SOFTENING, Parameter("N0", "", 0.2, 50.0, 3.0, scale="log")),
         step=grows("force_N", lambda flow, v, state: np.expm1(-_presses(flow, state) / v[1])),
         signs=Signs(
-            probes=Shapes(0.02, (0.5, 2.0, 8.0)), hides_behind=("contact_shift",), shown_by=("amplitude_ladder", "rest")
+            probes=Shapes(0.02, (0.5, 2.0, 8.0)),
+            confounders=("contact_shift",),
+            best_experiments=("amplitude_ladder", "rest"),
         ),
     ).with_forms(
-        plus(
+        extended_form(
             grows("force_N", lambda flow, v, state: (1.0 + _presses(flow, state) / v[1]) ** -v[2] - 1.0),
             "power of the presses",
             (POWER, 0.5),
         ),
-        in_form(
+        custom_form(
             grows(
                 "force_N",
                 lambda flow, v, state: np.expm1(

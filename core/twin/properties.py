@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.twin.effects import ChainStage, Effect, Flow, Hook, Placing
+from softcal.core.twin.effects import ChainStage, Effect, Flow, Hook, SearchTarget
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.probes import ExcitationRange
 from softcal.core.twin.simulate import Chain
@@ -70,7 +70,7 @@ def switched_off_it_changes_nothing(effect: Effect) -> None:
     values = list(effect.neutral_values)
     if values[0] == 0.0 and size.low > 0.0:
         values[0] = 1e-9
-    if effect.signs.placing == Placing.LOSSES:
+    if effect.signs.search_target == SearchTarget.LOSSES:
         # Its size is read off the episodes: none lost, none missing.
         return
     change = np.max(_change(effect, values))
@@ -85,7 +85,7 @@ def _idle(effect: Effect) -> Effect:
 def at_its_usual_size_it_shows(effect: Effect) -> None:
     """Check that the usual size changes a signal by a thousandth of its span; levels lie amid the output."""
     values = _usual(effect)
-    if effect.signs.placing in (Placing.CEILING, Placing.FLOOR):
+    if effect.signs.search_target in (SearchTarget.CEILING, SearchTarget.FLOOR):
         values[0] = 0.5 * (RANGE.lowest_V + RANGE.highest_V)
     span = np.ptp(_run(_idle(effect), []), axis=1)
     if not np.max(np.max(_change(effect, values), axis=1) / span) > 1e-3:
@@ -109,14 +109,14 @@ def chunks_of_a_stream_give_the_same(effect: Effect) -> None:
     for one in (effect, *(form.effect for form in effect.forms)):
         # Any number will do for a constant, as long as it is the same for all pieces.
         values = [*_usual(one), *(1.0 for _ in one.constants)]
-        whole, pieces = (_run(one, values, cuts) for cuts in ((), (1, 2, 77, 500, 1200)))
+        one_call, pieces = (_run(one, values, cuts) for cuts in ((), (1, 2, 77, 500, 1200)))
         rows = slice(0, 2) if one.hook == Hook.CLOCK else slice(0, 3)
-        change = np.max(np.abs(whole[rows] - pieces[rows]))
+        change = np.max(np.abs(one_call[rows] - pieces[rows]))
         if not change < 1e-9:
-            what = (
+            label = (
                 f"{one.id}: a stream in pieces" if one is effect else f"{one.id}: its form {one.equation!r} in pieces"
             )
-            raise Violation(f"{what} differs from one call by {change:.3g}; keep state in `memory`")
+            raise Violation(f"{label} differs from one call by {change:.3g}; keep state in `memory`")
 
 
 def it_acts_where_it_says(effect: Effect) -> None:
@@ -135,9 +135,9 @@ def it_acts_where_it_says(effect: Effect) -> None:
 def a_search_finds_where_to_begin(effect: Effect) -> None:
     """Check that the effect has starting points within its bounds, or estimates its place first."""
     rows = effect.probes(RANGE)
-    if not rows and effect.signs.placing is None:
+    if not rows and effect.signs.search_target is None:
         raise Violation(f"{effect.id}: it has neither probes nor a way to be placed")
-    if effect.is_episodic and effect.signs.placing is None:
+    if effect.is_episodic and effect.signs.search_target is None:
         raise Violation(f"{effect.id}: it is episodic, but says not how its episodes are placed")
     for row in rows:
         for p, value in zip(effect.parameters, row, strict=True):

@@ -126,8 +126,8 @@ def extend_buffer(t_s: Array, values: Array, instants_s: Array, state: dict[str,
     buffer_s = np.concatenate([state.get("t_s", np.empty(0)), t_s])
     buffer = np.concatenate([state.get("output_V", np.empty(0)), values])
     # The oldest instant of the next chunk moves with the clock; one sample more interpolates.
-    keep = max(0, int(np.searchsorted(buffer_s, min(instants_s[-1], buffer_s[-1]))) - 2)
-    state["t_s"], state["output_V"] = buffer_s[keep:], buffer[keep:]
+    first = max(0, int(np.searchsorted(buffer_s, min(instants_s[-1], buffer_s[-1]))) - 2)
+    state["t_s"], state["output_V"] = buffer_s[first:], buffer[first:]
     return buffer_s, buffer
 
 

@@ -56,14 +56,14 @@ class EffectSetting:
     @property
     def effect(self) -> Effect:
         """The effect; an effect with several forms is chosen by the given parameters."""
-        own = effect(self.effect_id)
+        catalogue_effect = effect(self.effect_id)
         if not self.form:
-            return own.side_with(tuple(self.values))
-        found = own.form_called(self.form)
-        if found is None:
-            known = ", ".join(repr(form.effect.equation) for form in own.forms) or "none"
-            raise InputError(f"{self.effect_id} has no form {self.form!r}; known are {known}")
-        return found
+            return catalogue_effect.find_side(tuple(self.values))
+        form_effect = catalogue_effect.find_form(self.form)
+        if form_effect is None:
+            form_names = ", ".join(repr(form.effect.equation) for form in catalogue_effect.forms) or "none"
+            raise InputError(f"{self.effect_id} has no form {self.form!r}; known are {form_names}")
+        return form_effect
 
     @property
     def ordered_values(self) -> tuple[float, ...]:
@@ -288,7 +288,7 @@ def twin_record(twin: Twin) -> dict[str, Any]:
     }
 
 
-def twin_from_record(record: Mapping[str, Any], place: str) -> Twin:
+def twin_from_record(record: Mapping[str, Any], source: str) -> Twin:
     """Return the twin of a record.
 
     Raises:
@@ -296,7 +296,7 @@ def twin_from_record(record: Mapping[str, Any], place: str) -> Twin:
     """
     try:
         if record["schema"] != SCHEMA:
-            raise InputError(f"{place}: schema {record['schema']!r}; {SCHEMA} was expected")
+            raise InputError(f"{source}: schema {record['schema']!r}; {SCHEMA} was expected")
         effects = tuple(
             EffectSetting(
                 e["effect"], e["values"], tuple((float(a), float(b)) for a, b in e["episodes"]), str(e["form"])
@@ -313,4 +313,4 @@ def twin_from_record(record: Mapping[str, Any], place: str) -> Twin:
             BaseParameters(**record["parameters"]), effects, ReadoutMetadata(**record["metadata"]), tuple(terms)
         )
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{place}: does not describe a twin ({error}); write it with softcal gap apply") from error
+        raise InputError(f"{source}: does not describe a twin ({error}); write it with softcal gap apply") from error

@@ -7,8 +7,20 @@ import numpy as np
 
 from softcal.core.messages.reason import Reason
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Alias, Effect, Flow, Hook, Memory, Parameter, Placing, Signs, grows, memory, sets
-from softcal.core.twin.forms import loops, low_passes, plus, stop_form, stops, two
+from softcal.core.twin.effects import (
+    Alias,
+    Effect,
+    Flow,
+    Hook,
+    Memory,
+    Parameter,
+    SearchTarget,
+    Signs,
+    grows,
+    memory,
+    sets,
+)
+from softcal.core.twin.forms import doubled_form, extended_form, loops, low_passes, stop_form, stops
 from softcal.core.twin.probes import Shapes, Sizes, Times
 from softcal.core.twin.signals import compiled, low_pass
 
@@ -27,8 +39,8 @@ def channel_resistance(drive: Array, r0: float, kappa: float) -> Array:
 
 
 def _creep(flow: Flow, v: Sequence[float], state: Memory) -> Array:
-    kept = 1.0 - v[0] - sum(v[2::2])
-    return np.asarray(kept * flow.drive + low_passes(flow.drive, flow.step_s, v, state))
+    prompt_share = 1.0 - v[0] - sum(v[2::2])
+    return np.asarray(prompt_share * flow.drive + low_passes(flow.drive, flow.step_s, v, state))
 
 
 def _thermal_drift(flow: Flow, v: Sequence[float], state: Memory) -> None:
@@ -66,7 +78,7 @@ DIVIDER = Alias(
     detail=Reason("gap.alias.divider"),
     # A channel of liquid metal (1e-3/K) follows the temperature more than a resistor does.
     share=0.4,
-    told_by="dummy_resistor",
+    distinguished_by="dummy_resistor",
     changing="temperature_C",
     by=1.0,
     advice=Reason("gap.advice.warm_dummy"),
@@ -87,10 +99,10 @@ EFFECTS = (
         step=sets("drive", _creep),
         signs=Signs(
             probes=Times(0.02),
-            hides_behind=("readout_lag", "clock_offset"),
-            shown_by=("rate_sweep", "steps_with_holds"),
+            confounders=("readout_lag", "clock_offset"),
+            best_experiments=("rate_sweep", "steps_with_holds"),
         ),
-    ).with_forms(two("two creep times")),
+    ).with_forms(doubled_form("two creep times")),
     in_stage(
         id="channel_hysteresis",
         hook=Hook.CHANNEL,
@@ -103,11 +115,11 @@ EFFECTS = (
         step=sets("drive", lambda flow, v, state: flow.drive * loops(flow.drive, v, state)),
         signs=Signs(
             probes=Shapes(0.01, (0.02, 0.06, 0.2, 0.6), "force_N"),
-            hides_behind=("clock_offset", "channel_creep"),
-            shown_by=("rate_sweep", "small_reversals"),
+            confounders=("clock_offset", "channel_creep"),
+            best_experiments=("rate_sweep", "small_reversals"),
         ),
     ).with_forms(
-        two("two loops"),
+        doubled_form("two loops"),
         stop_form(
             sets("drive", lambda flow, v, state: flow.drive + stops(flow.drive, v, state, "reach_N")),
             "stop operators on the force",
@@ -123,11 +135,11 @@ EFFECTS = (
         step=grows("resistance_ohm", lambda flow, v, state: _over(flow, v[1]) ** 2),
         signs=Signs(
             probes=Shapes(0.6, (0.1, 0.3, 0.5, 0.65, 0.8, 0.9), "force_N", "per_force2"),
-            hides_behind=("wiring_resistance", "loadcell_nonlinearity", "loadcell_saturation"),
-            shown_by=("dummy_resistor", "dead_weights"),
+            confounders=("wiring_resistance", "loadcell_nonlinearity", "loadcell_saturation"),
+            best_experiments=("dummy_resistor", "dead_weights"),
         ),
     ).with_forms(
-        plus(
+        extended_form(
             grows("resistance_ohm", lambda flow, v, state: _over(flow, v[1]) ** v[2]),
             "power law",
             (Parameter("power", "", 0.7, 6.0, 0.5), 2.0),
@@ -143,13 +155,13 @@ EFFECTS = (
         signs=Signs(
             needs=("temperature_C",),
             probes=Sizes((0.001,)),
-            hides_behind=("ageing_drift", "reference_drift"),
-            shown_by=("dummy_resistor",),
+            confounders=("ageing_drift", "reference_drift"),
+            best_experiments=("dummy_resistor",),
             remedy=CLIMATE,
             alias=DIVIDER,
         ),
     ).with_forms(
-        plus(
+        extended_form(
             _thermal_drift,
             "curved, felt with a delay",
             (Parameter("alpha2", "1/K²", -0.01, 0.01, 1e-4), 0.0),
@@ -168,12 +180,14 @@ EFFECTS = (
         step=grows("resistance_ohm", lambda flow, v, state: np.log1p(flow.t_s / v[1])),
         signs=Signs(
             probes=Shapes(0.001, (0.01, 0.05, 0.2, 1.0), "duration_s"),
-            hides_behind=("thermal_drift", "reference_drift"),
-            shown_by=("rest", "long_hold", "dummy_resistor"),
+            confounders=("thermal_drift", "reference_drift"),
+            best_experiments=("rest", "long_hold", "dummy_resistor"),
             remedy=CLIMATE,
         ),
     ).with_forms(
-        plus(grows("resistance_ohm", _ageing_power), "power law", (Parameter("power", "", -2.0, 1.0, 0.3), 0.2))
+        extended_form(
+            grows("resistance_ohm", _ageing_power), "power law", (Parameter("power", "", -2.0, 1.0, 0.3), 0.2)
+        )
     ),
     in_stage(
         id="intermittent_contact",
@@ -184,7 +198,9 @@ EFFECTS = (
         step=_intermittent_contact,
         is_episodic=True,
         signs=Signs(
-            placing=Placing.INTERVALS, hides_behind=("channel_creep", "dropped_samples"), shown_by=("long_hold",)
+            search_target=SearchTarget.INTERVALS,
+            confounders=("channel_creep", "dropped_samples"),
+            best_experiments=("long_hold",),
         ),
     ),
 )

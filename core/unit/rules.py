@@ -73,7 +73,7 @@ PLUGINS = PluginKind[Rule](
 )
 """Rules that installed packages bring along, in the order of their entry points."""
 
-RULES: Mapping[str, Rule] = {identity(rule): rule for rule in PLUGINS.beside({}).values()}
+RULES: Mapping[str, Rule] = {identity(rule): rule for rule in PLUGINS.merge_plugins({}).values()}
 """By identity."""
 
 

@@ -43,12 +43,12 @@ def grant_statements(line: str, reader: str, manager: str) -> list[str]:
     names = ["alembic_version", *(table.name for table in metadata.sorted_tables)]
     # PINs are hashed, yet a hash of four digits is soon guessed: readers do not see them.
     grown = [name for name in APPEND_ONLY if name not in DECIDED_ELSEWHERE]
-    shown = [name for name in names if name not in ("users", "tokens")]
+    readable = [name for name in names if name not in ("users", "tokens")]
     return [
         f"REVOKE ALL ON {', '.join(names)} FROM PUBLIC, {line}, {manager}, {reader};",
         f"REVOKE UPDATE (failures, locked_until) ON users FROM {line}, {manager};",
         f"GRANT SELECT ON {', '.join(names)} TO {line}, {manager};",
-        f"GRANT SELECT ON {', '.join(shown)} TO {reader};",
+        f"GRANT SELECT ON {', '.join(readable)} TO {reader};",
         f"GRANT INSERT ON {', '.join(grown)} TO {line};",
         f"GRANT INSERT ON {', '.join(APPEND_ONLY)} TO {manager};",
         *(f"GRANT {rights} ON {name} TO {line}, {manager};" for name, rights in CHANGING.items()),

@@ -23,7 +23,7 @@ from softcal.db.schema.tables import users
 if TYPE_CHECKING:
     from argon2 import PasswordHasher
 
-SHORTEST_PIN = 4
+MIN_PIN_DIGITS = 4
 MACHINE_TOKEN_LENGTH = 200
 VERIFY_WITHIN_S = 10.0
 VERIFYING = threading.BoundedSemaphore(1)
@@ -74,33 +74,35 @@ class People(RegistryBase):
             raise InputError(Reason("account.no_name"))
         if role not in ROLES:
             raise InputError(Reason("account.role", {"role": repr(role), "known": ", ".join(ROLES)}))
-        if pin is not None and (len(pin) < SHORTEST_PIN or not pin.isdigit()):
-            raise InputError(Reason("account.pin_short", {"digits": SHORTEST_PIN}))
-        named = select(users).where(users.c.name == name)
+        if pin is not None and (len(pin) < MIN_PIN_DIGITS or not pin.isdigit()):
+            raise InputError(Reason("account.pin_short", {"digits": MIN_PIN_DIGITS}))
+        query = select(users).where(users.c.name == name)
         with self.database.reading():
-            before = self.database.row(named)
+            before = self.database.row(query)
         is_same_pin = pin is None or (before is not None and _is_pin(before, pin))
         pin_hash = None if pin is None or is_same_pin else _hasher().hash(pin)
         with self.database.writing():
-            known = self.database.row(named)
-            current = known["version"] if known else 0
+            stored = self.database.row(query)
+            current = stored["version"] if stored else 0
             if current != version:
                 raise ChangedMeanwhile(
                     Reason("account.changed", {"name": repr(name), "found": current, "version": version})
                 )
-            if known is None and pin is None:
+            if stored is None and pin is None:
                 raise InputError(Reason("account.needs_pin", {"name": repr(name)}))
             requested = {"role": role, "is_active": is_active, "failures": 0, "locked_until": None}
-            if known is not None and is_same_pin and all(known[field] == value for field, value in requested.items()):
-                return user_of(self.database, known)
+            if stored is not None and is_same_pin and all(stored[field] == value for field, value in requested.items()):
+                return user_of(self.database, stored)
             values = requested | {"name": name, "version": version + 1, "changed_at": self.settings.clock()}
             if pin_hash is not None:
                 values["pin_hash"] = pin_hash
-            statement = insert(users) if known is None else update(users).where(users.c.name == name)
+            statement = insert(users) if stored is None else update(users).where(users.c.name == name)
             self.database.change(statement.values(**values))
-            row = self.database.rows(named)[0]
-            earlier = people_as_told(known) if known else None
-            self._tell("set_user", "users", (name,), actor, after=people_as_told(row), before=earlier, reason=reason)
+            row = self.database.rows(query)[0]
+            earlier = person_in_trail(stored) if stored else None
+            self._write_audit_row(
+                "set_user", "users", (name,), actor, after=person_in_trail(row), before=earlier, reason=reason
+            )
             return user_of(self.database, row)
 
     def all(self) -> list[User]:
@@ -132,8 +134,8 @@ class People(RegistryBase):
         return f"{nonce}.{_machine_sha256(row, nonce)}"
 
     def _sign_in(self, name: str, pin: str, machine: str) -> User:
-        now, named = self.settings.clock(), select(users).where(users.c.name == name)
-        row = self.database.row(named)
+        now, query = self.settings.clock(), select(users).where(users.c.name == name)
+        row = self.database.row(query)
         in_memory = _memory_key(row, name, machine)
         failures, until = self._tries.of(in_memory)
         if row is not None and not in_memory:
@@ -156,13 +158,13 @@ class People(RegistryBase):
 
     def _note_failure(self, name: str, now: datetime) -> None:
         """Count a failed sign-in in a separate transaction, as other processes may count at the same time."""
-        mine = users.c.name == name
+        is_person = users.c.name == name
         with self.database.writing():
-            self.database.change(update(users).where(mine).values(failures=users.c.failures + 1))
-            failures = int(self.database.value(select(users.c.failures).where(mine)))
+            self.database.change(update(users).where(is_person).values(failures=users.c.failures + 1))
+            failures = int(self.database.value(select(users.c.failures).where(is_person)))
             if pause := pause_after(failures):
-                self.database.change(update(users).where(mine).values(locked_until=now + pause))
-                self._tell("lock", "users", (name,), name, after={"until": now + pause})
+                self.database.change(update(users).where(is_person).values(locked_until=now + pause))
+                self._write_audit_row("lock", "users", (name,), name, after={"until": now + pause})
 
     @cached_property
     def _tries(self) -> Tries:
@@ -182,9 +184,9 @@ def _memory_key(row: RowMapping | None, name: str, machine: str) -> str:
     """Return under which key tries are counted in memory; "" where the account itself counts them."""
     if row is None:
         return f"nobody {name[:120]}"
-    nonce, _, given = machine[:MACHINE_TOKEN_LENGTH].partition(".")
-    is_known = hmac.compare_digest(given.encode(), _machine_sha256(row, nonce).encode())
-    return f"machine {nonce}" if is_known else ""
+    nonce, _, digest = machine[:MACHINE_TOKEN_LENGTH].partition(".")
+    is_same_machine = hmac.compare_digest(digest.encode(), _machine_sha256(row, nonce).encode())
+    return f"machine {nonce}" if is_same_machine else ""
 
 
 def _machine_sha256(row: RowMapping, nonce: str) -> str:
@@ -213,7 +215,7 @@ def user_of(database: Database, row: RowMapping) -> User:
     return User(row["name"], row["role"], row["is_active"], row["version"], is_alone)
 
 
-def people_as_told(row: RowMapping) -> dict[str, object]:
+def person_in_trail(row: RowMapping) -> dict[str, object]:
     """Return a person as JSON of the audit trail, with a hash of the PIN's hash."""
     content = {name: row[name] for name in ("name", "role", "is_active", "version")}
     return content | {"pin_sha256": hashlib.sha256(row["pin_hash"].encode()).hexdigest()}

@@ -15,15 +15,15 @@ from softcal.core.errors import InputError
 from softcal.db.access.people import user_of
 from softcal.db.entries import Token, User
 from softcal.db.repositories import history
-from softcal.db.repositories.registry_base import RegistryBase, damaged, of_row
+from softcal.db.repositories.registry_base import RegistryBase, damage_error, of_row
 from softcal.db.schema.column_types import canonical_json
 from softcal.db.schema.tables import audit, tokens, users
 
 PREFIX = "softcal_"
 """How a token begins, so that one that was published by mistake is found."""
 
-MOST_DAYS = 3650
-TOLD = ("account", "purpose", "ends_at", "is_withdrawn")
+MAX_DAYS = 3650
+TRAIL_FIELDS = ("account", "purpose", "ends_at", "is_withdrawn")
 
 
 class TokenTable(RegistryBase):
@@ -36,8 +36,8 @@ class TokenTable(RegistryBase):
         """
         if not purpose.strip():
             raise InputError("a token needs a purpose: say which program it is for")
-        if not 0 < days <= MOST_DAYS:
-            raise InputError(f"a token holds for 1 to {MOST_DAYS} days, not {days}")
+        if not 0 < days <= MAX_DAYS:
+            raise InputError(f"a token holds for 1 to {MAX_DAYS} days, not {days}")
         secret, now = PREFIX + secrets.token_urlsafe(32), self.settings.clock()
         with self.database.writing():
             user = self.database.row(select(users).where(users.c.name == account))
@@ -49,7 +49,7 @@ class TokenTable(RegistryBase):
             values |= {"purpose": purpose, "created": now, "ends_at": now + timedelta(days=days), "is_withdrawn": False}
             self.database.change(insert(tokens).values(**values))
             row = self._row(values["token_id"])
-            self._tell("add", "tokens", (row["token_id"],), actor, after=token_as_told(row))
+            self._write_audit_row("add", "tokens", (row["token_id"],), actor, after=token_in_trail(row))
         return of_row(Token, row), secret
 
     def withdraw(self, token_id: str, *, reason: str, actor: str | None = None) -> None:
@@ -59,8 +59,8 @@ class TokenTable(RegistryBase):
             if before["is_withdrawn"]:
                 raise InputError(f"token {token_id} was withdrawn already")
             self.database.change(update(tokens).where(tokens.c.token_id == token_id).values(is_withdrawn=True))
-            content = {"before": token_as_told(before), "after": token_as_told(self._row(token_id))}
-            self._tell("withdraw", "tokens", (token_id,), actor, reason=reason, **content)
+            content = {"before": token_in_trail(before), "after": token_in_trail(self._row(token_id))}
+            self._write_audit_row("withdraw", "tokens", (token_id,), actor, reason=reason, **content)
 
     def all(self) -> list[Token]:
         """Return all tokens, the oldest first, without their secrets."""
@@ -81,8 +81,8 @@ class TokenTable(RegistryBase):
                 audit.c.entity == "tokens", audit.c.key == canonical_json((row["token_id"],))
             )
             newest = self.database.value(of_token.order_by(audit.c.at.desc(), audit.c.seq.desc()).limit(1))
-            if newest != canonical_json(history.plain(token_as_told(row))):
-                raise damaged(f"token {row['token_id']} is not what the audit trail tells of it")
+            if newest != canonical_json(history.plain(token_in_trail(row))):
+                raise damage_error(f"token {row['token_id']} is not what the audit trail tells of it")
             return user_of(self.database, row)
 
     def _row(self, token_id: str) -> RowMapping:
@@ -92,9 +92,9 @@ class TokenTable(RegistryBase):
         return row
 
 
-def token_as_told(row: RowMapping) -> dict[str, object]:
+def token_in_trail(row: RowMapping) -> dict[str, object]:
     """Return a token as JSON of the audit trail, with a hash of its hash."""
-    return {name: row[name] for name in TOLD} | {"token_sha256": _sha256(row["sha256"])}
+    return {name: row[name] for name in TRAIL_FIELDS} | {"token_sha256": _sha256(row["sha256"])}
 
 
 def _sha256(text: str) -> str:

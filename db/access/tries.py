@@ -3,7 +3,7 @@
 import math
 from datetime import datetime, timedelta
 
-MOST_FAILURES = 5
+MAX_FAILURES = 5
 LOCKED_FOR, MAX_PAUSE = timedelta(minutes=5), timedelta(days=1)
 """A four-digit PIN would fall to 10,000 guesses: after the fifth wrong one there is a pause, then one twice as long."""
 
@@ -13,9 +13,9 @@ MAX_NAMES = 10_000
 
 def pause_after(failures: int) -> timedelta:
     """Return how long the next try waits after so many wrong ones in a row."""
-    if failures < MOST_FAILURES:
+    if failures < MAX_FAILURES:
         return timedelta(0)
-    doublings = min(failures - MOST_FAILURES, 20)
+    doublings = min(failures - MAX_FAILURES, 20)
     return min(LOCKED_FOR * (1 << doublings), MAX_PAUSE)
 
 

@@ -83,15 +83,15 @@ def restore(path: Path, url: str) -> None:
                 Adoption(target, RegistrySettings()).state_restored(history.heads(source))
 
 
-def _copy_tables(source: Database, target: Database, facts: ColumnElement[bool]) -> None:
-    """Copy all but transient rows; of the registry's own metadata only some `facts`."""
-    target.change(delete(registry_info).where(facts))
+def _copy_tables(source: Database, target: Database, is_copied: ColumnElement[bool]) -> None:
+    """Copy all but transient rows; of the registry's own metadata only some `is_copied`."""
+    target.change(delete(registry_info).where(is_copied))
     for table in metadata.sorted_tables:
         if table in PASSING:
             continue
         query: Select[tuple[object, ...]] = select(table)
         if table is registry_info:
-            query = query.where(facts)
+            query = query.where(is_copied)
         rows = source.stream(query, ROWS_AT_ONCE)
         while chunk := [dict(row) for row in islice(rows, ROWS_AT_ONCE)]:
             target.change(insert(table), chunk)

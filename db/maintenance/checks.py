@@ -8,8 +8,8 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.types import NullType
 
 from softcal.core.errors import RegistryError
-from softcal.db.access.people import people_as_told
-from softcal.db.access.tokens import token_as_told
+from softcal.db.access.people import person_in_trail
+from softcal.db.access.tokens import token_in_trail
 from softcal.db.entries import Anchor, Heads
 from softcal.db.repositories import history
 from softcal.db.schema import append_only, tables
@@ -19,10 +19,10 @@ from softcal.db.schema.database import Database, first_line, is_denied
 from softcal.db.schema.tables import AUDITED, audit, blobs, metadata, registry_info, tokens, users
 
 ROWS_OF_QUICK = 200
-IN_WORDS = (UtcTime, CanonicalJson, Boolean, Date)
+MULTIFORM_TYPES = (UtcTime, CanonicalJson, Boolean, Date)
 """Types that a database may keep in more than one form."""
 
-TOLD_OF_PEOPLE = ("set_user", "state")
+PERSON_ACTIONS = ("set_user", "state")
 
 BLOB_KINDS = (ARRAYS, ARRAY, "document", "job")
 KINDS_OF = {"certificates": ("document",)}
@@ -42,7 +42,7 @@ def faults(
     """
     origin = str(database.value(select(registry_info.c.value).where(registry_info.c.key == "origin")))
     pages = [("pages and indices", page_faults(database)), ("tables", schema_faults(database))]
-    facts = [
+    quick_checks = [
         ("foreign tables", alien_tables(database)),
         ("triggers", trigger_faults(database)),
         ("origin", origin_faults(database)),
@@ -58,7 +58,7 @@ def faults(
         ("values", form_faults(database)),
         ("recordings, networks and maps", _blob_faults(database)),
     ]
-    for name, check in (*facts, *newest) if is_quick else (*pages, *facts, *content):
+    for name, check in (*quick_checks, *newest) if is_quick else (*pages, *quick_checks, *content):
         on_step(name)
         try:
             # A query that fails ends a transaction of PostgreSQL; later checks go on.
@@ -85,7 +85,7 @@ def _row_faults(database: Database) -> Iterator[str]:
             expected = entries.pop((name, key), None)
             if expected is None:
                 yield f"{name} {key}: was put in without an entry in the audit trail"
-            elif _sha256(canonical_json(history.told(table, dict(row)))) not in expected:
+            elif _sha256(canonical_json(history.audited_values(table, dict(row)))) not in expected:
                 yield f"{name} {key}: was changed after it was written"
     for name, key in entries:
         yield f"{name} {key}: is in the audit trail but was removed"
@@ -144,10 +144,10 @@ def reference_faults(database: Database) -> Iterator[str]:
         for constraint in table.foreign_key_constraints:
             parent = constraint.referred_table.alias()
             pairs = [(element.parent, parent.c[element.column.name]) for element in constraint.elements]
-            is_there = select(pairs[0][1]).where(*(child == column for child, column in pairs)).correlate(table)
+            parent_row = select(pairs[0][1]).where(*(child == column for child, column in pairs)).correlate(table)
             is_set = and_(*(child.is_not(None) for child, _ in pairs))
-            lost = select(func.count()).select_from(table).where(is_set, ~is_there.exists())
-            if count := database.value(lost):
+            dangling = select(func.count()).select_from(table).where(is_set, ~parent_row.exists())
+            if count := database.value(dangling):
                 yield f"{table.name}: {count} rows refer to {constraint.referred_table.name} that are not there"
 
 
@@ -159,7 +159,7 @@ def form_faults(database: Database) -> Iterator[str]:
     dialect = database.engine.dialect
     with database.reading() as connection:
         for table in (*(metadata.tables[name] for name in AUDITED), audit, users):
-            read = [column for column in table.columns if isinstance(column.type, IN_WORDS)]
+            read = [column for column in table.columns if isinstance(column.type, MULTIFORM_TYPES)]
             if not read:
                 continue
             key = list(table.primary_key.columns)
@@ -167,12 +167,12 @@ def form_faults(database: Database) -> Iterator[str]:
             in_order = {"yield_per": 1000}
             stored = select(*key, *(type_coerce(column, NullType()) for column in read)).order_by(*key)
             values = connection.execute(select(*read).order_by(*key), execution_options=in_order)
-            for row, found in zip(connection.execute(stored, execution_options=in_order), values, strict=True):
-                for column, kept, write, value in zip(read, row[len(key) :], writers, found, strict=True):
-                    if kept != (value if write is None else write(value)):
-                        named = history.row_key(table, {part.name: row[k] for k, part in enumerate(key)})
-                        shown = f"{column.name} is not as softcal writes it: {str(kept)[:60]!r}"
-                        yield f"{table.name} {canonical_json(named)}: {shown}"
+            for row, parsed in zip(connection.execute(stored, execution_options=in_order), values, strict=True):
+                for column, stored_value, write, value in zip(read, row[len(key) :], writers, parsed, strict=True):
+                    if stored_value != (value if write is None else write(value)):
+                        row_key = history.row_key(table, {part.name: row[k] for k, part in enumerate(key)})
+                        problem = f"{column.name} is not as softcal writes it: {str(stored_value)[:60]!r}"
+                        yield f"{table.name} {canonical_json(row_key)}: {problem}"
 
 
 def schema_faults(database: Database) -> Iterator[str]:
@@ -184,8 +184,8 @@ def schema_faults(database: Database) -> Iterator[str]:
     with database.reading() as connection:
         differences = compare_metadata(MigrationContext.configure(connection), metadata)
     for difference in differences:
-        what = difference if isinstance(difference, tuple) else difference[0]
-        yield f"schema: {' '.join(str(part) for part in what[:3])[:160]} is not as this version makes it"
+        change = difference if isinstance(difference, tuple) else difference[0]
+        yield f"schema: {' '.join(str(part) for part in change[:3])[:160]} is not as this version makes it"
 
 
 TRIGGERS = {
@@ -235,12 +235,12 @@ def _sha256(text: str) -> str:
 def people_faults(database: Database, origin: str) -> Iterator[str]:
     """Yield a line for every person whose row differs from the last entry in the audit trail."""
     query = select(audit.c.key, audit.c.after).where(audit.c.entity == "users", audit.c.origin == origin)
-    query = query.where(audit.c.action.in_(TOLD_OF_PEOPLE)).order_by(audit.c.seq)
+    query = query.where(audit.c.action.in_(PERSON_ACTIONS)).order_by(audit.c.seq)
     entries = {key: after for key, after in database.tuples(query)}
     rows = database.rows(select(users))
-    here = {canonical_json((row["name"],)): canonical_json(people_as_told(row)) for row in rows}
-    yield from _untold("users", here, entries, "role, PIN or rights")
-    for key in entries.keys() - here.keys():
+    rows_by_key = {canonical_json((row["name"],)): canonical_json(person_in_trail(row)) for row in rows}
+    yield from _trail_faults("users", rows_by_key, entries, "role, PIN or rights")
+    for key in entries.keys() - rows_by_key.keys():
         yield f"users {key}: is in the audit trail but was removed"
 
 
@@ -249,16 +249,20 @@ def token_faults(database: Database) -> Iterator[str]:
     query = select(audit.c.key, audit.c.after).where(audit.c.entity == "tokens").order_by(audit.c.at, audit.c.seq)
     entries = {key: after for key, after in database.tuples(query)}
     rows = database.rows(select(tokens))
-    here = {canonical_json((row["token_id"],)): canonical_json(history.plain(token_as_told(row))) for row in rows}
-    yield from _untold("tokens", here, entries, "account, purpose, end or secret")
+    rows_by_key = {
+        canonical_json((row["token_id"],)): canonical_json(history.plain(token_in_trail(row))) for row in rows
+    }
+    yield from _trail_faults("tokens", rows_by_key, entries, "account, purpose, end or secret")
 
 
-def _untold(table: str, here: Mapping[str, str], told: Mapping[str, str | None], facts: str) -> Iterator[str]:
-    for key, row in here.items():
-        if told.get(key) is None:
+def _trail_faults(
+    table: str, rows_by_key: Mapping[str, str], audited_values: Mapping[str, str | None], changed: str
+) -> Iterator[str]:
+    for key, row in rows_by_key.items():
+        if audited_values.get(key) is None:
             yield f"{table} {key}: was put in without an entry in the audit trail"
-        elif told[key] != row:
-            yield f"{table} {key}: {facts} were changed behind the audit trail"
+        elif audited_values[key] != row:
+            yield f"{table} {key}: {changed} were changed behind the audit trail"
 
 
 def count_faults(database: Database) -> Iterator[str]:
@@ -286,15 +290,15 @@ def anchor_faults(database: Database, heads: Heads, where: str) -> Iterator[str]
     for origin, (seq, sha256) in heads.items():
         stored = database.value(select(audit.c.hash).where(audit.c.origin == origin, audit.c.seq == seq))
         if stored != sha256:
-            what = "is gone" if stored is None else "is another one"
-            yield f"audit {origin} row {seq}: {what} than was written down {where}; the trail was cut or rewritten"
+            state = "is gone" if stored is None else "is another one"
+            yield f"audit {origin} row {seq}: {state} than was written down {where}; the trail was cut or rewritten"
 
 
 def alien_tables(database: Database) -> Iterator[str]:
     """Yield a line for every table that softcal did not create, as it may shadow one of softcal's."""
-    known = {table.name for table in metadata.sorted_tables} | {"alembic_version"}
+    expected = {table.name for table in metadata.sorted_tables} | {"alembic_version"}
     with database.reading() as connection:
         names = (*inspect(connection).get_table_names(), *inspect(connection).get_view_names())
     for name in names:
-        if name not in known:
+        if name not in expected:
             yield f"table {name}: was put in; softcal made no such table"

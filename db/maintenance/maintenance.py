@@ -5,7 +5,7 @@ from pathlib import Path
 
 from sqlalchemy import insert, select
 
-from softcal.db.access.people import people_as_told
+from softcal.db.access.people import person_in_trail
 from softcal.db.entries import Heads
 from softcal.db.maintenance import checks
 from softcal.db.repositories.registry_base import RegistryBase
@@ -31,8 +31,8 @@ def migrate(database: Database) -> str:
         # Two processes may have found it empty.
         if database.row(select(registry_info)) is None:
             origin = uuid.uuid4().hex[:12]
-            facts = {"origin": origin, "origin_sha256": checks.origin_sha256(origin)}
-            database.change(insert(registry_info), [{"key": key, "value": value} for key, value in facts.items()])
+            info = {"origin": origin, "origin_sha256": checks.origin_sha256(origin)}
+            database.change(insert(registry_info), [{"key": key, "value": value} for key, value in info.items()])
     return str(schema_of(database))
 
 
@@ -42,8 +42,8 @@ class Adoption(RegistryBase):
     def state_restored(self, heads: Heads) -> None:
         """Begin this registry's own chain with the last row of each chain that it continues."""
         with self.database.writing():
-            self._tell("restore", "registry", (self.origin,), after={"heads": heads})
+            self._write_audit_row("restore", "registry", (self.origin,), after={"heads": heads})
             # `verify` compares every person with what this registry's own chain told last.
             for row in self.database.rows(select(users).order_by(users.c.name)):
-                person = people_as_told(row)
-                self._tell("state", "users", (row["name"],), after=person, reason="restored from a backup")
+                person = person_in_trail(row)
+                self._write_audit_row("state", "users", (row["name"],), after=person, reason="restored from a backup")

@@ -22,14 +22,14 @@ from softcal.db.schema.arrays import copy_blob
 from softcal.db.schema.column_types import UtcTime
 from softcal.db.schema.database import Database
 from softcal.db.schema.tables import AUDITED, audit, blobs, limits, metadata
-from softcal.db.schema.transaction_cache import HAS_TOLD, forget
+from softcal.db.schema.transaction_cache import HAS_AUDIT_ROWS, clear_cache
 
 ROWS_AT_ONCE = 200
 CLOCKS_AGREE = timedelta(minutes=2)
-Named = tuple[object, ...]
+RowKey = tuple[object, ...]
 """Table and primary key of a row."""
 
-FACTS_OF_A_LOT = ("source", "sample_rate_Hz", "sensor_model", "reference_quantity", "reference_unit", "output_unit")
+LOT_FIELDS = ("source", "sample_rate_Hz", "sensor_model", "reference_quantity", "reference_unit", "output_unit")
 
 
 @dataclass(frozen=True)
@@ -48,42 +48,42 @@ class SyncReport:
     clocks: tuple[str, ...] = ()
 
 
-def synchronise(here: RegistryBase, there: RegistryBase) -> SyncReport:
-    """Send what `there` does not have, take what `here` does not have.
+def synchronise(local: RegistryBase, remote: RegistryBase) -> SyncReport:
+    """Send what `remote` does not have, take what `local` does not have.
 
     `InputError`: both are one registry, or copies of one file that were both written to. `RegistryError`: a chain is
     damaged or a connection broke; run it again.
     """
-    if here.origin == there.origin:
+    if local.origin == remote.origin:
         raise InputError(
             "both registries are one and the same, or one is a plain copy of the other's file; "
             "make copies with `softcal registry backup` and `restore`"
         )
-    sent, received = _send(here.database, there.database), _send(there.database, here.database)
-    now, clocks = here.settings.clock(), list[str]()
+    sent, received = _send(local.database, remote.database), _send(remote.database, local.database)
+    now, clocks = local.settings.clock(), list[str]()
     # Of a server its clock now, of a registry its newest row.
-    for side in (here, there):
+    for side in (local, remote):
         if not side.database.is_sqlite:
             server: datetime = side.database.value(select(func.clock_timestamp()))
             if abs(server - now) > CLOCKS_AGREE:
                 name = side.database.name
                 clocks.append(f"the clock of this computer and the server's of {name} are {server - now} apart")
-    for origin in history.origins(here.database):
+    for origin in history.origins(local.database):
         newest = select(audit.c.at).where(audit.c.origin == origin).order_by(audit.c.seq.desc()).limit(1)
-        at: datetime = here.database.value(newest)
+        at: datetime = local.database.value(newest)
         if at - now > CLOCKS_AGREE:
             clocks.append(
                 f"registry {origin} wrote its newest row at {at:%Y-%m-%d %H:%M:%S} UTC, {at - now} ahead of this "
                 "computer's clock; set that station's clock, and do not trust which of two results is the newer"
             )
-    return SyncReport(sent, received, tuple(conflicts(here)), tuple(clocks))
+    return SyncReport(sent, received, tuple(conflicts(local)), tuple(clocks))
 
 
 def conflicts(registry: RegistryBase) -> list[str]:
     """Return one line for everything that two registries did differently."""
     database = registry.database
     with database.reading():
-        used = [conflict_line(database, lot_id, serial) for lot_id, serial in conflicts_of(database)]
+        map_conflicts = [conflict_line(database, lot_id, serial) for lot_id, serial in conflicts_of(database)]
         version = (limits.c.lot_id, limits.c.version)
         doubles = select(*version).group_by(*version).having(func.count() > 1).order_by(*version)
         twice = [
@@ -93,19 +93,19 @@ def conflicts(registry: RegistryBase) -> list[str]:
         decided = decision_conflicts(database)
         chains: dict[str, set[str]] = {}
         for key, after in database.tuples(select(audit.c.key, audit.c.after).where(audit.c.entity == "lots")):
-            facts = json.loads(after)
-            chains.setdefault(key, set()).add(json.dumps([facts[name] for name in FACTS_OF_A_LOT]))
+            settings = json.loads(after)
+            chains.setdefault(key, set()).add(json.dumps([settings[name] for name in LOT_FIELDS]))
     differing = [
         f"lot {json.loads(key)[0]!r} was registered with other facts elsewhere; give one of them another id"
         for key, versions in sorted(chains.items())
         if len(versions) > 1
     ]
-    return [*used, *twice, *decided, *differing]
+    return [*map_conflicts, *twice, *decided, *differing]
 
 
 def _send(source: Database, target: Database) -> int:
     sent = 0
-    known: set[Named] = set()
+    copied: set[RowKey] = set()
     for origin in history.origins(source):
         while chunk := _missing(source, target, origin):
             with source.reading(), target.writing() as connection:
@@ -117,10 +117,10 @@ def _send(source: Database, target: Database) -> int:
                             if isinstance(kind := table.c[name].type, UtcTime | Date):
                                 day_or_time = datetime if isinstance(kind, UtcTime) else date
                                 key[name] = day_or_time.fromisoformat(value)
-                        _copy(source, target, table, key, known)
+                        _copy(source, target, table, key, copied)
                 target.change(insert(audit), [vars(entry) for entry in chunk])
-                connection.info[HAS_TOLD] = True
-                forget(connection)
+                connection.info[HAS_AUDIT_ROWS] = True
+                clear_cache(connection)
             sent += len(chunk)
     return sent
 
@@ -147,12 +147,12 @@ def _missing(source: Database, target: Database, origin: str) -> list[AuditRow]:
     return rows
 
 
-def _copy(source: Database, target: Database, table: Table, key: dict[str, Any], known: set[Named]) -> None:
-    """Copy a row after the rows that it refers to, unless the target has it; `known` are the rows of the target."""
-    named = (table.name, *key.values())
-    if named in known:
+def _copy(source: Database, target: Database, table: Table, key: dict[str, Any], copied: set[RowKey]) -> None:
+    """Copy a row after the rows that it refers to, unless the target has it; `copied` are the rows of the target."""
+    row_key = (table.name, *key.values())
+    if row_key in copied:
         return
-    known.add(named)
+    copied.add(row_key)
     where = and_(*(table.c[name] == value for name, value in key.items()))
     if target.row(select(table.primary_key.columns[0]).where(where)) is not None:
         return
@@ -166,5 +166,5 @@ def _copy(source: Database, target: Database, table: Table, key: dict[str, Any],
         if constraint.referred_table is blobs:
             copy_blob(source, target, parent["sha256"])
         else:
-            _copy(source, target, constraint.referred_table, parent, known)
+            _copy(source, target, constraint.referred_table, parent, copied)
     target.change(insert(table), dict(row))

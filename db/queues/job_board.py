@@ -17,7 +17,7 @@ from softcal.core.errors import InputError, NoSuchJob
 from softcal.core.orders import ACTIVE, RunState
 from softcal.db.repositories.registry_base import RegistryBase
 from softcal.db.schema.arrays import get_arrays, put_arrays
-from softcal.db.schema.database import given
+from softcal.db.schema.database import equality_conditions
 from softcal.db.schema.deadline import MAX_CLOCK_ERROR, is_silent
 from softcal.db.schema.tables import jobs
 
@@ -73,8 +73,8 @@ class Job:
 
     def is_lost(self, now: datetime) -> bool:
         """Whether its process has died, or was never there."""
-        patience = START_WITHIN if self.state is RunState.QUEUED else JOB_SILENT_AFTER
-        return self.state.is_active and is_silent(self.beaten_at, now, patience)
+        timeout = START_WITHIN if self.state is RunState.QUEUED else JOB_SILENT_AFTER
+        return self.state.is_active and is_silent(self.beaten_at, now, timeout)
 
 
 class JobBoard(RegistryBase):
@@ -137,7 +137,7 @@ class JobBoard(RegistryBase):
         if job.state is RunState.QUEUED or job.is_lost(self.settings.clock()):
             self.end(job_id, RunState.CANCELLED, "cancelled")
         else:
-            self._change(job_id, {"is_cancel_wanted": True}, is_beat=False)
+            self._change(job_id, {"is_cancel_wanted": True}, with_heartbeat=False)
 
     def job(self, job_id: str) -> Job:
         """Return one job with its trace and result; raise `InputError` for an unknown id."""
@@ -153,7 +153,7 @@ class JobBoard(RegistryBase):
 
     def jobs(self, kind: str | None = None, count: int = 20, before: int = 0) -> list[Job]:
         """Return `count` jobs behind the newest `before`, newest first, without traces and results."""
-        query: Select[Any] = select(*BRIEF).where(*given((jobs.c.kind, kind)))
+        query: Select[Any] = select(*BRIEF).where(*equality_conditions((jobs.c.kind, kind)))
         newest = query.order_by(jobs.c.created.desc(), jobs.c.job_id).limit(count).offset(before)
         return [_job(row) for row in self.database.rows(newest)]
 
@@ -164,12 +164,12 @@ class JobBoard(RegistryBase):
         with self.database.reading():
             return get_arrays(self.database, job.blob_sha256)
 
-    def _change(self, job_id: str, values: Mapping[str, Any], *, is_beat: bool = True) -> None:
-        beat = {"beaten_at": self.settings.clock()} if is_beat else {}
+    def _change(self, job_id: str, values: Mapping[str, Any], *, with_heartbeat: bool = True) -> None:
+        heartbeat = {"beaten_at": self.settings.clock()} if with_heartbeat else {}
         open_job = update(jobs).where(jobs.c.job_id == job_id, jobs.c.state.in_(ACTIVE))
-        self.database.change(open_job.values(**values, **beat))
+        self.database.change(open_job.values(**values, **heartbeat))
 
 
 def _job(row: RowMapping) -> Job:
-    facts = {"trace": {}, "result": {}} | dict(row)
-    return Job(**facts | {"state": RunState(row["state"])})
+    values = {"trace": {}, "result": {}} | dict(row)
+    return Job(**values | {"state": RunState(row["state"])})

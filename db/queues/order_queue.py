@@ -13,17 +13,17 @@ from typing import Any, NamedTuple
 from sqlalchemy import RowMapping, Select, delete, insert, select, update
 
 from softcal.core.errors import InputError, NoSuchOrder, StationBusy
-from softcal.core.messages.reason import Reason, packed, reason, to_kept
+from softcal.core.messages.reason import Reason, pack_reasons, reason, to_stored
 from softcal.core.orders import ACTIVE, Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.db.repositories.registry_base import RegistryBase
-from softcal.db.schema.database import given
+from softcal.db.schema.database import equality_conditions
 from softcal.db.schema.deadline import is_silent
 from softcal.db.schema.tables import heartbeats, line_places, orders, run_signals
 
 STATION_SILENT_AFTER = timedelta(seconds=3)
 """A station whose last heartbeat is older is not there, as far as a screen can see."""
 
-TAKEN_OVER_AFTER = timedelta(seconds=15)
+TAKEOVER_AFTER = timedelta(seconds=15)
 """Another process may serve a station whose heartbeat is older. A busy machine keeps a service from
 its beat for seconds: it must not lose its rig for that."""
 
@@ -61,16 +61,18 @@ class OrderQueue(RegistryBase):
             # Looked at behind the wait for other writers, which is where the time goes.
             if until_s is not None and time.monotonic() > until_s:
                 return False
-            asked = insert(orders).values(**values | progress, changed_at=self.settings.clock())
-            if self.database.insert_new(asked):
+            new_order = insert(orders).values(**values | progress, changed_at=self.settings.clock())
+            if self.database.insert_new(new_order):
                 return True
             row = self.database.rows(_open_runs(order.station))[0]
-            what = f"{row['kind']} {row['serial']}".strip()
-            raise StationBusy(reason("station.busy", station=repr(order.station), what=what, state=row["state"]))
+            run_text = f"{row['kind']} {row['serial']}".strip()
+            raise StationBusy(reason("station.busy", station=repr(order.station), what=run_text, state=row["state"]))
 
     def take(self, station: str, only: OrderKind | None = None) -> Order | None:
         """Return the station's next order, marked running; orders without a run (STOP) come first."""
-        query = select(orders).where(o.state == RunState.QUEUED, *given((o.station, station), (o.kind, only)))
+        query = select(orders).where(
+            o.state == RunState.QUEUED, *equality_conditions((o.station, station), (o.kind, only))
+        )
         with self.database.writing(in_turn=False):
             waiting = self.database.rows(query.order_by(o.created, o.order_id))
             if not waiting:
@@ -104,7 +106,7 @@ class OrderQueue(RegistryBase):
 
     def runs(self, station: str | None = None, count: int = 50, before: int = 0) -> list[tuple[Order, Progress]]:
         """Return `count` orders behind the newest `before` with their progress, newest first, without the signal."""
-        query = select(orders).where(*given((o.station, station))).order_by(o.created.desc(), o.order_id)
+        query = select(orders).where(*equality_conditions((o.station, station))).order_by(o.created.desc(), o.order_id)
         rows = self.database.rows(query.limit(count).offset(before))
         return [(_order(row), _progress(row, Signal())) for row in rows]
 
@@ -126,12 +128,12 @@ class OrderQueue(RegistryBase):
         What was queued is cancelled: nothing moves because of an old order.
         """
         ended = {RunState.RUNNING: RunState.ERROR, RunState.QUEUED: RunState.CANCELLED}
-        left = select(o.order_id, o.state).where(o.station == station, o.state.in_(ACTIVE)).order_by(o.created)
+        unfinished = select(o.order_id, o.state).where(o.station == station, o.state.in_(ACTIVE)).order_by(o.created)
         with self.database.writing(in_turn=False):
-            rows = self.database.rows(left)
+            rows = self.database.rows(unfinished)
             for row in rows:
                 state = ended[RunState(row["state"])]
-                self._set([row["order_id"]], state=state, code="E-INTERRUPTED", message=packed([message]))
+                self._set([row["order_id"]], state=state, code="E-INTERRUPTED", message=pack_reasons([message]))
         return [row["order_id"] for row in rows]
 
     def cancel_queued(self, station: str, message: Reason | str) -> list[str]:
@@ -139,26 +141,26 @@ class OrderQueue(RegistryBase):
         waiting = (o.station == station, o.state == RunState.QUEUED, o.kind.in_(RUNS))
         with self.database.writing(in_turn=False):
             order_ids = self.database.values(select(o.order_id).where(*waiting))
-            self._set(order_ids, state=RunState.CANCELLED, code="E-STOPPED", message=packed([message]))
+            self._set(order_ids, state=RunState.CANCELLED, code="E-STOPPED", message=pack_reasons([message]))
         return order_ids
 
-    def beat(self, heartbeat: Heartbeat, after: timedelta = TAKEN_OVER_AFTER) -> None:
+    def beat(self, heartbeat: Heartbeat, after: timedelta = TAKEOVER_AFTER) -> None:
         """Write a station's heartbeat and state, if the heartbeat of another owner is older than `after`.
 
         `InputError`: another process serves this station; ports have one owner.
         """
-        gate = [[to_kept(c.name), c.is_good, to_kept(c.says)] for c in heartbeat.gate]
-        values = vars(heartbeat) | {"reasons": [to_kept(why) for why in heartbeat.reasons], "gate": gate}
+        gate = [[to_stored(c.name), c.is_good, to_stored(c.says)] for c in heartbeat.gate]
+        values = vars(heartbeat) | {"reasons": [to_stored(cause) for cause in heartbeat.reasons], "gate": gate}
         where = heartbeats.c.station == heartbeat.station
         with self.database.writing(in_turn=False):
-            known = self.database.row(select(heartbeats).where(where).with_for_update())
-            if known is None:
+            stored = self.database.row(select(heartbeats).where(where).with_for_update())
+            if stored is None:
                 if not self.database.insert_new(insert(heartbeats).values(**values)):
                     raise InputError(reason("station.taken", station=repr(heartbeat.station)))
                 return
-            is_alive = not is_silent(known["at"], heartbeat.at, after)
-            if is_alive and known["process"] != heartbeat.process and known["state"] != StationState.OFF:
-                raise InputError(reason("station.served", station=repr(heartbeat.station), process=known["process"]))
+            is_alive = not is_silent(stored["at"], heartbeat.at, after)
+            if is_alive and stored["process"] != heartbeat.process and stored["state"] != StationState.OFF:
+                raise InputError(reason("station.served", station=repr(heartbeat.station), process=stored["process"]))
             self.database.change(update(heartbeats).where(where).values(**values))
 
     def heartbeat(self, station: str) -> Heartbeat | None:
@@ -176,8 +178,8 @@ class OrderQueue(RegistryBase):
         return last is not None and not is_silent(last.at, self.settings.clock(), STATION_SILENT_AFTER)
 
     def _set(self, order_ids: Sequence[str], **values: object) -> None:
-        mine = update(orders).where(o.order_id.in_(order_ids))
-        self.database.change(mine.values(**values, changed_at=self.settings.clock()))
+        statement = update(orders).where(o.order_id.in_(order_ids))
+        self.database.change(statement.values(**values, changed_at=self.settings.clock()))
 
     def _signal(self, order_id: str) -> Signal:
         signal = self.database.value(select(run_signals.c.signal).where(run_signals.c.order_id == order_id))
@@ -197,12 +199,12 @@ class LinePlaces(RegistryBase):
         row = self.database.row(select(line_places).where(line_places.c.station == station))
         return (0, {}) if row is None else (row["version"], row["place"])
 
-    def write(self, station: str, seen_version: int, place: Mapping[str, Any]) -> bool:
+    def write(self, station: str, expected_version: int, values_at_line: Mapping[str, Any]) -> bool:
         """Replace the values of a row; return False if another writer was first."""
-        values = {"station": station, "version": seen_version + 1, "place": dict(place)}
-        seen = (line_places.c.station == station, line_places.c.version == seen_version)
-        if seen_version:
-            return self.database.change(update(line_places).where(*seen).values(**values)) == 1
+        values = {"station": station, "version": expected_version + 1, "place": dict(values_at_line)}
+        is_expected = (line_places.c.station == station, line_places.c.version == expected_version)
+        if expected_version:
+            return self.database.change(update(line_places).where(*is_expected).values(**values)) == 1
         return self.database.insert_new(insert(line_places).values(**values))
 
 
@@ -211,7 +213,7 @@ def _open_runs(station: str) -> Select[Any]:
 
 
 def _progress_values(progress: Progress) -> dict[str, object]:
-    return {name: getattr(progress, name) for name in PROGRESS_FIELDS} | {"message": packed(progress.message)}
+    return {name: getattr(progress, name) for name in PROGRESS_FIELDS} | {"message": pack_reasons(progress.message)}
 
 
 def _order(row: RowMapping) -> Order:
@@ -219,10 +221,10 @@ def _order(row: RowMapping) -> Order:
 
 
 def _progress(row: RowMapping, signal: Signal) -> Progress:
-    facts = {name: row[name] for name in PROGRESS_FIELDS}
-    return Progress(**facts | {"state": RunState(row["state"])}, signal=signal)
+    values = {name: row[name] for name in PROGRESS_FIELDS}
+    return Progress(**values | {"state": RunState(row["state"])}, signal=signal)
 
 
 def _heartbeat(row: RowMapping) -> Heartbeat:
-    facts = dict(row) | {"state": StationState(row["state"]), "reasons": tuple(row["reasons"])}
-    return Heartbeat(**facts | {"gate": tuple(Condition(*condition) for condition in row["gate"])})
+    values = dict(row) | {"state": StationState(row["state"]), "reasons": tuple(row["reasons"])}
+    return Heartbeat(**values | {"gate": tuple(Condition(*condition) for condition in row["gate"])})

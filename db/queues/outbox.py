@@ -15,7 +15,7 @@ from softcal.core.errors import InputError
 from softcal.db.entries import AuditRow
 from softcal.db.repositories import history
 from softcal.db.repositories.registry_base import RegistryBase
-from softcal.db.schema.deadline import passed
+from softcal.db.schema.deadline import passed_condition
 from softcal.db.schema.tables import deliveries
 
 Cursor = Mapping[str, int]
@@ -67,10 +67,10 @@ class Outbox(RegistryBase):
         """Return the state of a destination; a new destination begins behind `cursor`."""
         fresh = {"delivered": 0, "failures": 0, "not_before": None, "error": "", "changed_at": self.settings.clock()}
         with self.database.writing(in_turn=False):
-            known = select(deliveries).where(deliveries.c.destination == destination)
-            if self.database.row(known) is None:
+            query = select(deliveries).where(deliveries.c.destination == destination)
+            if self.database.row(query) is None:
                 self.database.change(insert(deliveries).values(destination=destination, cursor=dict(cursor), **fresh))
-            return Delivery(**self.database.rows(known)[0])
+            return Delivery(**self.database.rows(query)[0])
 
     def hold(self, destination: str, holder: str, now: datetime, until: datetime) -> Delivery | None:
         """Lease a destination to one process, or extend the lease; return None if another process has it.
@@ -78,11 +78,11 @@ class Outbox(RegistryBase):
         `holder` names the process and no other one. A hold that ended before `now` is free.
         """
         c = deliveries.c
-        is_free = or_(c.holder.is_(None), c.holder == holder, passed(c.held_until, now, until - now))
-        mine = c.destination == destination
-        take = update(deliveries).where(mine, is_free).values(holder=holder, held_until=until)
+        is_free = or_(c.holder.is_(None), c.holder == holder, passed_condition(c.held_until, now, until - now))
+        is_destination = c.destination == destination
+        take = update(deliveries).where(is_destination, is_free).values(holder=holder, held_until=until)
         with self.database.writing(in_turn=False):
-            row = self.database.row(select(deliveries).where(mine)) if self.database.change(take) else None
+            row = self.database.row(select(deliveries).where(is_destination)) if self.database.change(take) else None
             return None if row is None else Delivery(**row)
 
     def release(self, holder: str) -> None:
@@ -108,10 +108,10 @@ class Outbox(RegistryBase):
         return [Delivery(**row) for row in self.database.rows(select(deliveries).order_by(deliveries.c.destination))]
 
     def _change(self, destination: str, values: Mapping[str, object], holder: str | None) -> None:
-        mine = update(deliveries).where(deliveries.c.destination == destination)
+        statement = update(deliveries).where(deliveries.c.destination == destination)
         if holder is not None:
-            mine = mine.where(deliveries.c.holder == holder)
-        self.database.change(mine.values(**values, changed_at=self.settings.clock()))
+            statement = statement.where(deliveries.c.holder == holder)
+        self.database.change(statement.values(**values, changed_at=self.settings.clock()))
 
 
 def cursor_text(cursor: Cursor) -> str:

@@ -15,14 +15,14 @@ from typing import Any
 from sqlalchemy import Select, and_, delete, func, select, text, update
 
 from softcal.db.repositories.registry_base import RegistryBase
-from softcal.db.schema.database import given, parts
-from softcal.db.schema.deadline import passed
+from softcal.db.schema.database import equality_conditions, parts
+from softcal.db.schema.deadline import passed_condition
 from softcal.db.schema.tables import work_items
 
-MOST_ATTEMPTS = 3
+MAX_ATTEMPTS = 3
 """An item whose workers died this often is failed: it would take down the next worker, too."""
 
-LONGEST_LEASE = timedelta(hours=1)
+MAX_LEASE = timedelta(hours=1)
 STATES = ("queued", "claimed", "failed")
 COUNTED = {"preserve_rowcount": True}
 FREE = {"state": "queued", "owner": None, "lease_until": None}
@@ -58,11 +58,13 @@ class WorkQueue(RegistryBase):
         own, so that other writers wait for milliseconds only.
         """
         now, c = self.settings.clock(), work_items.c
-        named = {"lot_id": work.lot_id, "kind": work.kind, "work_set": work.name}
-        fresh = {**named, **FREE, "attempts": 0, "changed_at": now}
+        identity = {"lot_id": work.lot_id, "kind": work.kind, "work_set": work.name}
+        fresh = {**identity, **FREE, "attempts": 0, "changed_at": now}
         rows = [{**fresh, "serial": serial, "input_sha256": sha256} for serial, sha256 in inputs.items()]
         others = (c.lot_id == work.lot_id, c.kind == work.kind, c.work_set != work.name)
-        alive = select(c.work_set).where(*others, c.state == "claimed", ~passed(c.lease_until, now, LONGEST_LEASE))
+        alive = select(c.work_set).where(
+            *others, c.state == "claimed", ~passed_condition(c.lease_until, now, MAX_LEASE)
+        )
         with self.database.writing():
             self.database.change(delete(work_items).where(*others, c.work_set.not_in(alive)))
         # A dialect takes a tenth of a second to load: who only reads needs neither.
@@ -78,8 +80,8 @@ class WorkQueue(RegistryBase):
                 serials = c.serial.in_([row["serial"] for row in part])
                 failed = update(work_items).where(*_of(work), c.state == "failed", serials)
                 new += self.database.change(failed.values(**FREE, attempts=0, changed_at=now))
-                tried = update(work_items).where(*_of(work), c.state == "queued", c.attempts > 0, serials)
-                self.database.change(tried.values(attempts=0))
+                queued = update(work_items).where(*_of(work), c.state == "queued", c.attempts > 0, serials)
+                self.database.change(queued.values(attempts=0))
         return new
 
     def claim(self, owner: str, work: WorkSet, count: int, lease_s: float) -> list[WorkItem]:
@@ -92,27 +94,27 @@ class WorkQueue(RegistryBase):
             if not self.database.is_sqlite:
                 # The default is a spinning disk's: it would read the items of all lots.
                 self.database.change(text("SET LOCAL random_page_cost = 1.1"))
-            taken = self._free(work, count, c.state == "queued")
-            if len(taken) < count:
-                expired = and_(c.state == "claimed", passed(c.lease_until, now, LONGEST_LEASE))
-                taken += self._free(work, count - len(taken), expired)
-            given_up = [item.id for item in taken if item.attempts >= MOST_ATTEMPTS]
-            mine = [item for item in taken if item.attempts < MOST_ATTEMPTS]
-            if given_up:
+            items = self._free(work, count, c.state == "queued")
+            if len(items) < count:
+                expired = and_(c.state == "claimed", passed_condition(c.lease_until, now, MAX_LEASE))
+                items += self._free(work, count - len(items), expired)
+            exhausted = [item.id for item in items if item.attempts >= MAX_ATTEMPTS]
+            claimed = [item for item in items if item.attempts < MAX_ATTEMPTS]
+            if exhausted:
                 failed = {**FREE, "state": "failed"}
-                self.database.change(update(work_items).where(c.id.in_(given_up)).values(**failed, changed_at=now))
-            if mine:
-                held = {"state": "claimed", "owner": owner, "lease_until": now + timedelta(seconds=lease_s)}
-                rows = update(work_items).where(c.id.in_([item.id for item in mine]))
-                self.database.change(rows.values(**held, changed_at=now, attempts=c.attempts + 1))
-        return [WorkItem(item.id, item.serial, item.input_sha256, item.attempts + 1) for item in mine]
+                self.database.change(update(work_items).where(c.id.in_(exhausted)).values(**failed, changed_at=now))
+            if claimed:
+                lease = {"state": "claimed", "owner": owner, "lease_until": now + timedelta(seconds=lease_s)}
+                rows = update(work_items).where(c.id.in_([item.id for item in claimed]))
+                self.database.change(rows.values(**lease, changed_at=now, attempts=c.attempts + 1))
+        return [WorkItem(item.id, item.serial, item.input_sha256, item.attempts + 1) for item in claimed]
 
     def extend(self, owner: str, lease_s: float) -> int:
         """Extend the lease of all items of an owner; return how many the owner still has."""
         now, c = self.settings.clock(), work_items.c
-        mine = select(c.id).where(c.owner == owner, c.state == "claimed").with_for_update(skip_locked=True)
+        query = select(c.id).where(c.owner == owner, c.state == "claimed").with_for_update(skip_locked=True)
         with self.database.writing(in_turn=False):
-            ids = self.database.values(mine)
+            ids = self.database.values(query)
             for part in parts(ids):
                 rows = update(work_items).where(c.id.in_(part))
                 self.database.change(rows.values(lease_until=now + timedelta(seconds=lease_s), changed_at=now))
@@ -121,15 +123,15 @@ class WorkQueue(RegistryBase):
     def held(self, owner: str, item_ids: Iterable[int]) -> set[int]:
         """Return the items of an owner, which no other process can take before the transaction ends."""
         c = work_items.c
-        mine = select(c.id).where(c.id.in_(list(item_ids)), c.owner == owner, c.state == "claimed")
+        query = select(c.id).where(c.id.in_(list(item_ids)), c.owner == owner, c.state == "claimed")
         with self.database.writing(in_turn=False):
-            return set(self.database.values(mine.order_by(c.id).with_for_update()))
+            return set(self.database.values(query.order_by(c.id).with_for_update()))
 
     def finish(self, owner: str, item_ids: Sequence[int]) -> bool:
         """Remove finished items; return False if a lease ended or another owner has an item: drop its result."""
         c = work_items.c
-        mine = delete(work_items).where(c.id.in_(item_ids), c.owner == owner, c.state == "claimed")
-        return self.database.change(mine) == len(item_ids)
+        statement = delete(work_items).where(c.id.in_(item_ids), c.owner == owner, c.state == "claimed")
+        return self.database.change(statement) == len(item_ids)
 
     def give_back(self, owner: str) -> int:
         """Queue all items of an owner that stops in order; the attempt does not count."""
@@ -145,7 +147,7 @@ class WorkQueue(RegistryBase):
         query = select(owner).where(*_of(work), work_items.c.state == "claimed").distinct().order_by(owner)
         return self.database.values(query)
 
-    def given_up(self, work: WorkSet) -> list[WorkItem]:
+    def exhausted_items(self, work: WorkSet) -> list[WorkItem]:
         """Return the items of a set whose workers died too often."""
         c = work_items.c
         query = select(c.id, c.serial, c.input_sha256, c.attempts).where(*_of(work), c.state == "failed")
@@ -155,7 +157,7 @@ class WorkQueue(RegistryBase):
         """Return how many items are queued, claimed and failed: of a work, of a lot, or of all."""
         c = work_items.c
         query: Select[Any] = select(c.state, func.count().label("items")).group_by(c.state)
-        query = query.where(*given((c.lot_id, lot_id)), *(() if work is None else _of(work)))
+        query = query.where(*equality_conditions((c.lot_id, lot_id)), *(() if work is None else _of(work)))
         return dict.fromkeys(STATES, 0) | {row["state"]: row["items"] for row in self.database.rows(query)}
 
     def _free(self, work: WorkSet, count: int, condition: Any) -> list[WorkItem]:
@@ -166,8 +168,8 @@ class WorkQueue(RegistryBase):
 
     def _free_again(self, owner: str, **more: Any) -> int:
         c = work_items.c
-        mine = update(work_items).where(c.owner == owner, c.state == "claimed")
-        return self.database.change(mine.values(**FREE, **more, changed_at=self.settings.clock()))
+        statement = update(work_items).where(c.owner == owner, c.state == "claimed")
+        return self.database.change(statement.values(**FREE, **more, changed_at=self.settings.clock()))
 
 
 def _of(work: WorkSet) -> tuple[Any, ...]:

@@ -10,7 +10,7 @@ from sqlalchemy import ColumnElement, Select, Text, func, select, type_coerce
 from softcal.core.errors import NoSuchRevision
 from softcal.core.lot import UnitKey
 from softcal.db.repositories.registry_base import RegistryBase, of_row
-from softcal.db.schema.database import given
+from softcal.db.schema.database import equality_conditions
 from softcal.db.schema.tables import adaptations, calibrations
 
 Entry = Mapping[str, Any]
@@ -47,11 +47,11 @@ class AdaptationTables(RegistryBase):
         """
         with self.database.writing():
             c = calibrations.c
-            known = select(c.serial).where(*_of_unit(c, unit), c.revision == revision).limit(1)
-            if self.database.row(known) is None:
+            query = select(c.serial).where(*_of_unit(c, unit), c.revision == revision).limit(1)
+            if self.database.row(query) is None:
                 raise NoSuchRevision(f"unit {unit} has no revision {revision} to adapt")
-            mine = (*_of_unit(adaptations.c, unit), adaptations.c.origin == self.origin)
-            last = int(self.database.value(select(func.max(adaptations.c.number)).where(*mine)) or 0)
+            of_unit = (*_of_unit(adaptations.c, unit), adaptations.c.origin == self.origin)
+            last = int(self.database.value(select(func.max(adaptations.c.number)).where(*of_unit)) or 0)
             for number, entry in enumerate(entries, last + 1):
                 values = {**vars(unit), "number": number, "origin": self.origin, "revision": revision}
                 values |= {"stream": entry["stream"], "sample": entry["sample"], "entry": dict(entry)}
@@ -73,7 +73,7 @@ class AdaptationTables(RegistryBase):
     def all(self, unit: UnitKey, stream: str | None = None) -> list[Entry]:
         """Return the steps of a unit, of one stream or of all, in order of creation."""
         c = adaptations.c
-        query = select(c.entry).where(*_of_unit(c, unit), *given((c.stream, stream)))
+        query = select(c.entry).where(*_of_unit(c, unit), *equality_conditions((c.stream, stream)))
         return self.database.values(query.order_by(c.made_at, c.origin, c.number))
 
     def units(self) -> list[AdaptedUnit]:

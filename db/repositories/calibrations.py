@@ -10,26 +10,26 @@ from sqlalchemy import RowMapping, bindparam, select
 from softcal.core.errors import AmbiguousUnit, InputError, NoSuchNetwork, NoSuchRevision, NoSuchUnit
 from softcal.core.identity import content_sha256
 from softcal.core.lot import UnitKey
-from softcal.core.messages.reason import Reason, to_kept
+from softcal.core.messages.reason import Reason, to_stored
 from softcal.db.entries import StoredCalibration
 from softcal.db.provenance import software_now
 from softcal.db.repositories import history
 from softcal.db.repositories.in_use import NEWEST_FIRST, InUseTable, heads_of, names_several, newest_of_unit, rows_of
-from softcal.db.repositories.lot_pages import standing_units
-from softcal.db.repositories.registry_base import damaged, of_row
+from softcal.db.repositories.lot_pages import units_with_status
+from softcal.db.repositories.registry_base import damage_error, of_row
 from softcal.db.repositories.unit_states import FIT_SHA256, read_parts, state_of
 from softcal.db.schema.arrays import put_arrays
 from softcal.db.schema.column_types import canonical_json
-from softcal.db.schema.database import given
+from softcal.db.schema.database import equality_conditions
 from softcal.db.schema.tables import STATE_PARTS, calibrations, fits, methods, networks, refusals
 
 if TYPE_CHECKING:
     from softcal.core.unit.fit import Fit
     from softcal.core.unit.state import UnitState
 
-KNOWN_NETWORK = select(networks.c.id).where(networks.c.id == bindparam("network"))
-KNOWN_METHOD = select(methods.c.id).where(methods.c.id == bindparam("method"))
-KNOWN_FIT = select(fits.c.sha256).where(fits.c.lot_id == bindparam("lot"), fits.c.sha256 == bindparam("fit"))
+SELECT_NETWORK = select(networks.c.id).where(networks.c.id == bindparam("network"))
+SELECT_METHOD = select(methods.c.id).where(methods.c.id == bindparam("method"))
+SELECT_FIT = select(fits.c.sha256).where(fits.c.lot_id == bindparam("lot"), fits.c.sha256 == bindparam("fit"))
 
 KNOWN_PARTS = {
     field: select(table.c.sha256).where(table.c.lot_id == bindparam("lot"), table.c.sha256 == bindparam("part"))
@@ -75,9 +75,9 @@ class CalibrationTables(InUseTable):
         fit = state.fit
         with self.database.writing():
             self._lot_row(lot_id)
-            stored, network = self.database.found.networks, fit.network_id
+            stored, network = self.database.cache.networks, fit.network_id
             if network not in stored:
-                if self.database.row(KNOWN_NETWORK, {"network": network}) is None:
+                if self.database.row(SELECT_NETWORK, {"network": network}) is None:
                     raise NoSuchNetwork(f"network {network[:12]} is not in the registry; add it before its maps")
                 stored.add(network)
             if not self._revisions(lot_id, fit.serial):
@@ -85,7 +85,7 @@ class CalibrationTables(InUseTable):
             content = adjustments_to_json(state)
             fit_sha256 = self._store_fit(lot_id, fit, actor)
             first = [row["input_sha256"] for row in self._revisions(lot_id, fit.serial, fit_sha256=fit_sha256)]
-            asked = input_sha256 or next(reversed(first), fit.id)
+            requested_input = input_sha256 or next(reversed(first), fit.id)
             values: dict[str, Any] = {
                 "serial": fit.serial,
                 "lot_id": lot_id,
@@ -101,13 +101,13 @@ class CalibrationTables(InUseTable):
                 "fit_s": fit.fit_s,
                 "is_limit_stated": state.limit.is_stated,
                 "verdict": str(state.verdict),
-                "reasons": [to_kept(why) for why in state.decision.reasons],
-                "input_sha256": asked,
+                "reasons": [to_stored(cause) for cause in state.decision.reasons],
+                "input_sha256": requested_input,
                 "recording_sha256": fit.recording_sha256,
             }
-            named = {"decided_by": decided_by, "work_sha256": work_sha256}
-            named["input_sha256"] = asked if decided_by in ASKING else None
-            return self._add_revision(values, named, "calibrate", actor, reason)
+            statement = {"decided_by": decided_by, "work_sha256": work_sha256}
+            statement["input_sha256"] = requested_input if decided_by in ASKING else None
+            return self._add_revision(values, statement, "calibrate", actor, reason)
 
     def put_state(self, lot_id: str, state: UnitState, decided_by: str, *, actor: str | None, reason: str) -> bool:
         """Put a state of a unit into use if another state is in use; return whether it did.
@@ -118,16 +118,16 @@ class CalibrationTables(InUseTable):
 
         serial = state.serial
         with self.database.writing():
-            wanted = state_sha256(self._store_fit(lot_id, state.fit, actor), adjustments_to_json(state))
-            row = next(iter(self._revisions(lot_id, serial, state_sha256=wanted)), None)
+            sha256 = state_sha256(self._store_fit(lot_id, state.fit, actor), adjustments_to_json(state))
+            row = next(iter(self._revisions(lot_id, serial, state_sha256=sha256)), None)
             if row is None:
                 self.add(lot_id, state, actor, reason, decided_by=decided_by)
                 return True
             heads = heads_of(self.database, lot_id, serial)
             if [(head["revision"], head["made_by"]) for head in heads] == [(row["revision"], row["origin"])]:
                 return False
-            named = {"revision": row["revision"], "made_by": row["origin"]}
-            self._state(lot_id, serial, named, {"decided_by": decided_by}, actor, reason)
+            statement = {"revision": row["revision"], "made_by": row["origin"]}
+            self._write_statement(lot_id, serial, statement, {"decided_by": decided_by}, actor, reason)
             return True
 
     def _store_parts(self, lot_id: str, adjustments: Mapping[str, Any], actor: str | None) -> dict[str, Any]:
@@ -140,12 +140,12 @@ class CalibrationTables(InUseTable):
         for field, table in STATE_PARTS.items():
             part = adjustments[field]
             sha256 = columns[f"{field}_sha256"] = None if part is None else content_sha256({}, part)
-            if sha256 is None or (table.name, lot_id, sha256) in self.database.found.parts:
+            if sha256 is None or (table.name, lot_id, sha256) in self.database.cache.parts:
                 continue
             if self.database.row(KNOWN_PARTS[field], {"lot": lot_id, "part": sha256}) is None:
                 values = {column.name: None for column in table.columns} | part_to_columns(part, table.c.keys())
                 self._store(table, values | {"lot_id": lot_id, "sha256": sha256}, "add", actor)
-            self.database.found.parts.add((table.name, lot_id, sha256))
+            self.database.cache.parts.add((table.name, lot_id, sha256))
         return columns
 
     def is_stored(self, lot_id: str, fit: Fit, input_sha256: str) -> bool:
@@ -156,8 +156,8 @@ class CalibrationTables(InUseTable):
 
     def _store_fit(self, lot_id: str, fit: Fit, actor: str | None) -> str:
         """Store a fit once, with its method, and return its hash."""
-        if (known := FIT_SHA256.get(fit)) is not None and self._has_fit(lot_id, fit.serial, known):
-            return known
+        if (stored_sha256 := FIT_SHA256.get(fit)) is not None and self._has_fit(lot_id, fit.serial, stored_sha256):
+            return stored_sha256
         from softcal.core.unit.state_json import fit_to_json
 
         stored = fit_to_json(fit)
@@ -166,22 +166,22 @@ class CalibrationTables(InUseTable):
         FIT_SHA256[fit] = sha256
         if self._has_fit(lot_id, fit.serial, sha256):
             return sha256
-        if fit.method.id not in self.database.found.methods:
-            if self.database.row(KNOWN_METHOD, {"method": fit.method.id}) is None:
+        if fit.method.id not in self.database.cache.methods:
+            if self.database.row(SELECT_METHOD, {"method": fit.method.id}) is None:
                 self._store(methods, {"id": fit.method.id, "numbers": fit.method.to_json()}, "add", actor)
-            self.database.found.methods.add(fit.method.id)
+            self.database.cache.methods.add(fit.method.id)
         values = {name: getattr(fit, name) for name in ("serial", "network_id", "recording_sha256")}
         values |= {"lot_id": lot_id, "sha256": sha256, "method_id": fit.method.id}
         self._store(fits, values | {"content": stored.content, "blob_sha256": blob}, "fit", actor)
-        self.database.found.without_fit.discard((lot_id, fit.serial))
+        self.database.cache.without_fit.discard((lot_id, fit.serial))
         return sha256
 
     def _has_fit(self, lot_id: str, serial: str, sha256: str) -> bool:
-        if (lot_id, serial) in self.database.found.without_fit:
+        if (lot_id, serial) in self.database.cache.without_fit:
             return False
         if self._revisions(lot_id, serial, fit_sha256=sha256):
             return True
-        return self.database.row(KNOWN_FIT, {"lot": lot_id, "fit": sha256}) is not None
+        return self.database.row(SELECT_FIT, {"lot": lot_id, "fit": sha256}) is not None
 
     def _revisions(self, lot_id: str, serial: str, **equal: str) -> list[RowMapping]:
         """Return the revisions of a unit with equal columns, newest first."""
@@ -217,29 +217,29 @@ class CalibrationTables(InUseTable):
             heads = heads_of(self.database, lot, serial)
             before = None
             if heads and not names_several(self.database, heads):
-                used = self._revision_row(lot, serial, heads[0]["revision"], heads[0]["made_by"])
-                if old["state_sha256"] == used["state_sha256"]:
+                current = self._revision_row(lot, serial, heads[0]["revision"], heads[0]["made_by"])
+                if old["state_sha256"] == current["state_sha256"]:
                     raise InputError(f"revision {to} of {serial} is the one in use; nothing was changed")
-                before = {"revision": used["revision"], "map_sha256": used["map_sha256"]}
+                before = {"revision": current["revision"], "map_sha256": current["map_sha256"]}
             values, content = {**old, "rolled_back_to": to}, {"decided_by": "rollback"}
             return self._add_revision(values, content, "rollback", actor, reason, before)
 
     def find(self, serial: str, input_sha256: str, *, lot_id: str | None = None) -> StoredCalibration | None:
         """Return the newest calibration of a serial from this input; None without one."""
         c = calibrations.c
-        named = given((c.serial, serial), (c.input_sha256, input_sha256), (c.lot_id, lot_id))
+        conditions = equality_conditions((c.serial, serial), (c.input_sha256, input_sha256), (c.lot_id, lot_id))
         with self.database.reading():
-            row = self.database.row(select(calibrations).where(*named).order_by(*NEWEST_FIRST).limit(1))
+            row = self.database.row(select(calibrations).where(*conditions).order_by(*NEWEST_FIRST).limit(1))
             return None if row is None else self._stored(row)
 
-    def known_inputs(self, lot_id: str, serials: Sequence[str]) -> dict[str, frozenset[str]]:
+    def stored_inputs(self, lot_id: str, serials: Sequence[str]) -> dict[str, frozenset[str]]:
         """Return the input hashes of the calibrations of some units of a lot, by serial."""
         c = calibrations.c
         query = select(c.serial, c.input_sha256).where(c.lot_id == lot_id, c.serial.in_(serials))
-        known: dict[str, frozenset[str]] = {}
+        inputs: dict[str, frozenset[str]] = {}
         for serial, sha256 in self.database.tuples(query):
-            known[serial] = known.get(serial, frozenset()) | {sha256}
-        return known
+            inputs[serial] = inputs.get(serial, frozenset()) | {sha256}
+        return inputs
 
     def get(
         self, serial: str, revision: int | None = None, *, lot_id: str | None = None, origin: str | None = None
@@ -263,7 +263,7 @@ class CalibrationTables(InUseTable):
                 try:
                     row = self._revision_row(lot, serial, statement["revision"], statement["made_by"])
                 except NoSuchRevision as error:
-                    raise damaged(f"unit {serial} of lot {lot}: the calibration in use was not found") from error
+                    raise damage_error(f"unit {serial} of lot {lot}: the calibration in use was not found") from error
             else:
                 row = self._revision_row(lot, serial, revision, origin)
             return self._stored(row)
@@ -272,13 +272,13 @@ class CalibrationTables(InUseTable):
         """Return every revision of a serial, of one lot or of all, oldest first (`InputError`: no such serial)."""
         query = select(calibrations).where(calibrations.c.serial == serial).order_by(*NEWEST_FIRST)
         with self.database.reading():
-            self._known_serial(serial)
+            self._require_serial(serial)
             rows = self.database.rows(query)
             revisions = {row["revision"] for row in rows}
             newest = max(revisions, default=0)
             # A damaged index hides rows without a word.
             if len(revisions) != newest:
-                raise damaged(f"serial {serial}: a revision before {newest} was not found")
+                raise damage_error(f"serial {serial}: a revision before {newest} was not found")
             names = {*history.origins(self.database), *(row["origin"] for row in rows)}
             self._check_hidden(calibrations, [(serial, newest + 1, name) for name in sorted(names)])
             for row in rows:
@@ -302,20 +302,20 @@ class CalibrationTables(InUseTable):
         with self.database.writing():
             self._lot_row(lot_id)
             self._add_unit(lot_id, serial, "target", actor)
-            ((unit, _),) = standing_units(self.database, lot_id, [serial])
+            ((unit, _),) = units_with_status(self.database, lot_id, [serial])
             answered = self.decided_works(lot_id, [serial]).get(serial)
             if (unit.verdict, unit.reasons, answered) == (verdict, reasons, work_sha256):
                 return
             made_at = self._after(newest_of_unit(self.database, lot_id, serial))
             values = {"lot_id": lot_id, "serial": serial, "made_at": made_at, "origin": self.origin}
             values |= {"actor": self._actor(actor), "verdict": verdict, "work_sha256": work_sha256}
-            values["reasons"] = [to_kept(why) for why in reasons]
+            values["reasons"] = [to_stored(cause) for cause in reasons]
             self._store(refusals, values, "refuse", actor)
 
     def _add_revision(
         self,
         values: Mapping[str, Any],
-        told: Mapping[str, Any],
+        content: Mapping[str, Any],
         action: str,
         actor: str | None,
         reason: str,
@@ -329,8 +329,8 @@ class CalibrationTables(InUseTable):
         new = {"revision": revision, "origin": self.origin, "made_at": made_at}
         new |= {"actor": self._actor(actor), "reason": reason, **software_now()}
         self._store(calibrations, {**values, **new}, action, actor, reason, before)
-        named = {"revision": revision, "made_by": self.origin}
-        self._state(lot_id, serial, named, told, actor, reason, made_at)
+        statement = {"revision": revision, "made_by": self.origin}
+        self._write_statement(lot_id, serial, statement, content, actor, reason, made_at)
         return int(revision)
 
     def unit_key(self, serial: str, lot_id: str | None = None) -> UnitKey:
@@ -338,7 +338,7 @@ class CalibrationTables(InUseTable):
 
         `NoSuchUnit`, `NoSuchLot`: unknown; `AmbiguousUnit`: several lots have the serial and no lot is given.
         """
-        self._known_serial(serial)
+        self._require_serial(serial)
         lots = self.lots_of(serial)
         if lot_id is None and len(lots) > 1:
             names = ", ".join(map(repr, lots))
@@ -350,8 +350,10 @@ class CalibrationTables(InUseTable):
 
     def _revision_row(self, lot_id: str, serial: str, revision: int, origin: str | None) -> RowMapping:
         c = calibrations.c
-        named = given((c.lot_id, lot_id), (c.serial, serial), (c.revision, revision), (c.origin, origin))
-        rows = self.database.rows(select(calibrations).where(*named).order_by(c.origin))
+        conditions = equality_conditions(
+            (c.lot_id, lot_id), (c.serial, serial), (c.revision, revision), (c.origin, origin)
+        )
+        rows = self.database.rows(select(calibrations).where(*conditions).order_by(c.origin))
         if not rows:
             by = "" if origin is None else f" of registry {origin}"
             raise NoSuchRevision(f"serial {serial!r} has no revision {revision}{by} in lot {lot_id!r}")
@@ -366,9 +368,9 @@ class CalibrationTables(InUseTable):
     def _stored(self, row: RowMapping) -> StoredCalibration:
         heads = heads_of(self.database, row["lot_id"], row["serial"])
         is_conflict = names_several(self.database, heads)
-        named = {(head["revision"], head["made_by"]) for head in (heads if is_conflict else heads[:1])}
-        is_named = (row["revision"], row["origin"]) in named
-        stands = {"is_current": is_named and not is_conflict, "is_conflict": is_named and is_conflict}
+        heads_in_use = {(head["revision"], head["made_by"]) for head in (heads if is_conflict else heads[:1])}
+        is_head = (row["revision"], row["origin"]) in heads_in_use
+        flags = {"is_current": is_head and not is_conflict, "is_conflict": is_head and is_conflict}
         return of_row(
-            StoredCalibration, row, state=state_of(self.database, row, read_parts(self.database, [row])), **stands
+            StoredCalibration, row, state=state_of(self.database, row, read_parts(self.database, [row])), **flags
         )

@@ -10,10 +10,10 @@ from softcal.db.entries import Draw
 from softcal.db.repositories.history import plain
 from softcal.db.repositories.registry_base import RegistryBase
 from softcal.db.schema.column_types import canonical_json
-from softcal.db.schema.database import given, parts
+from softcal.db.schema.database import equality_conditions, parts
 from softcal.db.schema.tables import LISTS, drawn_units, draws, metadata
 
-MADE = {"made_at", "origin", "actor", "reason"}
+WRITE_COLUMNS = {"made_at", "origin", "actor", "reason"}
 
 
 class DeclarationTables(RegistryBase):
@@ -41,9 +41,9 @@ class DeclarationTables(RegistryBase):
             new = [row for row in rows if _values(before.get(_key(table, row), {})) != _values(row)]
             for row in new:
                 newest = before.get(_key(table, row), {})
-                made = {"made_at": self._after(newest.get("made_at")), "origin": self.origin}
-                made |= {"actor": self._actor(actor), "reason": reason}
-                values = {**row, **made}
+                write_values = {"made_at": self._after(newest.get("made_at")), "origin": self.origin}
+                write_values |= {"actor": self._actor(actor), "reason": reason}
+                values = {**row, **write_values}
                 listed = values.pop("listed", [])
                 self._store(table, values, action, actor, reason)
                 key = {column.name: values[column.name] for column in table.primary_key}
@@ -56,7 +56,7 @@ class DeclarationTables(RegistryBase):
     ) -> list[dict[str, Any]]:
         """Return the newest row of each key, in time order: of one lot or station, of some of its units, or of all."""
         table, rows = metadata.tables[name], list[dict[str, Any]]()
-        of_owner = select(table).where(*given((next(iter(table.c)), owner)))
+        of_owner = select(table).where(*equality_conditions((next(iter(table.c)), owner)))
         with self.database.reading():
             for part in [None] if serials is None else parts(sorted(serials)):
                 query = of_owner if part is None else of_owner.where(table.c.serial.in_(part))
@@ -74,7 +74,7 @@ class DeclarationTables(RegistryBase):
     ) -> Mapping[tuple[Any, ...], list[dict[str, Any]]]:
         """Return what declarations of a kind list, by the key of each."""
         table, above = LISTS[name], [column.name for column in metadata.tables[name].primary_key]
-        of_owner = select(table).where(*given((next(iter(table.c)), owner))).order_by(*table.primary_key)
+        of_owner = select(table).where(*equality_conditions((next(iter(table.c)), owner))).order_by(*table.primary_key)
         listed: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
         for part in [None] if serials is None or "serial" not in above else parts(sorted(serials)):
             query = of_owner if part is None else of_owner.where(table.c.serial.in_(part))
@@ -94,8 +94,8 @@ class DeclarationTables(RegistryBase):
             key = {"lot_id": draw.lot_id, "made_at": self._after(newest.get("made_at")), "origin": self.origin}
             values: dict[str, Any] = {"population": draw.plan.population, "allowed_share": draw.plan.allowed_share}
             values |= {"seed": config.seed, "limit_rmse": draw.limit_rmse, "limit_unit": draw.limit_unit}
-            made = {"actor": self._actor(actor), "reason": reason}
-            self._store(draws, {**key, **made, **values}, "draw", actor, reason)
+            write_values = {"actor": self._actor(actor), "reason": reason}
+            self._store(draws, {**key, **write_values, **values}, "draw", actor, reason)
             for serial in draw.plan.serials:
                 unit = {"serial": serial, "is_random": serial in draw.plan.random}
                 unit["predicted_rmse"] = draw.forecasts[serial]
@@ -110,17 +110,17 @@ class DeclarationTables(RegistryBase):
 
 
 def _draw(row: RowMapping, units: Collection[RowMapping]) -> Draw:
-    drawn = [one for one in units if (one["made_at"], one["origin"]) == (row["made_at"], row["origin"])]
-    doubtful = sorted((-one["predicted_rmse"], one["serial"]) for one in drawn if not one["is_random"])
-    random = tuple(sorted(one["serial"] for one in drawn if one["is_random"]))
+    sampled = [one for one in units if (one["made_at"], one["origin"]) == (row["made_at"], row["origin"])]
+    doubtful = sorted((-one["predicted_rmse"], one["serial"]) for one in sampled if not one["is_random"])
+    random = tuple(sorted(one["serial"] for one in sampled if one["is_random"]))
     plan = AuditPlan(tuple(serial for _, serial in doubtful), random, row["population"], row["allowed_share"])
-    forecasts = {one["serial"]: one["predicted_rmse"] for one in drawn}
+    forecasts = {one["serial"]: one["predicted_rmse"] for one in sampled}
     return Draw(row["lot_id"], plan, forecasts, row["limit_rmse"], row["limit_unit"], row["made_at"])
 
 
 def _key(table: Table, row: Mapping[str, Any]) -> tuple[Any, ...]:
-    return tuple(row[column.name] for column in table.primary_key if column.name not in MADE)
+    return tuple(row[column.name] for column in table.primary_key if column.name not in WRITE_COLUMNS)
 
 
 def _values(row: Mapping[str, Any]) -> str:
-    return canonical_json(plain({name: value for name, value in row.items() if name not in MADE}))
+    return canonical_json(plain({name: value for name, value in row.items() if name not in WRITE_COLUMNS}))

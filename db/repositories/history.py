@@ -14,7 +14,7 @@ from softcal.core.errors import RegistryError
 from softcal.db.entries import AuditRow, Heads
 from softcal.db.schema.column_types import canonical_json
 from softcal.db.schema.database import Database
-from softcal.db.schema.tables import TOLD_BY_HASH, audit
+from softcal.db.schema.tables import HASHED_COLUMNS, audit
 
 FIRST_HASH = "0" * 64
 Values = Mapping[str, object]
@@ -85,9 +85,9 @@ def row_key(table: Table, values: Values) -> tuple[str | int, ...]:
     return tuple(part if isinstance(part, int) else str(part) for part in key)
 
 
-def told(table: Table, values: Values) -> dict[str, object]:
+def audited_values(table: Table, values: Values) -> dict[str, object]:
     """Return a row in the notation of the audit trail."""
-    hashed = TOLD_BY_HASH.get(table.name, ())
+    hashed = HASHED_COLUMNS.get(table.name, ())
     return {
         name: hashlib.sha256(canonical_json(value).encode()).hexdigest() if name in hashed else value
         for name, value in plain(values).items()

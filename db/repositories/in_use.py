@@ -16,9 +16,9 @@ from softcal.core.errors import MapsConflict
 from softcal.core.messages.reason import Reason, reason
 from softcal.db.entries import LimitEntry
 from softcal.db.repositories import history
-from softcal.db.repositories.registry_base import RegistryBase, damaged, of_row
+from softcal.db.repositories.registry_base import RegistryBase, damage_error, of_row
 from softcal.db.schema.column_types import canonical_json
-from softcal.db.schema.database import Database, given, parts
+from softcal.db.schema.database import Database, equality_conditions, parts
 from softcal.db.schema.tables import calibrations, in_use, limits, lots, methods, refusals
 
 NEWEST_STATEMENT = (in_use.c.made_at.desc(), in_use.c.number.desc(), in_use.c.origin.desc())
@@ -30,7 +30,7 @@ OF_STATEMENT = and_(
 NEWEST_FIRST = (calibrations.c.made_at.desc(), calibrations.c.revision.desc(), calibrations.c.origin.desc())
 """No registry writes a revision older than the one before; the newest need not be in use."""
 
-STALE = (LIMIT_IS_OTHER, LIMIT_IS_GONE) = ("stale_limit", "stale_limit_open")
+STALE = (LIMIT_IS_OTHER, LIMIT_IS_WITHDRAWN) = ("stale_limit", "stale_limit_open")
 """Codes of the reasons why a verdict does not stand any more."""
 
 
@@ -71,22 +71,22 @@ class InUseTable(RegistryBase):
         c = calibrations.c
         with self.database.writing():
             query = select(calibrations).where(c.lot_id == lot_id, c.serial == serial, c.input_sha256 == input_sha256)
-            made = self.database.row(query.order_by(*NEWEST_FIRST).limit(1))
-            if made is None:
+            calibration = self.database.row(query.order_by(*NEWEST_FIRST).limit(1))
+            if calibration is None:
                 return False
             heads = heads_of(self.database, lot_id, serial)
             if names_several(self.database, heads):
                 return True
             statements, refused = (rows_of(self.database, table, lot_id, serial) for table in (in_use, refusals))
-            asked = next((row for row in statements if row["input_sha256"] is not None), None)
-            named = {"revision": made["revision"], "made_by": made["origin"]}
-            if asked is not None and asked["input_sha256"] == input_sha256:
-                if not refused or refused[0]["made_at"] < asked["made_at"]:
-                    if work_sha256 in (None, asked["work_sha256"]):
+            newest_request = next((row for row in statements if row["input_sha256"] is not None), None)
+            statement = {"revision": calibration["revision"], "made_by": calibration["origin"]}
+            if newest_request is not None and newest_request["input_sha256"] == input_sha256:
+                if not refused or refused[0]["made_at"] < newest_request["made_at"]:
+                    if work_sha256 in (None, newest_request["work_sha256"]):
                         return True
-                    named = dict(heads[0])
+                    statement = dict(heads[0])
             content = {"work_sha256": work_sha256, "input_sha256": input_sha256, "decided_by": decided_by}
-            self._state(lot_id, serial, named, content, actor, "the same input again")
+            self._write_statement(lot_id, serial, statement, content, actor, "the same input again")
             return True
 
     def decided_works(self, lot_id: str, serials: Sequence[str]) -> dict[str, str]:
@@ -97,10 +97,10 @@ class InUseTable(RegistryBase):
         newest: dict[str, tuple[datetime, str | None]] = {}
         for part in parts(serials):
             u, r = in_use.c, refusals.c
-            asked = select(u.serial, u.made_at, u.work_sha256).where(u.lot_id == lot_id, u.serial.in_(part))
+            requests = select(u.serial, u.made_at, u.work_sha256).where(u.lot_id == lot_id, u.serial.in_(part))
             refused = select(r.serial, r.made_at, r.work_sha256).where(r.lot_id == lot_id, r.serial.in_(part))
             with self.database.reading():
-                for query in (asked.where(u.input_sha256.is_not(None)), refused):
+                for query in (requests.where(u.input_sha256.is_not(None)), refused):
                     for serial, made_at, work in self.database.tuples(query):
                         if serial not in newest or made_at > newest[serial][0]:
                             newest[serial] = made_at, work
@@ -125,7 +125,7 @@ class InUseTable(RegistryBase):
                 for row in self.database.rows(query.where(table.c.serial.in_(part)), {"lot": lot_id}):
                     rows[row["serial"]].append(row)
                 lot = "" if table is calibrations else lot_id
-                self.database.found.rows.update({(table.name, lot, serial): of for serial, of in rows.items()})
+                self.database.cache.rows.update({(table.name, lot, serial): of for serial, of in rows.items()})
 
     def passed_once(self, lot_id: str) -> frozenset[str]:
         """Return the serials of a lot for which a calibration that passed was ever in use."""
@@ -144,7 +144,7 @@ class InUseTable(RegistryBase):
         query = select(u.origin, func.max(u.number), func.count()).where(u.lot_id == lot_id, u.serial == serial)
         last = {origin: (number, count) for origin, number, count in self.database.tuples(query.group_by(u.origin))}
         if any(number != count for number, count in last.values()):
-            raise damaged(f"unit {serial} of lot {lot_id}: a statement of what is in use was not found")
+            raise damage_error(f"unit {serial} of lot {lot_id}: a statement of what is in use was not found")
         names = sorted({*history.origins(self.database), *last})
         following = [(lot_id, serial, name, last.get(name, (0, 0))[0] + 1) for name in names]
         self._check_hidden(in_use, following)
@@ -154,19 +154,19 @@ class InUseTable(RegistryBase):
             raise MapsConflict(conflict_line(self.database, lot_id, serial))
         return heads[0] if heads else None
 
-    def _state(
+    def _write_statement(
         self,
         lot_id: str,
         serial: str,
-        named: Mapping[str, Any],
-        told: Mapping[str, Any],
+        statement: Mapping[str, Any],
+        content: Mapping[str, Any],
         actor: str | None,
         reason: str,
         made_at: datetime | None = None,
     ) -> None:
         """Write a statement behind every statement without a successor, so that no conflict remains.
 
-        `named` has `revision` and `made_by` of the calibration, `told` the actor and the reason.
+        `statement` has `revision` and `made_by` of the calibration, `content` the actor and the reason.
         """
         heads = heads_of(self.database, lot_id, serial)
         at = made_at or self._after(newest_of_unit(self.database, lot_id, serial))
@@ -175,9 +175,9 @@ class InUseTable(RegistryBase):
         for head in (*heads,) or (None,):
             number += 1
             values = {"lot_id": lot_id, "serial": serial, "origin": self.origin, "number": number}
-            values |= {name: named[name] for name in ("revision", "made_by")}
+            values |= {name: statement[name] for name in ("revision", "made_by")}
             values |= {"follows_origin": head and head["origin"], "follows_number": head and head["number"]}
-            values |= {"work_sha256": None, "input_sha256": None, **told}
+            values |= {"work_sha256": None, "input_sha256": None, **content}
             values |= {"made_at": at, "actor": self._actor(actor), "reason": reason}
             before = None if head is None else {name: head[name] for name in ("revision", "made_by")}
             self._store(in_use, values, "put_in_use", actor, reason, before)
@@ -188,7 +188,7 @@ def rows_of(database: Database, table: sa.Table, lot_id: str, serial: str) -> Se
 
     A transaction has those that were read ahead, and the revisions: these are read only to write the next one.
     """
-    stored, key = database.found.rows, (table.name, lot_id, serial)
+    stored, key = database.cache.rows, (table.name, lot_id, serial)
     rows = stored[key] if key in stored else database.rows(ROWS_OF_UNIT[table], {"lot": lot_id, "unit": serial})
     if table is calibrations:
         stored[key] = rows
@@ -207,11 +207,11 @@ def names_several(database: Database, heads: Sequence[RowMapping]) -> bool:
     if len({(head["revision"], head["made_by"]) for head in heads}) < 2:
         return False
     c = calibrations.c
-    named = set()
+    maps = set()
     for head in heads:
-        is_named = (c.serial == head["serial"], c.revision == head["revision"], c.origin == head["made_by"])
-        named.add(tuple(database.tuples(select(c.map_sha256, c.verdict).where(*is_named))[0]))
-    return len(named) > 1
+        condition = (c.serial == head["serial"], c.revision == head["revision"], c.origin == head["made_by"])
+        maps.add(tuple(database.tuples(select(c.map_sha256, c.verdict).where(*condition))[0]))
+    return len(maps) > 1
 
 
 def conflicts_of(
@@ -235,7 +235,7 @@ def conflicts_of(
     query = select(u.lot_id, u.serial).select_from(in_use).join(calibrations, OF_STATEMENT)
     is_head = followers.correlate(in_use).scalar_subquery() == 0
     query = query.where(is_head).group_by(u.lot_id, u.serial).having(differ)
-    query = query.where(*given((u.lot_id, lot_id), (u.serial, serials)))
+    query = query.where(*equality_conditions((u.lot_id, lot_id), (u.serial, serials)))
     return [(lot, name) for lot, name in database.tuples(query.order_by(u.lot_id, u.serial))]
 
 
@@ -246,11 +246,11 @@ class LimitInForce:
     rmse: float | None
     unit: str
 
-    def why(self, judged: float) -> Reason:
+    def stale_reason(self, judged_limit: float) -> Reason:
         """Return the reason why a verdict against another limit is no longer valid."""
         if self.rmse is None:
-            return reason(LIMIT_IS_GONE, judged=judged, unit=self.unit)
-        return reason(LIMIT_IS_OTHER, judged=judged, limit=self.rmse, unit=self.unit)
+            return reason(LIMIT_IS_WITHDRAWN, judged=judged_limit, unit=self.unit)
+        return reason(LIMIT_IS_OTHER, judged=judged_limit, limit=self.rmse, unit=self.unit)
 
 
 def newest_limit(database: Database, lot_id: str) -> LimitEntry | None:

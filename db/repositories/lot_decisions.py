@@ -57,14 +57,14 @@ def decision_conflicts(database: Database) -> list[str]:
     newest = select(d.lot_id, func.max(d.number).label("number")).group_by(d.lot_id).subquery()
     is_newest = sa.and_(newest.c.lot_id == d.lot_id, newest.c.number == d.number)
     query = select(d.lot_id, d.number, d.origin, d.made_at, d.decision).join(newest, is_newest)
-    made: dict[tuple[str, int], list[sa.RowMapping]] = {}
+    decisions: dict[tuple[str, int], list[sa.RowMapping]] = {}
     for row in database.rows(query.order_by(d.lot_id, d.made_at)):
-        made.setdefault((row["lot_id"], row["number"]), []).append(row)
+        decisions.setdefault((row["lot_id"], row["number"]), []).append(row)
     return [
         f"lot {lot_id}: decision {number} was made by the registries "
         + ", ".join(f"{row['origin']} ({row['made_at']:%Y-%m-%d %H:%M:%S} UTC)" for row in rows)
         + "; the last one is in force; decide by `softcal lot release` or a batch"
-        for (lot_id, number), rows in made.items()
+        for (lot_id, number), rows in decisions.items()
         # Who made it, and when, is no part of what it says.
         if len({canonical_json(dict(row["decision"]) | {"provenance": None}) for row in rows}) > 1
     ]

@@ -26,18 +26,18 @@ from softcal.db.repositories.in_use import (
     ids_of_this_method,
     limit_in_force,
 )
-from softcal.db.repositories.registry_base import RegistryBase, damaged, of_row
+from softcal.db.repositories.registry_base import RegistryBase, damage_error, of_row
 from softcal.db.repositories.unit_states import read_parts, state_of
-from softcal.db.schema.database import Database, given, parts
+from softcal.db.schema.database import Database, equality_conditions, parts
 from softcal.db.schema.tables import calibrations, in_use, refusals, units
 
 SORTABLE = ("serial", "verdict", "made_at", "family", *UNIT_ERRORS)
-MADE_FIELDS = ("revision", "family", "map_sha256", "state_sha256", *UNIT_ERRORS)
+CALIBRATION_FIELDS = ("revision", "family", "map_sha256", "state_sha256", *UNIT_ERRORS)
 
-MOST_FOUND = 50
+MAX_MATCHES = 50
 """So many serials a search offers."""
 
-MOST_SERIALS = 30_000
+MAX_SERIALS = 30_000
 """A question takes no more values than that in SQLite (32,766 since 3.32)."""
 
 
@@ -71,8 +71,8 @@ class UnitFilter:
     def __post_init__(self) -> None:
         if self.sort not in (*SORTABLE, "severity"):
             raise InputError(f"units cannot be sorted by {self.sort!r}; known: severity, {', '.join(SORTABLE)}")
-        if len(self.serials or ()) > MOST_SERIALS:
-            raise InputError(f"{len(self.serials or ())} units at once; choose fewer than {MOST_SERIALS}, by days")
+        if len(self.serials or ()) > MAX_SERIALS:
+            raise InputError(f"{len(self.serials or ())} units at once; choose fewer than {MAX_SERIALS}, by days")
 
     def conditions(self, table: sa.Subquery) -> Iterator[ColumnElement[bool]]:
         if self.verdicts:
@@ -115,23 +115,23 @@ class UnitErrors(NamedTuple):
 class LotPages(RegistryBase):
     """Status of many units at once: pages, counts, errors, without reading the whole lot."""
 
-    def unit_page(self, lot_id: str, wanted: UnitFilter, *, size: int = 50, before: int = 0) -> UnitPage:
+    def unit_page(self, lot_id: str, unit_filter: UnitFilter, *, size: int = 50, before: int = 0) -> UnitPage:
         """Return the `size` target units of a lot behind the first `before`, each with its newest result.
 
         `InputError`: no such lot.
         """
         with self.database.reading():
             self._lot_row(lot_id)
-            standing = StandingQuery(self.database, lot_id, role="target")
-            table = standing.table
-            condition: ColumnElement[bool] = and_(True, *wanted.conditions(table))
-            order = wanted.order(table)
+            status_query = StatusQuery(self.database, lot_id, role="target")
+            table = status_query.table
+            condition: ColumnElement[bool] = and_(True, *unit_filter.conditions(table))
+            order = unit_filter.order(table)
             query = select(table).where(condition).order_by(*order).limit(size).offset(before)
-            total = self.database.value(select(func.count()).select_from(table).where(condition), standing.values)
-            entries = [standing.entry(row) for row in self.database.rows(query, standing.values)]
+            total = self.database.value(select(func.count()).select_from(table).where(condition), status_query.values)
+            entries = [status_query.entry(row) for row in self.database.rows(query, status_query.values)]
         return UnitPage(tuple(entries), int(total))
 
-    def standings(self, lot_id: str, serials: Sequence[str], *, has_stale: bool = False) -> dict[str, UnitResult]:
+    def unit_statuses(self, lot_id: str, serials: Sequence[str], *, has_stale: bool = False) -> dict[str, UnitResult]:
         """Return the status of units of a lot for a report.
 
         A unit with a conflict is to be decided by a person: its verdict is retest. So is that of
@@ -140,29 +140,31 @@ class LotPages(RegistryBase):
         Args:
             has_stale: whether a unit decided against another limit still has its calibration.
         """
-        standings: dict[str, UnitResult] = {}
+        unit_statuses: dict[str, UnitResult] = {}
         c = calibrations.c
         for part in parts(serials):
             with self.database.reading():
-                stands = standing_units(self.database, lot_id, part)
-                stands = [(unit, is_made or (has_stale and is_stale(unit))) for unit, is_made in stands]
-                named = [(unit.serial, unit.revision) for unit, is_made in stands if is_made]
-                query = select(calibrations).where(c.lot_id == lot_id, sa.tuple_(c.serial, c.revision).in_(named))
+                entries = units_with_status(self.database, lot_id, part)
+                entries = [
+                    (unit, has_calibration or (has_stale and is_stale(unit))) for unit, has_calibration in entries
+                ]
+                keys = [(unit.serial, unit.revision) for unit, has_calibration in entries if has_calibration]
+                query = select(calibrations).where(c.lot_id == lot_id, sa.tuple_(c.serial, c.revision).in_(keys))
                 # Two registries may have made a revision of this number: the state tells which.
                 rows = {(row["serial"], row["state_sha256"]): row for row in self.database.rows(query)}
-                found = read_parts(self.database, list(rows.values()))
-            for unit, is_made in stands:
+                fit_rows = read_parts(self.database, list(rows.values()))
+            for unit, has_calibration in entries:
                 if unit.verdict is not None and unit.made_at is not None:
                     stored, row = None, rows.get((unit.serial, unit.state_sha256))
-                    if is_made and row is not None:
-                        state = state_of(self.database, row, found, has_arrays=False)
+                    if has_calibration and row is not None:
+                        state = state_of(self.database, row, fit_rows, has_arrays=False)
                         stored = of_row(StoredCalibration, row, state=state, is_current=True, is_conflict=False)
-                    stated = (unit.verdict, unit.reasons, unit.made_at)
-                    standings[unit.serial] = UnitResult(unit.serial, *stated, stored)
-        return standings
+                    decision = (unit.verdict, unit.reasons, unit.made_at)
+                    unit_statuses[unit.serial] = UnitResult(unit.serial, *decision, stored)
+        return unit_statuses
 
     def find_units(self, text: str) -> list[UnitKey]:
-        """Return up to `MOST_FOUND` target units with a result whose serials hold a text, best match first."""
+        """Return up to `MAX_MATCHES` target units with a result whose serials hold a text, best match first."""
         results = (select(table.c.serial).where(_is_of_unit(table)) for table in (calibrations, refusals))
         has_result = sa.or_(*(result.exists() for result in results))
         query = select(units.c.lot_id, units.c.serial).where(units.c.role == "target", has_result)
@@ -172,13 +174,13 @@ class LotPages(RegistryBase):
             name = func.lower(units.c.serial)
             query = query.where(name.contains(text.lower(), autoescape=True))
             order = [case((name.startswith(text.lower(), autoescape=True), 0), else_=1), *order]
-        return [UnitKey(*row) for row in self.database.tuples(query.order_by(*order).limit(MOST_FOUND))]
+        return [UnitKey(*row) for row in self.database.tuples(query.order_by(*order).limit(MAX_MATCHES))]
 
     def verdict_counts(self, lot_id: str) -> dict[str, int]:
         """Return the count of a lot's target units by verdict; `none` counts those without."""
         with self.database.reading():
             self._lot_row(lot_id)
-            standing = StandingQuery(self.database, lot_id, role="target")
+            standing = StatusQuery(self.database, lot_id, role="target")
             query = select(standing.table.c.verdict, func.count()).group_by(standing.table.c.verdict)
             counts = {str(v or "none"): int(n) for v, n in self.database.tuples(query, standing.values)}
         return {name: counts.get(name, 0) for name in (*_severities(), "none")}
@@ -186,7 +188,7 @@ class LotPages(RegistryBase):
     def audited_count(self, lot_id: str) -> int:
         """Return how many target units of a lot have an error that was measured, and an audit that is not set aside."""
         with self.database.reading():
-            standing = StandingQuery(self.database, lot_id, role="target")
+            standing = StatusQuery(self.database, lot_id, role="target")
             table = standing.table
             measured = and_(table.c.after_rmse.is_not(None), ~table.c.is_suspect)
             return int(self.database.value(select(func.count()).select_from(table).where(measured), standing.values))
@@ -195,7 +197,7 @@ class LotPages(RegistryBase):
         """Return the errors of every target unit with a map, by serial."""
         with self.database.reading():
             self._lot_row(lot_id)
-            standing = StandingQuery(self.database, lot_id, role="target")
+            standing = StatusQuery(self.database, lot_id, role="target")
             table = standing.table
             predicted, *audited = (table.c[name] for name in UNIT_ERRORS)
             measured = [case((table.c.is_suspect, None), else_=error) for error in audited]
@@ -213,7 +215,7 @@ class LotPages(RegistryBase):
             return "|".join([lot_id, *(sha256 for _, sha256 in history.heads(self.database).values())])
 
 
-class StandingQuery:
+class StatusQuery:
     """Query of the status of a lot or some of its units: `table` with the `values` of its parameters."""
 
     def __init__(
@@ -237,11 +239,11 @@ class StandingQuery:
     def entry(self, row: sa.RowMapping) -> UnitEntry:
         serial = row["serial"]
         if row["is_stale"] is None:
-            raise damaged(f"unit {serial} of lot {self.lot_id}: the calibration in use was not found")
+            raise damage_error(f"unit {serial} of lot {self.lot_id}: the calibration in use was not found")
         if row["is_conflict"] and not row["is_refused"]:
             reasons: tuple[Reason, ...] = (plain(conflict_line(self.database, self.lot_id, serial)),)
         elif row["judged_by"] is not None:
-            reasons = (self.limit.why(row["judged_by"]),)
+            reasons = (self.limit.stale_reason(row["judged_by"]),)
         else:
             reasons = tuple(map(Reason.parse, row["reasons"] or ()))
         return of_row(UnitEntry, row, reasons=reasons)
@@ -252,19 +254,21 @@ def is_stale(unit: UnitEntry) -> bool:
     return bool(unit.reasons) and unit.reasons[0].code in STALE
 
 
-def standing_units(
+def units_with_status(
     database: Database, lot_id: str, serials: Sequence[str] | None = None
 ) -> list[tuple[UnitEntry, bool]]:
     """Return units of a lot, each with whether its calibration in use gives its verdict."""
-    standing = StandingQuery(database, lot_id, serials)
-    rows = database.rows(select(standing.table).order_by(standing.table.c.serial), standing.values)
-    known = {row["serial"] for row in rows}
+    status_query = StatusQuery(database, lot_id, serials)
+    rows = database.rows(select(status_query.table).order_by(status_query.table.c.serial), status_query.values)
+    registered = {row["serial"] for row in rows}
     # A damaged index hides rows without a word.
     for results in (in_use, refusals):
-        query = select(results.c.serial).where(*given((results.c.lot_id, lot_id), (results.c.serial, serials)))
-        if lost := sorted({*database.values(query.distinct())} - known):
-            raise damaged(f"unit {lost[0]} of lot {lot_id} has a result and was not found itself")
-    return [(standing.entry(row), bool(row["is_made"])) for row in rows]
+        query = select(results.c.serial).where(
+            *equality_conditions((results.c.lot_id, lot_id), (results.c.serial, serials))
+        )
+        if missing := sorted({*database.values(query.distinct())} - registered):
+            raise damage_error(f"unit {missing[0]} of lot {lot_id} has a result and was not found itself")
+    return [(status_query.entry(row), bool(row["is_made"])) for row in rows]
 
 
 @cache
@@ -286,7 +290,7 @@ def _standing_table(has_serials: bool, has_role: bool, is_limited: bool) -> sa.S
         "verdict": case((is_refused, r.c.verdict), (is_undecided, UNDECIDED), else_=c.c.verdict),
         "reasons": case((is_refused, r.c.reasons), else_=c.c.reasons),
         "made_at": case((is_refused, r.c.made_at), else_=u.c.made_at),
-        **{name: case((is_open, None), else_=c.c[name]) for name in MADE_FIELDS},
+        **{name: case((is_open, None), else_=c.c[name]) for name in CALIBRATION_FIELDS},
         "is_stale": and_(u.c.made_at.is_not(None), ~is_open, ~is_of_this_method),
         "is_conflict": is_open,
         # What is left out of an entry.

@@ -8,16 +8,16 @@ from sqlalchemy import RowMapping, Table, select
 from softcal.core.errors import ChangedMeanwhile, InputError
 from softcal.core.lot import Lot
 from softcal.core.messages.reason import Reason
-from softcal.core.quality.known_loads import MOST_LOADS, KnownLoad
+from softcal.core.quality.known_loads import MAX_LOADS, KnownLoad
 from softcal.core.quality.line_rules import RETESTS, LineRules, rules_for
 from softcal.db.entries import LimitEntry, LineRulesEntry, RunEntry, UnitEntry
 from softcal.db.repositories.in_use import newest_limit
-from softcal.db.repositories.lot_pages import standing_units
+from softcal.db.repositories.lot_pages import units_with_status
 from softcal.db.repositories.registry_base import RegistryBase, of_row
-from softcal.db.schema.database import given
+from softcal.db.schema.database import equality_conditions
 from softcal.db.schema.tables import calibrations, limits, line_rules, lots, refusals, units
 
-STATED_WITH_LOT = "stated with the lot"
+DECLARED_WITH_LOT = "stated with the lot"
 """The reason of a version of the limit that came with `lot.toml`."""
 
 PLAIN_RULES = ("serial_pattern", "letters", "target", "is_badge_needed")
@@ -32,24 +32,24 @@ class LotTables(RegistryBase):
 
         `InputError`: a lot of this id with other facts is registered.
         """
-        facts = {name: value for name, value in lot.settings().items() if name != "limit_rmse"}
+        fields = {name: value for name, value in lot.settings().items() if name != "limit_rmse"}
         with self.database.writing():
-            known = self.database.row(select(lots).where(lots.c.id == lot.id))
-            if known is None:
-                values = {"id": lot.id, **facts, "added_at": self.settings.clock()}
+            stored = self.database.row(select(lots).where(lots.c.id == lot.id))
+            if stored is None:
+                values = {"id": lot.id, **fields, "added_at": self.settings.clock()}
                 self._store(lots, values, "add", actor)
-            elif (name := next((name for name, value in facts.items() if known[name] != value), None)) is not None:
+            elif (name := next((name for name, value in fields.items() if stored[name] != value), None)) is not None:
                 raise InputError(
-                    f"lot {lot.id!r} is registered with {name} = {known[name]!r}, now it is {facts[name]!r}; "
+                    f"lot {lot.id!r} is registered with {name} = {stored[name]!r}, now it is {fields[name]!r}; "
                     "correct lot.toml, or give the new lot an id of its own"
                 )
             self._add_unit(lot.id, lot.source, "source", actor)
             versions = self.limit_versions(lot.id)
-            stated = [entry.rmse for entry in versions if entry.reason == STATED_WITH_LOT]
+            declared = [entry.rmse for entry in versions if entry.reason == DECLARED_WITH_LOT]
             # A lot that was read from the registry states the limit in force; that is no new one.
-            known_limits = (stated[-1] if stated else None, versions[-1].rmse if versions else None)
-            if lot.limit_rmse not in known_limits:
-                self.set_limit(lot.id, lot.limit_rmse, reason=STATED_WITH_LOT, actor=actor)
+            stored_limits = (declared[-1] if declared else None, versions[-1].rmse if versions else None)
+            if lot.limit_rmse not in stored_limits:
+                self.set_limit(lot.id, lot.limit_rmse, reason=DECLARED_WITH_LOT, actor=actor)
 
     def all(self) -> list[Lot]:
         """Return every lot by id, each with its newest limit."""
@@ -70,11 +70,11 @@ class LotTables(RegistryBase):
             if lot_id is not None:
                 self._lot_row(lot_id)
             if serial is not None:
-                self._known_serial(serial)
-            known = self.ids() if serial is None else self.lots_of(serial)
-            in_lots = known if lot_id is None else [lot_id]
+                self._require_serial(serial)
+            lot_ids = self.ids() if serial is None else self.lots_of(serial)
+            in_lots = lot_ids if lot_id is None else [lot_id]
             serials = None if serial is None else [serial]
-            return [unit for name in in_lots for unit, _ in standing_units(self.database, name, serials)]
+            return [unit for name in in_lots for unit, _ in units_with_status(self.database, name, serials)]
 
     def serials(self, lot_id: str, role: str) -> list[str]:
         """Return the serials of a lot's units of one role in order (`InputError`: no such lot)."""
@@ -91,22 +91,24 @@ class LotTables(RegistryBase):
         """
         c, r = calibrations.c, refusals.c
         columns = (c.serial, c.made_at, c.verdict, c.reasons, c.predicted_rmse, c.recording_sha256)
-        made = select(*columns).where(c.rolled_back_to.is_(None), *given((c.lot_id, lot_id), (c.serial, serial)))
+        calibrated = select(*columns).where(
+            c.rolled_back_to.is_(None), *equality_conditions((c.lot_id, lot_id), (c.serial, serial))
+        )
         refused = select(r.serial, r.made_at, r.verdict, r.reasons)
-        refused = refused.where(*given((r.lot_id, lot_id), (r.serial, serial)))
+        refused = refused.where(*equality_conditions((r.lot_id, lot_id), (r.serial, serial)))
         serials = None if serial is None else [serial]
         with self.database.reading():
             self._lot_row(lot_id)
-            rows = [dict(row) for query in (made, refused) for row in self.database.rows(query)]
-            stands = {unit.serial: unit for unit, _ in standing_units(self.database, lot_id, serials)}
+            rows = [dict(row) for query in (calibrated, refused) for row in self.database.rows(query)]
+            units = {unit.serial: unit for unit, _ in units_with_status(self.database, lot_id, serials)}
         presses: dict[object, dict[str, Any]] = {}
         for number, row in enumerate(sorted(rows, key=lambda row: (row["made_at"], row["serial"]))):
             press = (row["serial"], row.pop("recording_sha256", number))
             presses[press] = row | {"made_at": presses.get(press, row)["made_at"]}
         last = {row["serial"]: key for key, row in presses.items()}
         for name, key in last.items():
-            if (verdict := stands[name].verdict) is not None:
-                presses[key] |= {"verdict": verdict, "reasons": stands[name].reasons}
+            if (verdict := units[name].verdict) is not None:
+                presses[key] |= {"verdict": verdict, "reasons": units[name].reasons}
         return [RunEntry(**row | {"reasons": tuple(map(Reason.parse, row["reasons"]))}) for row in presses.values()]
 
     def limit(self, lot_id: str) -> LimitEntry | None:
@@ -207,20 +209,20 @@ class LotTables(RegistryBase):
                 f"{newest.version} and decide again"
             )
         version, before = (newest.version + 1, newest.made_at) if newest else (1, None)
-        made = {"made_at": self._after(before), "actor": self._actor(actor), "reason": reason}
-        return {"lot_id": lot_id, "version": version, **made}
+        write_values = {"made_at": self._after(before), "actor": self._actor(actor), "reason": reason}
+        return {"lot_id": lot_id, "version": version, **write_values}
 
     def _lot(self, row: RowMapping) -> Lot:
         newest = self.limit(row["id"])
-        facts = {name: value for name, value in row.items() if name not in ("id", "added_at")}
-        return Lot.from_settings(row["id"], facts | {"limit_rmse": newest.rmse if newest else None})
+        fields = {name: value for name, value in row.items() if name not in ("id", "added_at")}
+        return Lot.from_settings(row["id"], fields | {"limit_rmse": newest.rmse if newest else None})
 
 
 def _rule_columns(rules: LineRules) -> dict[str, Any]:
     """Return rules of a line as the columns of their table."""
     values = {name: getattr(rules, name) for name in PLAIN_RULES}
     values |= {f"retests_{verdict}": rules.retests.get(verdict) for verdict in RETESTS}
-    loads = [*rules.loads, *[None] * (MOST_LOADS - len(rules.loads))]
+    loads = [*rules.loads, *[None] * (MAX_LOADS - len(rules.loads))]
     for number, load in enumerate(loads, 1):
         values |= {f"load_{number}": load and load.value, f"load_{number}_expanded": load and load.expanded}
     return values
@@ -229,6 +231,6 @@ def _rule_columns(rules: LineRules) -> dict[str, Any]:
 def parse_rules(row: Mapping[Any, Any]) -> LineRules:
     """Return the rules of `_rule_columns`."""
     retests = {verdict: times for verdict in RETESTS if (times := row[f"retests_{verdict}"]) is not None}
-    numbers = [number for number in range(1, MOST_LOADS + 1) if row[f"load_{number}"] is not None]
+    numbers = [number for number in range(1, MAX_LOADS + 1) if row[f"load_{number}"] is not None]
     loads = tuple(KnownLoad(row[f"load_{number}"], row[f"load_{number}_expanded"]) for number in numbers)
     return LineRules(**{name: row[name] for name in PLAIN_RULES}, retests=retests, loads=loads)

@@ -52,10 +52,10 @@ class NetworkTables(RegistryBase):
         """Store a shared network and return its id, or the id of a stored network of the same input."""
         with self.database.writing():
             self._lot_row(lot_id)
-            known = self.find(input_sha256)
+            stored = self.find(input_sha256)
             same = select(networks.c.id).where(networks.c.id == network.id)
-            if known is not None or self.database.row(same) is not None:
-                return known or network.id
+            if stored is not None or self.database.row(same) is not None:
+                return stored or network.id
             values: dict[str, object] = {"id": network.id, "lot_id": lot_id, "input_sha256": input_sha256}
             values |= {"settings": network.settings(), "training": dict(settings), "metrics": dict(metrics)}
             blob = put_arrays(self.database, network.arrays())
@@ -99,11 +99,11 @@ class NetworkTables(RegistryBase):
 
         The first network of a lot needs no decision, since there is no other.
         """
-        mine = [entry for entry in self.all() if entry.lot_id == lot_id]
+        of_lot = [entry for entry in self.all() if entry.lot_id == lot_id]
         decided = self._decisions(lot_id)
         return [
-            decided.get(entry.id) or NetworkState(entry, RELEASED if entry is mine[0] else DRAFT, entry.added_at)
-            for entry in mine
+            decided.get(entry.id) or NetworkState(entry, RELEASED if entry is of_lot[0] else DRAFT, entry.added_at)
+            for entry in of_lot
         ]
 
     def released(self, lot_id: str) -> NetworkState | None:
@@ -145,7 +145,7 @@ class NetworkTables(RegistryBase):
 
     def _decisions(self, lot_id: str) -> dict[str, NetworkState]:
         """Return the newest decision on each network of a lot."""
-        c, known = network_releases.c, {entry.id: entry for entry in self.all()}
+        c, by_id = network_releases.c, {entry.id: entry for entry in self.all()}
         query = select(c.network_id, c.state, c.made_at, c.actor, c.reason).where(c.lot_id == lot_id)
         rows = self.database.tuples(query.order_by(c.made_at, c.origin))
-        return {network_id: NetworkState(known[network_id], *facts) for network_id, *facts in rows}
+        return {network_id: NetworkState(by_id[network_id], *decision) for network_id, *decision in rows}

@@ -12,7 +12,7 @@ from softcal.core.errors import InputError, NoSuchRecording
 from softcal.db.entries import INSTANTS_AGREE, RecordingEntry
 from softcal.db.repositories.registry_base import RegistryBase, of_row
 from softcal.db.schema.arrays import get_arrays, put_arrays
-from softcal.db.schema.database import given, parts
+from softcal.db.schema.database import equality_conditions, parts
 from softcal.db.schema.tables import recordings
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     Recording = OutputRecording | LabelledRecording
 
-KNOWN_RECORDING = select(recordings).where(
+SELECT_RECORDING = select(recordings).where(
     recordings.c.sha256 == bindparam("sha"),
     recordings.c.lot_id == bindparam("lot"),
     recordings.c.kind == bindparam("of_kind"),
@@ -28,14 +28,14 @@ KNOWN_RECORDING = select(recordings).where(
 KINDS = ("source", "unit", "audit")
 
 
-def _check_instant(known: RecordingEntry, measured_at: datetime | None) -> None:
+def _check_instant(stored: RecordingEntry, measured_at: datetime | None) -> None:
     """Refuse another time of measurement for a stored recording, as draws depend on it."""
-    within = timedelta(0) if known.measured_at is None else INSTANTS_AGREE
-    if measured_at is not None and abs(measured_at - known.observed_at) > within:
-        how = "first seen" if known.measured_at is None else "measured"
+    within = timedelta(0) if stored.measured_at is None else INSTANTS_AGREE
+    if measured_at is not None and abs(measured_at - stored.observed_at) > within:
+        basis = "first seen" if stored.measured_at is None else "measured"
         raise InputError(
-            f"{known.serial}: lot {known.lot_id!r} has this very recording, {how} "
-            f"{known.observed_at:%Y-%m-%d %H:%M:%S} UTC; that it was measured {measured_at:%Y-%m-%d %H:%M:%S} UTC "
+            f"{stored.serial}: lot {stored.lot_id!r} has this very recording, {basis} "
+            f"{stored.observed_at:%Y-%m-%d %H:%M:%S} UTC; that it was measured {measured_at:%Y-%m-%d %H:%M:%S} UTC "
             "comes too late: leave that out, or press the unit again"
         )
 
@@ -66,16 +66,16 @@ class RecordingTables(RegistryBase):
             self._lot_row(lot_id)
             self._add_unit(lot_id, recording.serial, "source" if kind == "source" else "target", actor)
             sha256 = recording.sha256
-            is_first = (recordings.name, lot_id, recording.serial) in self.database.found.rows
-            named = {"sha": sha256, "lot": lot_id, "of_kind": kind}
-            known = None if is_first else self.database.row(KNOWN_RECORDING, named)
-            if known is not None:
-                _check_instant(of_row(RecordingEntry, known), measured_at)
+            is_first = (recordings.name, lot_id, recording.serial) in self.database.cache.rows
+            key = {"sha": sha256, "lot": lot_id, "of_kind": kind}
+            stored = None if is_first else self.database.row(SELECT_RECORDING, key)
+            if stored is not None:
+                _check_instant(of_row(RecordingEntry, stored), measured_at)
             else:
                 blob = put_arrays(self.database, recording.arrays())
-                facts = {"sha256": sha256, "lot_id": lot_id, "kind": kind, "samples": len(recording)}
-                facts["output_sha256"] = recording.output_sha256
-                values = facts | recording.settings() | {"blob_sha256": blob, "added_at": self.settings.clock()}
+                fields = {"sha256": sha256, "lot_id": lot_id, "kind": kind, "samples": len(recording)}
+                fields["output_sha256"] = recording.output_sha256
+                values = fields | recording.settings() | {"blob_sha256": blob, "added_at": self.settings.clock()}
                 optional = {"reference_unit": None, "measured_at": measured_at, "proof_method": proof_method}
                 self._store(recordings, optional | values, "add", actor)
             return sha256
@@ -93,8 +93,8 @@ class RecordingTables(RegistryBase):
             from softcal.core.recording import LabelledRecording, MaskedSamples, OutputRecording
 
             masked = MaskedSamples.from_arrays(arrays)
-            facts = (row["sample_rate_Hz"], row["output_unit"], arrays.get("stage_mm"), masked)
-            unlabelled = OutputRecording(row["serial"], arrays["t_s"], arrays["output"], *facts)
+            signals = (row["sample_rate_Hz"], row["output_unit"], arrays.get("stage_mm"), masked)
+            unlabelled = OutputRecording(row["serial"], arrays["t_s"], arrays["output"], *signals)
             if "reference" not in arrays:
                 return unlabelled
             return LabelledRecording(unlabelled, arrays["reference"], row["reference_unit"])
@@ -106,10 +106,14 @@ class RecordingTables(RegistryBase):
     def shared_outputs(self, lot_id: str | None = None) -> list[str]:
         """Return outputs of a lot, or of all lots, that also occur under another serial or kind of recording."""
         other = recordings.alias("other")
-        mine = recordings.c
-        is_golden = [and_(one.kind == "source", two.kind == "audit") for one, two in ((mine, other.c), (other.c, mine))]
-        query = select(mine.output_sha256).distinct().join(other, mine.output_sha256 == other.c.output_sha256)
-        query = query.where(or_(mine.serial != other.c.serial, *is_golden), *given((mine.lot_id, lot_id)))
+        first = recordings.c
+        is_golden = [
+            and_(one.kind == "source", two.kind == "audit") for one, two in ((first, other.c), (other.c, first))
+        ]
+        query = select(first.output_sha256).distinct().join(other, first.output_sha256 == other.c.output_sha256)
+        query = query.where(
+            or_(first.serial != other.c.serial, *is_golden), *equality_conditions((first.lot_id, lot_id))
+        )
         return self.database.values(query)
 
     def same_outputs(self, output_sha256s: Collection[str]) -> list[RecordingEntry]:
@@ -123,6 +127,6 @@ class RecordingTables(RegistryBase):
     def of_lot(self, lot_id: str, serial: str | None = None, kind: str | None = None) -> list[RecordingEntry]:
         """Return the metadata of a lot's recordings, oldest first, without samples."""
         c = recordings.c
-        query = select(recordings).where(*given((c.lot_id, lot_id), (c.serial, serial), (c.kind, kind)))
+        query = select(recordings).where(*equality_conditions((c.lot_id, lot_id), (c.serial, serial), (c.kind, kind)))
         rows = self.database.rows(query.order_by(c.added_at, c.sha256))
         return [of_row(RecordingEntry, row) for row in rows]

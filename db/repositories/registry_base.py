@@ -16,13 +16,13 @@ from softcal.db.repositories import history
 from softcal.db.schema.column_types import canonical_json
 from softcal.db.schema.database import Database
 from softcal.db.schema.tables import AUDITED, audit, in_use, lots, metadata, recordings, refusals, registry_info, units
-from softcal.db.schema.transaction_cache import HAS_TOLD
+from softcal.db.schema.transaction_cache import HAS_AUDIT_ROWS
 
 Entry = TypeVar("Entry")
 TICK = timedelta(microseconds=1)
-KNOWN_LOT = select(lots).where(lots.c.id == bindparam("lot"))
-KNOWN_UNIT = select(units.c.role).where(units.c.lot_id == bindparam("lot"), units.c.serial == bindparam("unit"))
-INSERT_TOLD = insert(audit)
+SELECT_LOT = select(lots).where(lots.c.id == bindparam("lot"))
+SELECT_UNIT = select(units.c.role).where(units.c.lot_id == bindparam("lot"), units.c.serial == bindparam("unit"))
+INSERT_AUDIT = insert(audit)
 INSERTS = {name: insert(metadata.tables[name]) for name in AUDITED}
 NUMBERS = {
     name: [one.name for one in metadata.tables[name].columns if isinstance(one.type, Double)] for name in AUDITED
@@ -44,9 +44,9 @@ class RegistrySettings:
     clock: Callable[[], datetime] = utc_now
 
 
-def damaged(what: str) -> RegistryDamaged:
+def damage_error(damage: str) -> RegistryDamaged:
     """Return the error for what softcal has never written."""
-    return RegistryDamaged(f"{what}; the registry is damaged; run `softcal registry verify` and go back to a backup")
+    return RegistryDamaged(f"{damage}; the registry is damaged; run `softcal registry verify` and go back to a backup")
 
 
 def _once_more(method: Callable[..., Any]) -> Callable[..., Any]:
@@ -69,8 +69,8 @@ class RegistryBase:
     def __init__(self, database: Database, settings: RegistrySettings, origin: str | None = None) -> None:
         self.database = database
         self.settings = settings
-        named = select(registry_info.c.value).where(registry_info.c.key == "origin")
-        self.origin = str(database.value(named)) if origin is None else origin
+        query = select(registry_info.c.value).where(registry_info.c.key == "origin")
+        self.origin = str(database.value(query)) if origin is None else origin
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -95,11 +95,11 @@ class RegistryBase:
         if "serial" in values:
             # A revision is numbered through all lots.
             lot_id = "" if table.name == "calibrations" else values["lot_id"]
-            self.database.found.rows.pop((table.name, lot_id, values["serial"]), None)
-        key, after = history.row_key(table, values), history.told(table, values)
-        self._tell(action, table.name, key, actor, after=after, before=before, reason=reason)
+            self.database.cache.rows.pop((table.name, lot_id, values["serial"]), None)
+        key, after = history.row_key(table, values), history.audited_values(table, values)
+        self._write_audit_row(action, table.name, key, actor, after=after, before=before, reason=reason)
 
-    def _tell(
+    def _write_audit_row(
         self,
         action: str,
         entity: str,
@@ -111,16 +111,16 @@ class RegistryBase:
         reason: str = "",
     ) -> None:
         """Write the next row of this registry's chain, in the transaction of its change."""
-        heads = self.database.found.heads
+        heads = self.database.cache.heads
         seq, prev_hash = heads.get(self.origin) or history.head(self.database, self.origin)
         old = None if before is None else canonical_json(history.plain(before))
-        named = (self.origin, seq + 1, self.settings.clock(), self._actor(actor), action, entity, canonical_json(key))
+        header = (self.origin, seq + 1, self.settings.clock(), self._actor(actor), action, entity, canonical_json(key))
         new = canonical_json(history.plain(after))
-        row = AuditRow(*named, before=old, after=new, reason=reason, prev_hash=prev_hash, hash="")
+        row = AuditRow(*header, before=old, after=new, reason=reason, prev_hash=prev_hash, hash="")
         row = replace(row, hash=history.row_hash(row))
-        self.database.change(INSERT_TOLD, vars(row))
+        self.database.change(INSERT_AUDIT, vars(row))
         with self.database.writing() as connection:
-            connection.info[HAS_TOLD] = True
+            connection.info[HAS_AUDIT_ROWS] = True
         heads[self.origin] = row.seq, row.hash
 
     def _check_row(self, table: Table, row: RowMapping) -> None:
@@ -128,8 +128,8 @@ class RegistryBase:
         values = {column.name: row[column.name] for column in table.columns}
         key = canonical_json(history.row_key(table, values))
         query = select(audit.c.after).where(audit.c.entity == table.name, audit.c.key == key)
-        told = self.database.values(query)
-        if canonical_json(history.told(table, values)) not in told:
+        audited = self.database.values(query)
+        if canonical_json(history.audited_values(table, values)) not in audited:
             raise RegistryError(
                 f"{table.name} {key} is not what the audit trail tells of it: it was damaged or changed; run "
                 "`softcal registry verify` and go back to a backup"
@@ -137,11 +137,11 @@ class RegistryBase:
 
     def _check_hidden(self, table: Table, keys: Iterable[tuple[str | int, ...]]) -> None:
         """Raise `RegistryError` if an index hides a row that the audit trail contains."""
-        wanted = [canonical_json(key) for key in keys]
-        query = select(audit.c.key).where(audit.c.entity == table.name, audit.c.key.in_(wanted)).limit(1)
+        audit_keys = [canonical_json(key) for key in keys]
+        query = select(audit.c.key).where(audit.c.entity == table.name, audit.c.key.in_(audit_keys)).limit(1)
         hidden = self.database.value(query)
         if hidden is not None:
-            raise damaged(f"{table.name} {hidden} was not found")
+            raise damage_error(f"{table.name} {hidden} was not found")
 
     def _actor(self, actor: str | None) -> str:
         return actor or self.settings.actor
@@ -153,26 +153,26 @@ class RegistryBase:
 
     def _lot_row(self, lot_id: str) -> RowMapping:
         # A chunk of a batch asks for each unit; no lot changes inside a transaction.
-        checked = self.database.found.lots
+        checked = self.database.cache.lots
         if lot_id not in checked:
-            row = self.database.row(KNOWN_LOT, {"lot": lot_id})
+            row = self.database.row(SELECT_LOT, {"lot": lot_id})
             if row is None:
-                known = self.database.values(select(lots.c.id).order_by(lots.c.id).limit(6))
-                raise NoSuchLot(reason("name.no_such_lot", lot=repr(lot_id), known=_some(known)))
+                ids = self.database.values(select(lots.c.id).order_by(lots.c.id).limit(6))
+                raise NoSuchLot(reason("name.no_such_lot", lot=repr(lot_id), known=_some(ids)))
             self._check_row(lots, row)
             checked[lot_id] = row
         return checked[lot_id]
 
     def _add_unit(self, lot_id: str, serial: str, role: str, actor: str | None) -> None:
-        found = self.database.found
-        if (lot_id, serial) in found.units:
+        cache = self.database.cache
+        if (lot_id, serial) in cache.units:
             return
-        if self.database.row(KNOWN_UNIT, {"lot": lot_id, "unit": serial}) is None:
+        if self.database.row(SELECT_UNIT, {"lot": lot_id, "unit": serial}) is None:
             values = {"lot_id": lot_id, "serial": serial, "role": role, "added_at": self.settings.clock()}
             self._store(units, values, "add", actor)
-            found.without_fit.add((lot_id, serial))
-            found.rows.update({(table, lot_id, serial): () for table in OF_UNITS})
-        found.units.add((lot_id, serial))
+            cache.without_fit.add((lot_id, serial))
+            cache.rows.update({(table, lot_id, serial): () for table in OF_UNITS})
+        cache.units.add((lot_id, serial))
 
     @_once_more
     def lots_of(self, serial: str) -> list[str]:
@@ -180,10 +180,10 @@ class RegistryBase:
         query = select(units.c.lot_id).where(units.c.serial == serial).order_by(units.c.lot_id)
         return self.database.values(query)
 
-    def _known_serial(self, serial: str) -> None:
+    def _require_serial(self, serial: str) -> None:
         if self.database.row(select(units.c.serial).where(units.c.serial == serial).limit(1)) is None:
-            known = self.database.values(select(units.c.serial).distinct().order_by(units.c.serial).limit(6))
-            raise NoSuchUnit(reason("name.no_such_serial", serial=repr(serial), known=_some(known)))
+            serials = self.database.values(select(units.c.serial).distinct().order_by(units.c.serial).limit(6))
+            raise NoSuchUnit(reason("name.no_such_serial", serial=repr(serial), known=_some(serials)))
 
 
 def of_row(kind: type[Entry], row: RowMapping, **others: Any) -> Entry:
@@ -195,6 +195,6 @@ def of_row(kind: type[Entry], row: RowMapping, **others: Any) -> Entry:
 def _some(names: list[str]) -> str:
     if None in names:
         # No table takes a row without a name.
-        raise damaged("a row without a name was found")
+        raise damage_error("a row without a name was found")
     listed = ", ".join(names[:5]) or "nothing yet"
     return f"{listed}, ..." if len(names) > 5 else listed

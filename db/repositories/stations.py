@@ -6,13 +6,13 @@ from datetime import date, datetime
 from sqlalchemy import RowMapping, select
 
 from softcal.core.errors import InputError
-from softcal.core.messages.reason import to_kept
+from softcal.core.messages.reason import to_stored
 from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.db.repositories.history import row_key
 from softcal.db.repositories.registry_base import RegistryBase, of_row
 from softcal.db.schema.arrays import get_bytes, put_bytes
 from softcal.db.schema.column_types import canonical_json
-from softcal.db.schema.database import Database, given, parts
+from softcal.db.schema.database import Database, equality_conditions, parts
 from softcal.db.schema.tables import audit, certificates, golden_runs
 
 
@@ -26,11 +26,11 @@ class StationTables(RegistryBase):
         """
         day = (certificates.c.cell_serial == certificate.cell_serial, certificates.c.issued_on == certificate.issued_on)
         with self.database.writing():
-            known = self.database.row(select(certificates).where(*day))
-            if known is not None:
-                if _certificate(self.database, known) != certificate:
+            stored = self.database.row(select(certificates).where(*day))
+            if stored is not None:
+                if _certificate(self.database, stored) != certificate:
                     raise InputError(
-                        f"load cell {certificate.cell_serial} has certificate {known['number']} of the same day; "
+                        f"load cell {certificate.cell_serial} has certificate {stored['number']} of the same day; "
                         "nothing was changed"
                     )
                 return
@@ -43,7 +43,11 @@ class StationTables(RegistryBase):
     def certificates(self, cell_serial: str | None = None) -> list[CellCertificate]:
         """Return the certificates of one load cell or of all, oldest first per cell."""
         c = certificates.c
-        query = select(certificates).where(*given((c.cell_serial, cell_serial))).order_by(c.cell_serial, c.issued_on)
+        query = (
+            select(certificates)
+            .where(*equality_conditions((c.cell_serial, cell_serial)))
+            .order_by(c.cell_serial, c.issued_on)
+        )
         with self.database.reading():
             return [_certificate(self.database, row) for row in self.database.rows(query)]
 
@@ -54,7 +58,7 @@ class StationTables(RegistryBase):
     def add_golden_run(self, run: GoldenRun) -> None:
         """Store a check with a golden unit."""
         values = {f.name: getattr(run, f.name) for f in fields(run)}
-        values |= {"reasons": [to_kept(why) for why in run.reasons], "actor": self._actor(run.actor)}
+        values |= {"reasons": [to_stored(cause) for cause in run.reasons], "actor": self._actor(run.actor)}
         values["origin"] = self.origin
         with self.database.writing():
             self._store(golden_runs, values, "golden_run", run.actor)
@@ -69,7 +73,9 @@ class StationTables(RegistryBase):
     ) -> list[GoldenRun]:
         """Return checks with golden units, oldest first, of one station, lot or serial, or all."""
         c = golden_runs.c
-        query = select(golden_runs).where(*given((c.station, station), (c.serial, serial), (c.lot_id, lot_id)))
+        query = select(golden_runs).where(
+            *equality_conditions((c.station, station), (c.serial, serial), (c.lot_id, lot_id))
+        )
         query = query if since is None else query.where(c.made_at >= since)
         rows = self.database.rows(query.order_by(c.made_at, c.station, c.lot_id, c.serial))
         return [of_row(GoldenRun, row, reasons=tuple(row["reasons"])) for row in rows]
@@ -83,11 +89,11 @@ class StationTables(RegistryBase):
         c, stored = golden_runs.c, list[RowMapping]()
         query = select(golden_runs).where(c.station == station)
         with self.database.reading():
-            found = self.database.rows(query if since is None else query.where(c.made_at >= since))
-            rows = {canonical_json(row_key(golden_runs, dict(row))): row for row in found}
+            candidates = self.database.rows(query if since is None else query.where(c.made_at >= since))
+            rows = {canonical_json(row_key(golden_runs, dict(row))): row for row in candidates}
             for part in parts(list(rows)):
-                told = select(audit).where(audit.c.entity == golden_runs.name, audit.c.key.in_(part))
-                stored += self.database.rows(told)
+                audit_query = select(audit).where(audit.c.entity == golden_runs.name, audit.c.key.in_(part))
+                stored += self.database.rows(audit_query)
         checks: dict[str, list[GoldenRun]] = {}
         for entry in sorted(stored, key=lambda entry: entry["seq"]):
             row = rows[entry["key"]]

@@ -26,7 +26,7 @@ class AuditTrail(RegistryBase):
     ) -> None:
         """Write an action that changes no table (an export, an override) into the audit trail."""
         with self.database.writing():
-            self._tell(action, entity, key, actor, after=values, reason=reason)
+            self._write_audit_row(action, entity, key, actor, after=values, reason=reason)
 
     def of(self, entity: str, key: tuple[str | int, ...]) -> list[AuditRow]:
         """Return the entries of one entity, in time order."""

@@ -13,7 +13,7 @@ import sqlalchemy as sa
 from sqlalchemy import select
 
 from softcal.core.identity import content_sha256
-from softcal.db.repositories.registry_base import damaged
+from softcal.db.repositories.registry_base import damage_error
 from softcal.db.schema.arrays import get_arrays
 from softcal.db.schema.column_types import canonical_json
 from softcal.db.schema.database import Database, parts
@@ -57,7 +57,9 @@ def read_parts(database: Database, rows: Sequence[sa.RowMapping]) -> StoredParts
             for row in database.rows(query):
                 part = part_from_columns(field, dict(row))
                 if content_sha256({}, part) != row["sha256"]:
-                    raise damaged(f"{table.name} {row['sha256'][:12]} of lot {row['lot_id']} is not what was stored")
+                    raise damage_error(
+                        f"{table.name} {row['sha256'][:12]} of lot {row['lot_id']} is not what was stored"
+                    )
                 read[(field, row["lot_id"], row["sha256"])] = part
     return StoredParts(_fits_of(database, rows), read)
 
@@ -73,13 +75,13 @@ def _fits_of(
     read = {}
     for row in found:
         if content_sha256({}, {"content": row["content"], "blob": row["blob_sha256"]}) != row["sha256"]:
-            raise damaged(f"unit {row['serial']} of lot {row['lot_id']}: its fit is not what was stored")
+            raise damage_error(f"unit {row['serial']} of lot {row['lot_id']}: its fit is not what was stored")
         method = _method(row["method_id"], of_method.get(row["method_id"], "null"))
         read[(row["lot_id"], row["sha256"])] = (row, method)
     return read
 
 
-def state_of(database: Database, row: sa.RowMapping, of: StoredParts, *, has_arrays: bool = True) -> UnitState:
+def state_of(database: Database, row: sa.RowMapping, from_json: StoredParts, *, has_arrays: bool = True) -> UnitState:
     """Return the state of a row of `calibrations`; without arrays it can be listed and decided on.
 
     Raises:
@@ -89,25 +91,27 @@ def state_of(database: Database, row: sa.RowMapping, of: StoredParts, *, has_arr
 
     from softcal.core.unit.state_json import fit_from_json, state_from_json
 
-    found = of.fits.get((row["lot_id"], row["fit_sha256"]))
-    if found is None:
-        raise damaged(f"unit {row['serial']} of lot {row['lot_id']}: the fit of revision {row['revision']} is missing")
-    fit, method = found
+    entry = from_json.fits.get((row["lot_id"], row["fit_sha256"]))
+    if entry is None:
+        raise damage_error(
+            f"unit {row['serial']} of lot {row['lot_id']}: the fit of revision {row['revision']} is missing"
+        )
+    fit, method = entry
     arrays: Any = get_arrays(database, fit["blob_sha256"]) if has_arrays else None
     try:
         read = replace(fit_from_json(fit["content"], method, arrays), fit_s=row["fit_s"])
         FIT_SHA256[read] = row["fit_sha256"]
-        return state_from_json(read, _adjustments_of(row, of))
+        return state_from_json(read, _adjustments_of(row, from_json))
     except (msgspec.ValidationError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise damaged(f"unit {row['serial']}: revision {row['revision']} cannot be read ({error})") from error
+        raise damage_error(f"unit {row['serial']}: revision {row['revision']} cannot be read ({error})") from error
 
 
-def _adjustments_of(row: sa.RowMapping, of: StoredParts) -> dict[str, Any]:
+def _adjustments_of(row: sa.RowMapping, from_json: StoredParts) -> dict[str, Any]:
     limit = {name: row[f"limit_{name}"] for name in ("unit", "origin", "reference_expanded", "full_range")}
     values = {name: row[name] for name in ("unreadable_audit", "suspect_audit")}
     for field in STATE_PARTS:
         sha256 = row[f"{field}_sha256"]
-        values[field] = None if sha256 is None else of.parts[(field, row["lot_id"], sha256)]
+        values[field] = None if sha256 is None else from_json.parts[(field, row["lot_id"], sha256)]
     return {"limit": limit | {"maximum_rmse": row["limit_rmse"]}, **values}
 
 
@@ -115,7 +119,7 @@ def _adjustments_of(row: sa.RowMapping, of: StoredParts) -> dict[str, Any]:
 def _method(method_id: str, numbers: str) -> Method:
     from softcal.core.unit.method import Method
 
-    kept = json.loads(numbers)
-    if content_sha256({}, kept) != method_id:
-        raise damaged(f"method {method_id} is not what was stored")
-    return Method.of(kept)
+    content = json.loads(numbers)
+    if content_sha256({}, content) != method_id:
+        raise damage_error(f"method {method_id} is not what was stored")
+    return Method.from_json(content)

@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
     Arrays = Mapping[str, NDArray[np.generic]]
 
-KNOWN_BLOB = select(blobs.c.size).where(blobs.c.sha256 == bindparam("sha"))
+SELECT_BLOB_SIZE = select(blobs.c.size).where(blobs.c.sha256 == bindparam("sha"))
 READ_BLOB = select(blobs.c.data).where(blobs.c.sha256 == bindparam("sha"))
 INSERT = insert(blobs)
 LARGEST_BYTES = 512 * 1024 * 1024
 """Far above any recording or map of a line, below what both databases take as one value."""
 
-OWN_BLOB_BYTES = 4096
+SEPARATE_BLOB_BYTES = 4096
 """From this size on an array is a blob of its own; below, a row costs as much as it saves."""
 
 ARRAYS, ARRAY = "arrays", "array"
@@ -44,10 +44,10 @@ def put_arrays(database: Database, arrays: Arrays) -> str:
     from safetensors.numpy import save
 
     # safetensors takes the buffer as it lies; a view with strides would be stored wrongly.
-    whole = {name: np.asarray(array, order="C") for name, array in arrays.items()}
-    large = {name: array for name, array in whole.items() if array.nbytes >= OWN_BLOB_BYTES}
+    contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
+    large = {name: array for name, array in contiguous.items() if array.nbytes >= SEPARATE_BLOB_BYTES}
     parts = {name: put_bytes(database, ARRAY, save({ARRAY: array})) for name, array in large.items()}
-    small = {name: array for name, array in whole.items() if name not in parts}
+    small = {name: array for name, array in contiguous.items() if name not in parts}
     # One entry only: safetensors writes several in no fixed order.
     return put_bytes(database, ARRAYS, save(small, {"parts": canonical_json(parts)} if parts else None))
 
@@ -84,7 +84,7 @@ def put_bytes(database: Database, kind: str, content: bytes) -> str:
     if len(content) > LARGEST_BYTES:
         raise RegistryError(f"{len(content)} bytes are too many for one value; at most {LARGEST_BYTES} are kept")
     sha256 = hashlib.sha256(content).hexdigest()
-    stored = database.found.blobs
+    stored = database.cache.blobs
     if sha256 not in stored and not has_blob(database, sha256):
         row = {"sha256": sha256, "kind": kind, "size": len(content), "data": content}
         database.change(INSERT, row)
@@ -94,7 +94,7 @@ def put_bytes(database: Database, kind: str, content: bytes) -> str:
 
 def has_blob(database: Database, sha256: str) -> bool:
     """Whether bytes of this hash are stored, without reading them."""
-    return database.row(KNOWN_BLOB, {"sha": sha256}) is not None
+    return database.row(SELECT_BLOB_SIZE, {"sha": sha256}) is not None
 
 
 def copy_blob(source: Database, target: Database, sha256: str) -> None:

@@ -17,7 +17,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError, Operationa
 from softcal.core.errors import RegistryBusy, RegistryError, RegistryReadOnly, WrongSchema
 from softcal.db.schema.engines import IN_MEMORY, READ_ONLY, postgresql_engine, sqlite_engine
 from softcal.db.schema.tables import SCHEMA
-from softcal.db.schema.transaction_cache import HAS_TOLD, Found, found_in
+from softcal.db.schema.transaction_cache import HAS_AUDIT_ROWS, TransactionCache, cache_of
 
 AGAIN_AFTER_S = 0.5
 """Wait before what was cut is done again: the server may be ending all connections."""
@@ -72,9 +72,9 @@ class Database:
         return self._thread.writer or self._thread.reader
 
     @property
-    def found(self) -> Found:
+    def cache(self) -> TransactionCache:
         """Cache of this thread's transaction; None outside a transaction."""
-        return Found() if self._joined is None else found_in(self._joined)
+        return TransactionCache() if self._joined is None else cache_of(self._joined)
 
     @property
     def is_sqlite(self) -> bool:
@@ -88,7 +88,7 @@ class Database:
     @property
     def name(self) -> str:
         """URL without its password, wherever the URL contains it."""
-        return shown_url(self.engine.url)
+        return redacted_url(self.engine.url)
 
     @property
     def path(self) -> Path | None:
@@ -102,7 +102,7 @@ class Database:
         if self._joined is not None:
             yield self._joined
             return
-        with self._errors_in_words(), self.engine.connect() as connection:
+        with self._translate_errors(), self.engine.connect() as connection:
             if not self.is_sqlite:
                 connection.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
             with connection.begin(), self._joinable("reader", connection):
@@ -153,8 +153,8 @@ class Database:
 
     def check_writable(self) -> None:
         """Raise `RegistryError` if the file or its folder is read-only, or a server says so."""
-        if why := self.engine.get_execution_options().get(READ_ONLY):
-            raise RegistryReadOnly(f"registry {self.name} is read-only: {why}; nothing was changed")
+        if cause := self.engine.get_execution_options().get(READ_ONLY):
+            raise RegistryReadOnly(f"registry {self.name} is read-only: {cause}; nothing was changed")
 
     @contextmanager
     def writing(self, *, in_turn: bool = True) -> Iterator[Connection]:
@@ -168,19 +168,19 @@ class Database:
             yield self._thread.writer
             return
         self.check_writable()
-        with self._errors_in_words(is_writing=True) as phase, self.engine.connect() as connection:
+        with self._translate_errors(is_writing=True) as progress, self.engine.connect() as connection:
             connection.execution_options(softcal_writes=True)
             with connection.begin(), self._joinable("writer", connection):
                 if in_turn and not self.is_sqlite:
                     connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": WRITER_LOCK})
-                connection.info.pop(HAS_TOLD, None)
+                connection.info.pop(HAS_AUDIT_ROWS, None)
                 yield connection
                 # The commit follows: of what is cut from here on nobody knows what was kept.
-                phase["is_committing"] = True
-            has_told = connection.info.pop(HAS_TOLD, False)
-        if has_told and self.on_first_write is not None:
-            told, self.on_first_write = self.on_first_write, None
-            told()
+                progress["is_committing"] = True
+            has_audit_rows = connection.info.pop(HAS_AUDIT_ROWS, False)
+        if has_audit_rows and self.on_first_write is not None:
+            callback, self.on_first_write = self.on_first_write, None
+            callback()
 
     def once_more(self, action: Callable[[], Answer], *, is_repeatable: bool = False) -> Answer:
         """Run whole transactions, and repeat them if their connection was lost.
@@ -205,7 +205,7 @@ class Database:
     @contextmanager
     def outside_transactions(self) -> Iterator[sqlite3.Connection]:
         """Yield the plain SQLite connection, for statements that SQLite runs outside transactions only."""
-        with self._errors_in_words():
+        with self._translate_errors():
             pooled = self.engine.raw_connection()
             try:
                 yield cast(sqlite3.Connection, pooled.driver_connection)
@@ -225,28 +225,28 @@ class Database:
             setattr(self._thread, role, None)
 
     @contextmanager
-    def _errors_in_words(self, is_writing: bool = False) -> Iterator[dict[str, bool]]:
-        phase = {"is_committing": False}
+    def _translate_errors(self, is_writing: bool = False) -> Iterator[dict[str, bool]]:
+        progress = {"is_committing": False}
         try:
-            yield phase
+            yield progress
         # SQLite may quote a damaged name, which is no text.
         except (SQLAlchemyError, sqlite3.Error, UnicodeDecodeError) as error:
-            what = without_password(first_line(error), self.engine.url)
-            if phase["is_committing"] and not self.is_sqlite and isinstance(error, OperationalError):
+            message = without_password(first_line(error), self.engine.url)
+            if progress["is_committing"] and not self.is_sqlite and isinstance(error, OperationalError):
                 raise ConnectionCut(
-                    f"registry {self.name}: {what}; this happened while the change was being kept: look whether it "
+                    f"registry {self.name}: {message}; this happened while the change was being kept: look whether it "
                     "is there before you repeat it",
                     is_undone=False,
                 ) from error
             if isinstance(error, DBAPIError) and error.connection_invalidated:
-                cut = f"registry {self.name}: {what}; nothing was changed; run it again when the server answers"
+                cut = f"registry {self.name}: {message}; nothing was changed; run it again when the server answers"
                 raise ConnectionCut(cut, is_undone=True) from error
             kind: type[RegistryError] = RegistryBusy if is_busy(error) else RegistryError
             if is_denied(error):
                 may_not = "this is read-only for" if is_writing else "this is hidden from"
-                what += f"; {may_not} the database account, ask who manages the registry to do it"
+                message += f"; {may_not} the database account, ask who manages the registry to do it"
                 kind = RegistryReadOnly if is_writing else RegistryError
-            raise kind(f"registry {self.name}: {what}; nothing was changed") from error
+            raise kind(f"registry {self.name}: {message}; nothing was changed") from error
 
 
 def first_line(error: Exception) -> str:
@@ -274,10 +274,10 @@ def _code_of(error: Exception) -> int | str | None:
     return code
 
 
-def given(*pairs: tuple[Any, object]) -> list[Any]:
+def equality_conditions(*pairs: tuple[Any, object]) -> list[Any]:
     """Return the conditions that columns equal a value, or one of several; None is any value."""
-    wanted = [(column, value) for column, value in pairs if value is not None]
-    return [column.in_(value) if isinstance(value, list | tuple) else column == value for column, value in wanted]
+    constrained = [(column, value) for column, value in pairs if value is not None]
+    return [column.in_(value) if isinstance(value, list | tuple) else column == value for column, value in constrained]
 
 
 def parts(values: Sequence[Part]) -> Iterator[Sequence[Part]]:
@@ -295,8 +295,8 @@ def open_database(url: str, *, create: bool = True) -> Database:
     # A port that is no number is a plain ValueError.
     except (ArgumentError, ValueError) as error:
         raise RegistryError(
-            f"the registry URL {_bare(url)!r} cannot be read; sqlite:///FILE or postgresql://USER@HOST/DATABASE was "
-            f"expected{f', for a file sqlite:///{url}' if _bare(url) == url and '://' not in url else ''}"
+            f"the registry URL {_masked(url)!r} cannot be read; sqlite:///FILE or postgresql://USER@HOST/DATABASE was "
+            f"expected{f', for a file sqlite:///{url}' if _masked(url) == url and '://' not in url else ''}"
         ) from error
     if parsed.drivername in ("sqlite", "sqlite+pysqlite"):
         database = Database(sqlite_engine(parsed, create))
@@ -337,7 +337,7 @@ def check_schema(database: Database, schema: str) -> None:
         )
 
 
-def _bare(url: str) -> str:
+def _masked(url: str) -> str:
     """Return a text that is no URL without what may be a password: up to `@`, or a bare word."""
     scheme, _, rest = url.rpartition("://")
     if not scheme and not set("/.\\") & set(url):
@@ -348,7 +348,7 @@ def _bare(url: str) -> str:
 SECRET_KEYS = ("password", "passfile", "sslpassword")
 
 
-def shown_url(url: URL) -> str:
+def redacted_url(url: URL) -> str:
     """Return a URL as text without its password, which may also be among its options."""
     hidden = {key: "***" for key in url.query if key.lower() in SECRET_KEYS}
     return url.update_query_dict(hidden).render_as_string(hide_password=True)

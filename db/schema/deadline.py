@@ -19,11 +19,11 @@ def has_passed(until: datetime | None, now: datetime, longest: timedelta) -> boo
     return until is None or until <= now or until > now + longest + MAX_CLOCK_ERROR
 
 
-def passed(until: ColumnElement[Any], now: datetime, longest: timedelta) -> ColumnElement[bool]:
+def passed_condition(until: ColumnElement[Any], now: datetime, longest: timedelta) -> ColumnElement[bool]:
     """Return the condition of `has_passed` for a column."""
     return or_(until.is_(None), until <= now, until > now + longest + MAX_CLOCK_ERROR)
 
 
-def is_silent(last: datetime, now: datetime, patience: timedelta) -> bool:
-    """Whether a sign of life is older than `patience`, or was given by a clock that was ahead."""
-    return not -MAX_CLOCK_ERROR <= now - last <= patience
+def is_silent(last: datetime, now: datetime, timeout: timedelta) -> bool:
+    """Whether a sign of life is older than `timeout`, or was given by a clock that was ahead."""
+    return not -MAX_CLOCK_ERROR <= now - last <= timeout

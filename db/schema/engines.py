@@ -17,7 +17,7 @@ from sqlalchemy import URL, Connection, Engine, create_engine, event
 from sqlalchemy.pool import NullPool, StaticPool
 
 from softcal.core.errors import NoRegistry, RegistryError
-from softcal.db.schema.transaction_cache import forget
+from softcal.db.schema.transaction_cache import clear_cache
 
 SQLITE_WAIT_S = 60
 """How long a writer waits for its turn before the registry counts as locked."""
@@ -71,10 +71,10 @@ def sqlite_engine(url: URL, create: bool) -> Engine:
         if problem:
             raise (RegistryError if create or path.exists() else NoRegistry)(problem)
         parts = (path, folder) if path.exists() else (folder,)
-        if why := next((f"{part} cannot be written" for part in parts if not os.access(part, os.W_OK)), ""):
+        if cause := next((f"{part} cannot be written" for part in parts if not os.access(part, os.W_OK)), ""):
             if path.exists():
-                return _read_only_engine(url, path, why)
-            raise RegistryError(f"registry {path}: {why}; a new registry was asked for")
+                return _read_only_engine(url, path, cause)
+            raise RegistryError(f"registry {path}: {cause}; a new registry was asked for")
         refuse_network_share(folder)
         # It holds hashes of PINs: for its owner alone. SQLite gives its log the same mode.
         try:
@@ -87,7 +87,7 @@ def sqlite_engine(url: URL, create: bool) -> Engine:
         engine = create_engine(url, connect_args={"timeout": SQLITE_WAIT_S, "check_same_thread": False})
     event.listen(engine, "connect", _set_up_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
-    event.listen(engine, "rollback_savepoint", forget)
+    event.listen(engine, "rollback_savepoint", clear_cache)
     return engine
 
 
@@ -103,10 +103,10 @@ def _problem(path: Path, folder: Path, create: bool) -> str:
     return ""
 
 
-def _read_only_engine(url: URL, path: Path, why: str) -> Engine:
+def _read_only_engine(url: URL, path: Path, cause: str) -> Engine:
     """Return the engine of a read-only file, which creates no further file."""
     # Every transaction looks anew: what somebody else writes meanwhile is seen by the next one.
-    engine = create_engine(url, creator=_opener(path), poolclass=NullPool, execution_options={READ_ONLY: why})
+    engine = create_engine(url, creator=_opener(path), poolclass=NullPool, execution_options={READ_ONLY: cause})
     event.listen(engine, "begin", _begin_sqlite)
     event.listen(engine, "begin", partial(_note_state, path))
     event.listen(engine, "commit", partial(_check_state, path))
@@ -192,20 +192,20 @@ def _begin_sqlite(connection: Connection) -> None:
         return
     # SQLite's own waiting slows down to a look every 100 ms, so that of many writers one may starve; looking at short
     # random intervals gives each the same chance.
-    bare = cast(sqlite3.Connection, connection.connection.driver_connection)
+    sqlite_connection = cast(sqlite3.Connection, connection.connection.driver_connection)
     deadline_s = time.monotonic() + SQLITE_WAIT_S
-    bare.execute("PRAGMA busy_timeout = 0")
+    sqlite_connection.execute("PRAGMA busy_timeout = 0")
     try:
         while True:
             try:
-                bare.execute("BEGIN IMMEDIATE")
+                sqlite_connection.execute("BEGIN IMMEDIATE")
                 return
             except sqlite3.OperationalError as error:
                 if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_BUSY or time.monotonic() > deadline_s:
                     raise
             time.sleep(random.uniform(*LOOK_EVERY_S))
     finally:
-        bare.execute(f"PRAGMA busy_timeout = {SQLITE_WAIT_S * 1000}")
+        sqlite_connection.execute(f"PRAGMA busy_timeout = {SQLITE_WAIT_S * 1000}")
 
 
 def postgresql_engine(url: URL) -> Engine:
@@ -217,7 +217,7 @@ def postgresql_engine(url: URL) -> Engine:
     except ModuleNotFoundError as error:
         raise RegistryError("PostgreSQL needs psycopg; run: pip install 'softcal[postgresql]'") from error
     event.listen(engine, "connect", _set_up_postgresql)
-    event.listen(engine, "rollback_savepoint", forget)
+    event.listen(engine, "rollback_savepoint", clear_cache)
     return engine
 
 

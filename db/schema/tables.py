@@ -40,7 +40,7 @@ def keys(**kinds: Any) -> list[Column[Any]]:
     return [Column(name, kind, primary_key=True) for name, kind in kinds.items()]
 
 
-def needed(**kinds: Any) -> list[Column[Any]]:
+def required(**kinds: Any) -> list[Column[Any]]:
     """Return columns that every row fills."""
     return [Column(name, kind, nullable=False) for name, kind in kinds.items()]
 
@@ -55,11 +55,11 @@ OF_UNIT = OF_LOT | {"serial": NAME}
 OF_RECORDING = OF_UNIT | {"recording_sha256": SHA256}
 
 
-def declared(name: str, key: dict[str, Any], *values: Sequence[Column[Any]]) -> Table:
+def declaration_table(name: str, key: dict[str, Any], *values: Sequence[Column[Any]]) -> Table:
     """Return a table of declarations under a key: the newest row is in force."""
-    made = (*keys(**key, made_at=UtcTime, origin=ORIGIN), *needed(actor=Text, reason=Text))
+    write_columns = (*keys(**key, made_at=UtcTime, origin=ORIGIN), *required(actor=Text, reason=Text))
     lot = (sa.ForeignKeyConstraint(["lot_id"], ["lots.id"]),) if next(iter(key)) == "lot_id" else ()
-    return table(name, *made, *chain.from_iterable(values), *lot)
+    return table(name, *write_columns, *chain.from_iterable(values), *lot)
 
 
 def listed(parent: Table, name: str, key: dict[str, Any], *values: Sequence[Column[Any]]) -> Table:
@@ -69,29 +69,29 @@ def listed(parent: Table, name: str, key: dict[str, Any], *values: Sequence[Colu
     return table(name, *keys(**above, **key), *chain(*values), sa.ForeignKeyConstraint([*above], named))
 
 
-def numbered(name: str, number: str, *values: Sequence[Column[Any]]) -> Table:
+def numbered_table(name: str, number: str, *values: Sequence[Column[Any]]) -> Table:
     """Return a table of what is set or decided of lots, 1, 2, 3 ... each, by whichever registry."""
     key = [Column("lot_id", ForeignKey("lots.id"), primary_key=True), *keys(**{number: Integer, "origin": ORIGIN})]
-    made = needed(made_at=UtcTime, actor=Text, reason=Text)
-    return table(name, *key, *chain(*values), *made, CheckConstraint(f"{number} >= 1", name=number))
+    write_columns = required(made_at=UtcTime, actor=Text, reason=Text)
+    return table(name, *key, *chain(*values), *write_columns, CheckConstraint(f"{number} >= 1", name=number))
 
 
-registry_info = table("registry_info", *keys(key=NAME), *needed(value=Text))
+registry_info = table("registry_info", *keys(key=NAME), *required(value=Text))
 
-blobs = Table("blobs", metadata, *keys(sha256=SHA256), *needed(kind=String(16), size=Integer, data=sa.LargeBinary))
+blobs = Table("blobs", metadata, *keys(sha256=SHA256), *required(kind=String(16), size=Integer, data=sa.LargeBinary))
 
 lots = table(
     "lots",
     *keys(id=NAME),
-    *needed(source=NAME, sample_rate_Hz=Double, sensor_model=Text, reference_quantity=Text),
-    *needed(reference_unit=Text, output_unit=Text, added_at=UtcTime),
+    *required(source=NAME, sample_rate_Hz=Double, sensor_model=Text, reference_quantity=Text),
+    *required(reference_unit=Text, output_unit=Text, added_at=UtcTime),
 )
 
-limits = numbered("limits", "version", optional(rmse=Double))
-line_rules = numbered(
+limits = numbered_table("limits", "version", optional(rmse=Double))
+line_rules = numbered_table(
     "line_rules",
     "version",
-    needed(serial_pattern=Text, letters=String(16), is_badge_needed=sa.Boolean),
+    required(serial_pattern=Text, letters=String(16), is_badge_needed=sa.Boolean),
     optional(target=Integer, retests_pass=Integer, retests_conditional=Integer, retests_fail=Integer),
     optional(retests_retest=Integer, load_1=Double, load_1_expanded=Double, load_2=Double, load_2_expanded=Double),
 )
@@ -100,7 +100,7 @@ units = table(
     "units",
     Column("lot_id", ForeignKey("lots.id"), primary_key=True),
     *keys(serial=NAME),
-    *needed(role=String(8), added_at=UtcTime),
+    *required(role=String(8), added_at=UtcTime),
     CheckConstraint("role IN ('source', 'target')", name="role"),
     Index("ix_units_serial", "serial"),
 )
@@ -108,11 +108,11 @@ units = table(
 recordings = table(
     "recordings",
     *keys(sha256=SHA256, lot_id=NAME, kind=String(8)),
-    *needed(serial=NAME, samples=Integer, sample_rate_Hz=Double, output_unit=Text),
-    *needed(output_sha256=SHA256),
+    *required(serial=NAME, samples=Integer, sample_rate_Hz=Double, output_unit=Text),
+    *required(output_sha256=SHA256),
     *optional(reference_unit=Text, measured_at=UtcTime, proof_method=SHA256),
     Column("blob_sha256", SHA256, ForeignKey("blobs.sha256"), nullable=False),
-    *needed(added_at=UtcTime),
+    *required(added_at=UtcTime),
     sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     CheckConstraint("kind IN ('source', 'unit', 'audit')", name="kind"),
     Index("ix_recordings_lot_id_serial", "lot_id", "serial"),
@@ -124,21 +124,21 @@ networks = table(
     *keys(id=SHA256),
     Column("lot_id", ForeignKey("lots.id"), nullable=False),
     Column("input_sha256", SHA256, nullable=False, index=True),
-    *needed(settings=CanonicalJson, training=CanonicalJson, metrics=CanonicalJson),
+    *required(settings=CanonicalJson, training=CanonicalJson, metrics=CanonicalJson),
     Column("blob_sha256", SHA256, ForeignKey("blobs.sha256"), nullable=False),
-    *needed(added_at=UtcTime),
+    *required(added_at=UtcTime),
 )
 
-methods = table("methods", *keys(id=SHA256), *needed(numbers=CanonicalJson))
+methods = table("methods", *keys(id=SHA256), *required(numbers=CanonicalJson))
 """Every number that units were calibrated with, once for all units of a method."""
 
 fits = table(
     "fits",
     *keys(lot_id=NAME, sha256=SHA256),
-    *needed(serial=NAME),
+    *required(serial=NAME),
     Column("network_id", ForeignKey("networks.id"), nullable=False),
     Column("method_id", ForeignKey("methods.id"), nullable=False),
-    *needed(recording_sha256=SHA256, content=CanonicalJson),
+    *required(recording_sha256=SHA256, content=CanonicalJson),
     Column("blob_sha256", SHA256, ForeignKey("blobs.sha256"), nullable=False),
     sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
 )
@@ -153,32 +153,34 @@ def part_of_states(name: str, *values: Sequence[Column[Any]]) -> Table:
 
 trims = part_of_states(
     "trims",
-    needed(output=CanonicalJson, reference=CanonicalJson, recording_sha256=SHA256, audit_sha256=SHA256),
-    needed(gain=Double, offset=Double, covariance=CanonicalJson, before_rmse=Double, after_rmse=Double),
-    needed(is_blocking=sa.Boolean),
+    required(output=CanonicalJson, reference=CanonicalJson, recording_sha256=SHA256, audit_sha256=SHA256),
+    required(gain=Double, offset=Double, covariance=CanonicalJson, before_rmse=Double, after_rmse=Double),
+    required(is_blocking=sa.Boolean),
     optional(left_out=CanonicalJson),
 )
 corrections = part_of_states(
     "corrections",
-    needed(number=Integer, line_gain=Double, line_zero=Double, gain_error=Double, zero_error=Double),
-    needed(audits=Integer, gain=Double, offset=Double),
+    required(number=Integer, line_gain=Double, line_zero=Double, gain_error=Double, zero_error=Double),
+    required(audits=Integer, gain=Double, offset=Double),
 )
 sample_releases = part_of_states(
     "sample_releases",
-    needed(number=Integer, limit_rmse=Double, is_released=sa.Boolean, scale=Double),
-    needed(widening_scale=Double, widening_added=Double, day_rmse=Double, audits=CanonicalJson),
-    needed(risk=Double, confidence=Double, sitting=Text),
+    required(number=Integer, limit_rmse=Double, is_released=sa.Boolean, scale=Double),
+    required(widening_scale=Double, widening_added=Double, day_rmse=Double, audits=CanonicalJson),
+    required(risk=Double, confidence=Double, sitting=Text),
     optional(factor=Double, withdrawn=CanonicalJson),
 )
 audits = part_of_states(
     "audits",
-    needed(map_id=SHA256, recording_sha256=SHA256, output_sha256=SHA256),
-    needed(scores_before_rmse=Double, scores_before_rows=Integer, scores_after_rmse=Double, scores_after_rows=Integer),
+    required(map_id=SHA256, recording_sha256=SHA256, output_sha256=SHA256),
+    required(
+        scores_before_rmse=Double, scores_before_rows=Integer, scores_after_rmse=Double, scores_after_rows=Integer
+    ),
     optional(scores_own_before_rmse=Double, scores_own_before_rows=Integer, scores_own_after_rmse=Double),
     optional(scores_own_after_rows=Integer, scores_own_own_rmse=Double, scores_own_own_rows=Integer),
-    needed(scores_unscored=CanonicalJson, line_gain=Double, line_zero=Double),
-    needed(fitted_line_gain=Double, fitted_line_zero=Double, unit_rest=Double, audit_rest=Double, span=Double),
-    needed(residual=CanonicalJson, half=CanonicalJson),
+    required(scores_unscored=CanonicalJson, line_gain=Double, line_zero=Double),
+    required(fitted_line_gain=Double, fitted_line_zero=Double, unit_rest=Double, audit_rest=Double, span=Double),
+    required(residual=CanonicalJson, half=CanonicalJson),
 )
 STATE_PARTS = {"trim": trims, "correction": corrections, "release": sample_releases, "audit": audits}
 """What was done to units and what audits showed, by the field of a state. Arrays stand encoded in one column: nothing
@@ -187,16 +189,16 @@ asks for one of their numbers."""
 calibrations = table(
     "calibrations",
     *keys(serial=NAME, revision=Integer, origin=ORIGIN),
-    *needed(lot_id=NAME, made_at=UtcTime, actor=Text, reason=Text, version=Text, build=Text),
+    *required(lot_id=NAME, made_at=UtcTime, actor=Text, reason=Text, version=Text, build=Text),
     *optional(rolled_back_to=Integer),
-    *needed(fit_sha256=SHA256, network_id=SHA256, method_id=SHA256, family=Text, map_sha256=SHA256),
-    *needed(state_sha256=SHA256),
+    *required(fit_sha256=SHA256, network_id=SHA256, method_id=SHA256, family=Text, map_sha256=SHA256),
+    *required(state_sha256=SHA256),
     *optional(**{f"{name}_sha256": SHA256 for name in STATE_PARTS}),
     *optional(predicted_rmse=Double, before_rmse=Double, after_rmse=Double, own_rmse=Double, fit_s=Double),
-    *needed(limit_unit=Text, limit_rmse=Double, limit_origin=CanonicalJson, is_limit_stated=sa.Boolean),
+    *required(limit_unit=Text, limit_rmse=Double, limit_origin=CanonicalJson, is_limit_stated=sa.Boolean),
     *optional(limit_reference_expanded=Double, limit_full_range=Double),
     *optional(unreadable_audit=CanonicalJson, suspect_audit=CanonicalJson),
-    *needed(verdict=String(16), reasons=CanonicalJson, input_sha256=SHA256, recording_sha256=SHA256),
+    *required(verdict=String(16), reasons=CanonicalJson, input_sha256=SHA256, recording_sha256=SHA256),
     sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     sa.ForeignKeyConstraint(["lot_id", "fit_sha256"], ["fits.lot_id", "fits.sha256"]),
     *(
@@ -212,73 +214,75 @@ calibrations = table(
 refusals = table(
     "refusals",
     *keys(lot_id=NAME, serial=NAME, made_at=UtcTime, origin=ORIGIN),
-    *needed(actor=Text, verdict=String(16), reasons=CanonicalJson),
+    *required(actor=Text, verdict=String(16), reasons=CanonicalJson),
     *optional(work_sha256=SHA256),
     sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     CheckConstraint("verdict IN ('fail', 'retest')", name="verdict"),
 )
 
-lot_decisions = numbered("lot_decisions", "number", needed(version=Text, build=Text, decision=CanonicalJson))
+lot_decisions = numbered_table("lot_decisions", "number", required(version=Text, build=Text, decision=CanonicalJson))
 """What was decided on a lot as a whole: its correction, and the statement on the units that nobody measured."""
 
-declared("line_spreads", OF_LOT, optional(load=Double, day=Double))
-declared("map_families", OF_LOT, needed(family=Text))
-lot_sources = declared("lot_sources", OF_LOT)
-source_networks = listed(lot_sources, "source_networks", {"position": Integer}, needed(network_id=SHA256))
-declared(
+declaration_table("line_spreads", OF_LOT, optional(load=Double, day=Double))
+declaration_table("map_families", OF_LOT, required(family=Text))
+lot_sources = declaration_table("lot_sources", OF_LOT)
+source_networks = listed(lot_sources, "source_networks", {"position": Integer}, required(network_id=SHA256))
+declaration_table(
     "lot_references",
     OF_LOT,
-    needed(cell=Text, certificate=Text, laboratory=Text, is_simulated=sa.Boolean, coverage_factor=Double),
+    required(cell=Text, certificate=Text, laboratory=Text, is_simulated=sa.Boolean, coverage_factor=Double),
     optional(issued_on=sa.Date, due_on=sa.Date, used_on=sa.Date, uncertainty=Double, capacity=Double, drift=Double),
     optional(temperature_per_K=Double, temperature_K=Double, contact=Double, repeatability=Double, bandwidth=Double),
-    needed(source_rms=Double),
+    required(source_rms=Double),
 )
-known_loads = declared("known_loads", OF_RECORDING, needed(brought_by=String(8)))
-load_readings = listed(known_loads, "load_readings", {"position": Integer}, needed(output=Double, reference=Double))
-declared("unit_golden_runs", OF_RECORDING, needed(golden_sha256=SHA256))
-declared(
+known_loads = declaration_table("known_loads", OF_RECORDING, required(brought_by=String(8)))
+load_readings = listed(known_loads, "load_readings", {"position": Integer}, required(output=Double, reference=Double))
+declaration_table("unit_golden_runs", OF_RECORDING, required(golden_sha256=SHA256))
+declaration_table(
     "exports",
     OF_UNIT | {"host": Text, "place": Text},
-    needed(revision=Integer, map_sha256=SHA256, verdict=String(16)),
+    required(revision=Integer, map_sha256=SHA256, verdict=String(16)),
 )
-declared("confirmed_audits", OF_UNIT, needed(output_sha256=SHA256, doubt=CanonicalJson))
-lot_statements = declared(
+declaration_table("confirmed_audits", OF_UNIT, required(output_sha256=SHA256, doubt=CanonicalJson))
+lot_statements = declaration_table(
     "lot_statements",
     OF_LOT,
-    needed(word=String(16), nonconforming_upper=Integer, process_upper=Double, error_ratio=Double, text=Text),
+    required(word=String(16), nonconforming_upper=Integer, process_upper=Double, error_ratio=Double, text=Text),
 )
 checked_units = listed(
-    lot_statements, "checked_units", {"serial": NAME}, needed(measured_rmse=Double, is_failed=sa.Boolean)
+    lot_statements, "checked_units", {"serial": NAME}, required(measured_rmse=Double, is_failed=sa.Boolean)
 )
-declared("laboratories", {"section": NAME}, needed(statements=CanonicalJson))
-declared("station_qualifications", {"station": NAME}, needed(is_passed=sa.Boolean, due_on=sa.Date, page=CanonicalJson))
-declared(
-    "alerts", {"kind": String(32), "lot_id": NAME, "about": NAME}, needed(is_open=sa.Boolean, content=CanonicalJson)
+declaration_table("laboratories", {"section": NAME}, required(statements=CanonicalJson))
+declaration_table(
+    "station_qualifications", {"station": NAME}, required(is_passed=sa.Boolean, due_on=sa.Date, page=CanonicalJson)
+)
+declaration_table(
+    "alerts", {"kind": String(32), "lot_id": NAME, "about": NAME}, required(is_open=sa.Boolean, content=CanonicalJson)
 )
 
 LISTS = {"lot_sources": source_networks, "known_loads": load_readings, "lot_statements": checked_units}
 """Tables of what declarations list, by the table of the declarations."""
 
-draws = declared(
+draws = declaration_table(
     "draws",
     OF_LOT,
-    needed(population=Integer, allowed_share=Double, seed=Integer, limit_rmse=Double, limit_unit=Text),
+    required(population=Integer, allowed_share=Double, seed=Integer, limit_rmse=Double, limit_unit=Text),
 )
 drawn_units = table(
     "drawn_units",
     *keys(lot_id=NAME, made_at=UtcTime, origin=ORIGIN, serial=NAME),
-    *needed(is_random=sa.Boolean, predicted_rmse=Double),
+    *required(is_random=sa.Boolean, predicted_rmse=Double),
     sa.ForeignKeyConstraint(["lot_id", "made_at", "origin"], ["draws.lot_id", "draws.made_at", "draws.origin"]),
 )
 
 in_use = table(
     "in_use",
     *keys(lot_id=NAME, serial=NAME, origin=ORIGIN, number=Integer),
-    *needed(revision=Integer, made_by=ORIGIN),
+    *required(revision=Integer, made_by=ORIGIN),
     *optional(follows_origin=ORIGIN, follows_number=Integer),
-    *needed(decided_by=String(16)),
+    *required(decided_by=String(16)),
     *optional(work_sha256=SHA256, input_sha256=SHA256),
-    *needed(made_at=UtcTime, actor=Text, reason=Text),
+    *required(made_at=UtcTime, actor=Text, reason=Text),
     sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     sa.ForeignKeyConstraint(
         ["serial", "revision", "made_by"], ["calibrations.serial", "calibrations.revision", "calibrations.origin"]
@@ -293,19 +297,19 @@ nothing follows and that name different maps are a conflict, which a person ends
 audit = table(
     "audit",
     *keys(origin=ORIGIN, seq=Integer),
-    *needed(at=UtcTime, actor=Text, action=String(32), entity=String(32), key=Text),
+    *required(at=UtcTime, actor=Text, action=String(32), entity=String(32), key=Text),
     *optional(before=Text, after=Text),
-    *needed(reason=Text, prev_hash=SHA256, hash=SHA256),
+    *required(reason=Text, prev_hash=SHA256, hash=SHA256),
     Index("ix_audit_entity_key", "entity", "key"),
 )
 
 work_items = table(
     "work_items",
     Column("id", sa.BigInteger().with_variant(Integer, "sqlite"), primary_key=True, autoincrement=True),
-    *needed(lot_id=NAME, serial=NAME, kind=String(32), work_set=SHA256, input_sha256=SHA256),
-    *needed(state=String(8), attempts=Integer),
+    *required(lot_id=NAME, serial=NAME, kind=String(32), work_set=SHA256, input_sha256=SHA256),
+    *required(state=String(8), attempts=Integer),
     *optional(owner=Text, lease_until=UtcTime),
-    *needed(changed_at=UtcTime),
+    *required(changed_at=UtcTime),
     CheckConstraint("state IN ('queued', 'claimed', 'failed')", name="state"),
     Index("uq_work_items_item", "lot_id", "kind", "serial", "work_set", "input_sha256", unique=True),
     Index("ix_work_items_set_state", "lot_id", "kind", "work_set", "state", "id"),
@@ -315,7 +319,7 @@ work_items = table(
 adaptations = table(
     "adaptations",
     *keys(lot_id=NAME, serial=NAME, number=Integer, origin=ORIGIN),
-    *needed(revision=Integer, stream=Text, sample=Integer, made_at=UtcTime, entry=CanonicalJson),
+    *required(revision=Integer, stream=Text, sample=Integer, made_at=UtcTime, entry=CanonicalJson),
     sa.ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     CheckConstraint("number >= 1", name="number"),
 )
@@ -323,35 +327,35 @@ adaptations = table(
 certificates = table(
     "certificates",
     *keys(cell_serial=NAME, issued_on=sa.Date, origin=ORIGIN),
-    *needed(due_on=sa.Date, number=Text, laboratory=Text, capacity_N=Double, uncertainty_N=Double),
+    *required(due_on=sa.Date, number=Text, laboratory=Text, capacity_N=Double, uncertainty_N=Double),
     Column("blob_sha256", SHA256, ForeignKey("blobs.sha256")),
-    *needed(added_at=UtcTime),
+    *required(added_at=UtcTime),
     CheckConstraint("due_on > issued_on", name="due_on"),
 )
 
 golden_runs = table(
     "golden_runs",
     *keys(station=NAME, lot_id=NAME, serial=NAME, made_at=UtcTime, origin=ORIGIN),
-    *needed(value=Double, unit=Text, passed=sa.Boolean, reasons=CanonicalJson, actor=Text),
+    *required(value=Double, unit=Text, passed=sa.Boolean, reasons=CanonicalJson, actor=Text),
     *optional(recording_sha256=SHA256),
 )
 
 users = table(
     "users",
     *keys(name=NAME),
-    *needed(role=String(16), pin_hash=Text, is_active=sa.Boolean, failures=Integer),
+    *required(role=String(16), pin_hash=Text, is_active=sa.Boolean, failures=Integer),
     *optional(locked_until=UtcTime),
-    *needed(version=Integer, changed_at=UtcTime),
+    *required(version=Integer, changed_at=UtcTime),
     CheckConstraint("role IN ('operator', 'engineer', 'quality')", name="role"),
 )
 
 orders = table(
     "orders",
     *keys(order_id=NAME),
-    *needed(station=NAME, kind=String(16), serial=NAME, lot_id=NAME, actor=Text, reason=Text),
-    *needed(created=UtcTime, state=String(16), phase=Text, fraction=Double, remaining_s=Double),
-    *needed(code=Text, message=Text, recording_sha256=Text, verdict=Text),
-    *needed(changed_at=UtcTime),
+    *required(station=NAME, kind=String(16), serial=NAME, lot_id=NAME, actor=Text, reason=Text),
+    *required(created=UtcTime, state=String(16), phase=Text, fraction=Double, remaining_s=Double),
+    *required(code=Text, message=Text, recording_sha256=Text, verdict=Text),
+    *required(changed_at=UtcTime),
     CheckConstraint("state IN ('queued', 'running', 'done', 'error', 'cancelled')", name="state"),
     Index("ix_orders_station", "station", "created"),
 )
@@ -361,34 +365,34 @@ Index("uq_orders_active", orders.c.station, unique=True)
 run_signals = table(
     "run_signals",
     Column("order_id", ForeignKey("orders.order_id"), primary_key=True),
-    *needed(signal=CanonicalJson),
+    *required(signal=CanonicalJson),
 )
 
 heartbeats = table(
     "heartbeats",
     *keys(station=NAME),
-    *needed(state=String(16), at=UtcTime, reasons=CanonicalJson, process=Text, order_id=NAME),
-    *needed(gate=CanonicalJson, is_overridden=sa.Boolean),
+    *required(state=String(16), at=UtcTime, reasons=CanonicalJson, process=Text, order_id=NAME),
+    *required(gate=CanonicalJson, is_overridden=sa.Boolean),
 )
 
-line_places = Table("line_places", metadata, *keys(station=NAME), *needed(version=Integer, place=CanonicalJson))
+line_places = Table("line_places", metadata, *keys(station=NAME), *required(version=Integer, place=CanonicalJson))
 
 network_releases = table(
     "network_releases",
     Column("network_id", ForeignKey("networks.id"), primary_key=True),
     *keys(made_at=UtcTime, origin=ORIGIN),
     Column("lot_id", ForeignKey("lots.id"), nullable=False),
-    *needed(state=String(16), actor=Text, reason=Text),
+    *required(state=String(16), actor=Text, reason=Text),
     CheckConstraint("state IN ('released', 'withdrawn')", name="state"),
 )
 
 jobs = table(
     "jobs",
     *keys(job_id=String(32)),
-    *needed(kind=String(32), request=CanonicalJson, actor=Text, created=UtcTime, state=String(16)),
-    *needed(fraction=Double, message=Text, trace=CanonicalJson, result=CanonicalJson),
+    *required(kind=String(32), request=CanonicalJson, actor=Text, created=UtcTime, state=String(16)),
+    *required(fraction=Double, message=Text, trace=CanonicalJson, result=CanonicalJson),
     Column("blob_sha256", SHA256, ForeignKey("blobs.sha256")),
-    *needed(is_cancel_wanted=sa.Boolean, beaten_at=UtcTime),
+    *required(is_cancel_wanted=sa.Boolean, beaten_at=UtcTime),
     CheckConstraint("state IN ('queued', 'running', 'done', 'error', 'cancelled')", name="state"),
     Index("ix_jobs_kind", "kind", "created"),
 )
@@ -396,18 +400,18 @@ jobs = table(
 tokens = table(
     "tokens",
     *keys(token_id=String(32)),
-    *needed(sha256=SHA256),
+    *required(sha256=SHA256),
     Column("account", ForeignKey("users.name"), nullable=False),
-    *needed(purpose=Text, created=UtcTime, ends_at=UtcTime, is_withdrawn=sa.Boolean),
+    *required(purpose=Text, created=UtcTime, ends_at=UtcTime, is_withdrawn=sa.Boolean),
     Index("uq_tokens_sha256", "sha256", unique=True),
 )
 
 deliveries = table(
     "deliveries",
     *keys(destination=NAME),
-    *needed(cursor=CanonicalJson, delivered=sa.BigInteger, failures=Integer),
+    *required(cursor=CanonicalJson, delivered=sa.BigInteger, failures=Integer),
     *optional(not_before=UtcTime),
-    *needed(error=Text, changed_at=UtcTime),
+    *required(error=Text, changed_at=UtcTime),
     *optional(holder=String(128), held_until=UtcTime),
 )
 
@@ -424,5 +428,5 @@ AUDITED = tuple(
 APPEND_ONLY = ("blobs", "audit", *AUDITED)
 """Tables whose rows are never changed or deleted; triggers on both databases see to it."""
 
-TOLD_BY_HASH = {"adaptations": ("entry",)}
+HASHED_COLUMNS = {"adaptations": ("entry",)}
 """Columns of which the audit trail holds a SHA-256 only, as there are thousands of rows a day."""

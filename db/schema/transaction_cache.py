@@ -10,12 +10,12 @@ from weakref import WeakKeyDictionary
 
 from sqlalchemy import Connection, RootTransaction, RowMapping
 
-HAS_TOLD = "softcal_has_told"
+HAS_AUDIT_ROWS = "softcal_has_told"
 """Key in the info of a connection: its transaction wrote into the audit trail."""
 
 
 @dataclass
-class Found:
+class TransactionCache:
     """Cached rows of one transaction.
 
     Args:
@@ -40,16 +40,16 @@ class Found:
     rows: dict[tuple[str, str, str], Sequence[RowMapping]] = field(default_factory=dict)
 
 
-_by_transaction = WeakKeyDictionary[RootTransaction, Found]()
+_by_transaction = WeakKeyDictionary[RootTransaction, TransactionCache]()
 
 
-def found_in(connection: Connection) -> Found:
+def cache_of(connection: Connection) -> TransactionCache:
     """Return the cache of a connection's transaction; None outside a transaction."""
     transaction = connection.get_transaction()
-    return Found() if transaction is None else _by_transaction.setdefault(transaction, Found())
+    return TransactionCache() if transaction is None else _by_transaction.setdefault(transaction, TransactionCache())
 
 
-def forget(connection: Connection, *_: object) -> None:
+def clear_cache(connection: Connection, *_: object) -> None:
     """Clear the cache of the transaction."""
     transaction = connection.get_transaction()
     if transaction is not None:

@@ -7,7 +7,7 @@ from lab_meter import MeterConfig, simulate
 
 from softcal.core.errors import NoReply
 from softcal.station.devices.driver import Driver, Opening
-from softcal.station.wire.threaded import Reading, ThreadedReader
+from softcal.station.wire.threaded_reader import Reading, ThreadedReader
 
 
 class MakersLibrary:

@@ -6,9 +6,9 @@ from softcal.core.errors import BadReply, CommandRefused, InputError
 from softcal.core.messages.reason import reason
 from softcal.station.devices.config import ReadoutConfig
 from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
-from softcal.station.simulated.answering import SimulatedAnswers
-from softcal.station.wire.asked import AskedReader
+from softcal.station.simulated.far_end import SimulatedAnswers
 from softcal.station.wire.link import link_for_driver
+from softcal.station.wire.query_reader import QueryReader
 
 
 @dataclass(frozen=True)
@@ -36,12 +36,12 @@ def parse_pF(line: bytes) -> tuple[float, ...]:
     return (float(number),)
 
 
-def open_meter(config: MeterConfig, opening: Opening) -> AskedReader:
+def open_meter(config: MeterConfig, opening: Opening) -> QueryReader:
     with link_for_driver(config.port, opening.clock, config.baud_rate, "lab meter") as link:
         link.write(f"AVG {config.averages}\nAVG?\n".encode())
         if link.next_line(1.0).text != str(config.averages).encode():
             raise CommandRefused(reason("lab_meter.other", port=config.port))
-        return AskedReader("lab meter", "pF", config.rate_Hz, link, b"C?\n", parse_pF, limits=(-10.0, 2000.0))
+        return QueryReader("lab meter", "pF", config.rate_Hz, link, b"C?\n", parse_pF, limits=(-10.0, 2000.0))
 
 
 def simulate(around: Surroundings) -> Simulated[MeterConfig]:

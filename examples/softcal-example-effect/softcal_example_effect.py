@@ -33,7 +33,7 @@ ADHESION = Effect(
     step=_adhesion,
     signs=Signs(
         probes=Shapes(0.02, (0.02, 0.06, 0.2), "depth_mm"),
-        hides_behind=("loadcell_drift",),
-        shown_by=("slow_touch_down", "small_reversals"),
+        confounders=("loadcell_drift",),
+        best_experiments=("slow_touch_down", "small_reversals"),
     ),
 )

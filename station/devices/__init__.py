@@ -1,1 +1,1 @@
-"""The devices of a station: the catalogue, the station file, and the bench."""
+"""Devices of a station: keys of their configuration, what a driver declares, calibration of a load cell."""

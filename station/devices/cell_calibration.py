@@ -8,7 +8,7 @@ import numpy as np
 from softcal.core.errors import BadReply, InputError
 from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import Array
-from softcal.station.device_names import named
+from softcal.station.device_names import device_label
 from softcal.station.interfaces import Clock, ForceReader
 from softcal.station.wire.frames.force_unit import STANDARD_GRAVITY
 
@@ -39,7 +39,7 @@ def read_steady(reader: ForceReader, clock: Clock) -> tuple[float, float]:
     _collect(reader, clock, SETTLE_S)
     values = _collect(reader, clock, READ_S)
     if len(values) < 5:
-        raise BadReply(reason("rig.few_readings", device=named(reader.name), count=len(values), read_s=READ_S))
+        raise BadReply(reason("rig.few_readings", device=device_label(reader.name), count=len(values), read_s=READ_S))
     return float(np.mean(values)), float(np.std(values))
 
 

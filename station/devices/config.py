@@ -13,7 +13,7 @@ from softcal.core.messages.reason import reason
 Role: TypeAlias = Literal["stage", "cell", "readout"]
 
 
-LARGEST_LIMIT = 0.8
+MAX_LIMIT_SHARE = 0.8
 """A force limit above this share of the load cell's capacity leaves no room to stop in."""
 
 UNKNOWN_S, LATEST_S = -1.0, 0.5
@@ -67,7 +67,7 @@ class ForceConfig(DeviceConfig):
     role = "cell"
 
     @property
-    def is_latency_stated(self) -> bool:
+    def is_latency_declared(self) -> bool:
         return self.latency_s != UNKNOWN_S
 
 
@@ -151,15 +151,15 @@ class StationConfig:
 
     def __post_init__(self) -> None:
         devices = {"stage": self.stage, "readout": self.readout} | ({"force": self.force} if self.force else {})
-        for (name, device), (other, beside) in combinations(devices.items(), 2):
-            may_share = device.shares_port and beside.shares_port and device.kind == beside.kind
-            if device.port and device.port == beside.port and not may_share:
-                about = {"port": repr(device.port), "kind": repr(device.kind), "kind2": repr(beside.kind)}
+        for (name, device), (other, other_device) in combinations(devices.items(), 2):
+            may_share = device.shares_port and other_device.shares_port and device.kind == other_device.kind
+            if device.port and device.port == other_device.port and not may_share:
+                about = {"port": repr(device.port), "kind": repr(device.kind), "kind2": repr(other_device.kind)}
                 raise InputError(reason("station_file.same_port", name=name, other=other, **about))
         if self.force is not None:
-            check_within("safety.force_N", self.safety.force_N, 0.0, LARGEST_LIMIT * self.force.capacity_N)
+            check_within("safety.force_N", self.safety.force_N, 0.0, MAX_LIMIT_SHARE * self.force.capacity_N)
             check_within("fixture.touch_N", self.fixture.touch_N, 0.0, self.safety.force_N)
-            if self.force.is_latency_stated:
+            if self.force.is_latency_declared:
                 check_within("force.latency_s", self.force.latency_s, 0.0, LATEST_S)
         check_within("safety.stiffest_N_mm", self.safety.stiffest_N_mm, 0.1, 1e5)
         check_within("safety.silence_s", self.safety.silence_s, 0.15, 1.0)
@@ -173,19 +173,19 @@ DEVICES: dict[str, type[DeviceConfig]] = {"stage": StageConfig, "force": ForceCo
 """Sections of the station file that are a device's."""
 
 
-def filled(name: str, kind: type[_T], table: dict[str, Any]) -> _T:
+def fill_section(name: str, kind: type[_T], table: dict[str, Any]) -> _T:
     """Return the values of one section, its keys as TOML gives them.
 
     Raises:
         InputError: an unknown key, with the valid keys; a missing key; a value of the wrong type.
     """
-    known = {f.name: f for f in fields(kind)}  # type: ignore[arg-type]
+    fields_by_key = {f.name: f for f in fields(kind)}  # type: ignore[arg-type]
     types = get_type_hints(kind)
     values: dict[str, Any] = {}
     for key, value in table.items():
-        if key not in known:
-            close = get_close_matches(key, known, 1)
-            about = {"known": ", ".join(known), "similar": f"; did you mean {close[0]}?" if close else ""}
+        if key not in fields_by_key:
+            close = get_close_matches(key, fields_by_key, 1)
+            about = {"known": ", ".join(fields_by_key), "similar": f"; did you mean {close[0]}?" if close else ""}
             raise InputError(reason("station_file.unknown_key", section=name, key=repr(key), **about))
         kind_of, is_number = types[key], isinstance(value, int | float) and not isinstance(value, bool)
         if kind_of is float and is_number and math.isfinite(value):
@@ -196,8 +196,8 @@ def filled(name: str, kind: type[_T], table: dict[str, Any]) -> _T:
             expected = _KINDS.get(kind_of, str(kind_of))
             about = {"name": f"{name}.{key}", "value": repr(value), "expected": expected}
             raise InputError(reason("station_file.wrong_type", **about))
-    for key, each in known.items():
-        if key not in values and each.default is MISSING and each.default_factory is MISSING:
+    for key, field_of_key in fields_by_key.items():
+        if key not in values and field_of_key.default is MISSING and field_of_key.default_factory is MISSING:
             raise InputError(reason("station_file.no_key", section=name, key=key))
     return kind(**values)
 
@@ -214,10 +214,10 @@ def check_positive(name: str, value: float) -> None:
         raise InputError(reason("station_file.positive", name=name, value=value))
 
 
-def check_known(name: str, value: str | float, known: Iterable[str | float]) -> None:
+def check_choice(name: str, value: str | float, choices: Iterable[str | float]) -> None:
     """Raise `InputError` if the value of a key is not among the allowed values."""
-    known = tuple(known)
-    if value not in known:
-        shown = repr(value) if isinstance(value, str) else f"{value:g}"
-        listed = ", ".join(each if isinstance(each, str) else f"{each:g}" for each in known)
-        raise InputError(reason("station_file.known", name=name, value=shown, known=listed))
+    choices = tuple(choices)
+    if value not in choices:
+        value_text = repr(value) if isinstance(value, str) else f"{value:g}"
+        choices_text = ", ".join(choice if isinstance(choice, str) else f"{choice:g}" for choice in choices)
+        raise InputError(reason("station_file.known", name=name, value=value_text, known=choices_text))

@@ -10,7 +10,7 @@ import numpy as np
 from softcal.core.messages.reason import add_messages
 from softcal.station.devices.config import DEVICES, DeviceConfig, Role
 from softcal.station.interfaces import Clock, ForceReader, Readout, Stage
-from softcal.station.simulated.answering import FarEnd
+from softcal.station.simulated.far_end import FarEnd
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.wire import Wire
 from softcal.station.wire.link import Link, link_for_driver
@@ -97,8 +97,8 @@ class Driver(Generic[C, D]):
 
     def __post_init__(self) -> None:
         if not (is_dataclass(self.config) and issubclass(self.config, tuple(DEVICES.values()))):
-            known = ", ".join(base.__name__ for base in DEVICES.values())
-            raise ValueError(f"driver {self.kind!r}: config must be a frozen dataclass derived from one of {known}")
+            bases = ", ".join(base.__name__ for base in DEVICES.values())
+            raise ValueError(f"driver {self.kind!r}: config must be a frozen dataclass derived from one of {bases}")
         if not self.wires:
             raise ValueError(f"driver {self.kind!r}: wires is empty; say what its port may name")
         add_messages(self.messages)
@@ -121,14 +121,14 @@ class Driver(Generic[C, D]):
         return [(key, names.get(types[key], str(types[key])), value, unit_of(key)) for key, value in defaults.items()]
 
 
-def opens(name: str, make: Callable[[Link, Any], D]) -> Callable[[Any, Opening], D]:
+def make_opener(name: str, make: Callable[[Link, Any], D]) -> Callable[[Any, Opening], D]:
     """Return what opens a device on a port; the port is given back when another device is there."""
 
-    def opened(config: Any, opening: Opening) -> D:
+    def open_device(config: Any, opening: Opening) -> D:
         with link_for_driver(config.port, opening.clock, config.baud_rate, name) as link:
             return make(link, config)
 
-    return opened
+    return open_device
 
 
 UNITS = {

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from softcal.station.device_names import READOUT
 from softcal.station.devices.config import ReadoutConfig, check_positive, check_within
-from softcal.station.devices.driver import Driver, Simulated, Surroundings, opens
+from softcal.station.devices.driver import Driver, Simulated, Surroundings, make_opener
 from softcal.station.drivers.text_stream import WIRES, TextStream
 from softcal.station.messages import PAGES
 from softcal.station.simulated.text_stream import SimulatedTextStream
@@ -66,6 +66,8 @@ def _simulate(around: Surroundings) -> Simulated[ArduinoConfig]:
     return Simulated(config, SimulatedTextStream(around.wire, counts, electronics.sample_rate_Hz, drift))
 
 
-_OPEN = opens(READOUT, lambda link, own: ArduinoReadout(link, own.vref_V, own.adc_bits, own.rate_Hz, own.channels))
-_WHAT = "text lines `ms,adc[,adc ...]`"
-DRIVERS = (Driver("arduino", _WHAT, ArduinoConfig, _OPEN, _simulate, WIRES, messages=PAGES["text_stream"]),)
+_OPEN = make_opener(
+    READOUT, lambda link, config: ArduinoReadout(link, config.vref_V, config.adc_bits, config.rate_Hz, config.channels)
+)
+_DESCRIPTION = "text lines `ms,adc[,adc ...]`"
+DRIVERS = (Driver("arduino", _DESCRIPTION, ArduinoConfig, _OPEN, _simulate, WIRES, messages=PAGES["text_stream"]),)

@@ -8,15 +8,15 @@ from softcal.core.errors import BadReply, DeviceError, NoReply
 from softcal.core.messages.reason import Reason, reason
 from softcal.station.device_names import CELL
 from softcal.station.devices.config import ForceConfig, StageConfig
-from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings, opens
+from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings, make_opener
 from softcal.station.drivers.admission import admit
 from softcal.station.interfaces import Move, OnWait, Sample, StagePosition, ignore_wait
 from softcal.station.messages import PAGES
 from softcal.station.simulated.esm import SimulatedEsm
 from softcal.station.simulated.force_gauge import SimulatedMark10
-from softcal.station.wire.asked import next_turn_s
 from softcal.station.wire.frames import esm, gcl2
 from softcal.station.wire.link import POLL_S, Line, Link
+from softcal.station.wire.query_reader import next_query_s
 
 STOPS_WITHIN_S = 1.0
 SILENCE_S = 0.25
@@ -78,8 +78,8 @@ class SharedPort:
         """Hand out what has arrived; `NoReply` where a question was not answered in time."""
         for line in self.link.read_lines():
             if self._open:
-                asked_s, take = self._open.popleft()
-                take(line, asked_s)
+                query_s, take = self._open.popleft()
+                take(line, query_s)
         if self._open and self.link.clock.now_s() - self._open[0][0] > SILENCE_S:
             raise NoReply(reason("esm.no_answer", seconds=SILENCE_S))
 
@@ -92,7 +92,7 @@ class SharedPort:
     def answer(self, question: bytes) -> bytes:
         """Ask and wait for the answer; older ones are handed out on the way."""
         answers: list[bytes] = []
-        self.ask(question, lambda line, asked_s: answers.append(line.text))
+        self.ask(question, lambda line, query_s: answers.append(line.text))
         while not answers:
             self.link.clock.sleep_s(POLL_S)
             self.read()
@@ -127,17 +127,17 @@ class EsmStage:
     def home(self, on_wait: OnWait = ignore_wait) -> None:
         """Drive up to the upper limit switch, and call that 0."""
         self.is_position_known = self.is_moving = False
-        self._tell(esm.STOP, esm.MANUAL_MODE, esm.speed(HOMING_MM_S), esm.PROGRAMMED_SPEED, esm.UP)
+        self._send(esm.STOP, esm.MANUAL_MODE, esm.speed(HOMING_MM_S), esm.PROGRAMMED_SPEED, esm.UP)
         end_s = self.port.link.clock.now_s() + HOMING_S
         status = self._status()
         while status.limit != "UL":
             self.port.link.clock.sleep_s(STATUS_S)
             on_wait()
             if status.motion != "U" or self.port.link.clock.now_s() > end_s:
-                self._tell(esm.STOP)
+                self._send(esm.STOP)
                 raise DeviceError(Reason("esm.no_upper_limit"))
             status = self._status()
-        self._tell(esm.STOP, esm.ZERO_TRAVEL)
+        self._send(esm.STOP, esm.ZERO_TRAVEL)
         self.position_mm = -esm.parse_travel_mm(self.port.answer(esm.TRAVEL))
         if abs(self.position_mm) > AT_MM:
             raise BadReply(reason("esm.travel", travel_mm=-self.position_mm))
@@ -173,7 +173,7 @@ class EsmStage:
 
     def stop(self) -> None:
         self.is_moving = False
-        self._tell(esm.STOP)
+        self._send(esm.STOP)
         try:
             self._await_standstill()
         except DeviceError:
@@ -191,24 +191,24 @@ class EsmStage:
             self.port.link.clock.sleep_s(POLL_S)
         self.position_mm = -esm.parse_travel_mm(self.port.answer(esm.TRAVEL))
 
-    def _tell(self, *commands: bytes) -> None:
+    def _send(self, *commands: bytes) -> None:
         for command in commands:
             self.port.link.write(command)
 
     def _status(self) -> esm.StandStatus:
         return esm.parse_status(self.port.answer(esm.STATUS))
 
-    def _take_travel(self, line: Line, asked_s: float) -> None:
+    def _take_travel(self, line: Line, query_s: float) -> None:
         self.position_mm = -esm.parse_travel_mm(line.text)
-        self._positions.append(StagePosition((asked_s + line.host_s) / 2, self.position_mm))
+        self._positions.append(StagePosition((query_s + line.host_s) / 2, self.position_mm))
 
-    def _take_status(self, line: Line, asked_s: float) -> None:
+    def _take_status(self, line: Line, query_s: float) -> None:
         status = esm.parse_status(line.text)
-        if not self.is_moving or status.motion != "S" or asked_s <= self._began_s:
+        if not self.is_moving or status.motion != "S" or query_s <= self._began_s:
             return
         if abs(self.position_mm - self._target_mm) <= AT_MM:
             self.is_moving = False
-        elif asked_s > self._began_s + STARTS_WITHIN_S:
+        elif query_s > self._began_s + STARTS_WITHIN_S:
             self.is_moving = False
             raise DeviceError(reason("esm.stopped_at", position_mm=self.position_mm, target_mm=self._target_mm))
 
@@ -244,7 +244,7 @@ class EsmGauge:
         self._port.read()
         now_s = self._port.link.clock.now_s()
         if now_s >= self._next_s:
-            self._next_s = next_turn_s(self._next_s, now_s, self.rate_Hz)
+            self._next_s = next_query_s(self._next_s, now_s, self.rate_Hz)
             self._port.ask(esm.GAUGE_READING, self._take)
         samples, self._samples = self._samples, []
         return samples
@@ -252,9 +252,9 @@ class EsmGauge:
     def close(self) -> None:
         """Do nothing: the stage owns the port and closes it."""
 
-    def _take(self, line: Line, asked_s: float) -> None:
+    def _take(self, line: Line, query_s: float) -> None:
         force_N = self._sign * gcl2.parse_reading_N(line.text)
-        self._samples.append(Sample((asked_s + line.host_s) / 2, None, (force_N,)))
+        self._samples.append(Sample((query_s + line.host_s) / 2, None, (force_N,)))
 
 
 def _open(link: Link, config: EsmConfig) -> EsmStage:
@@ -277,7 +277,7 @@ DRIVERS = (
         "esm",
         "Mark-10 ESM301 and ESM303 stands under PC control",
         EsmConfig,
-        opens("stage", _open),
+        make_opener("stage", _open),
         _simulate,
         messages=PAGES["esm"],
     ),

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
 from softcal.core.messages.reason import Reason, reason
-from softcal.station.devices.config import StageConfig, check_known
-from softcal.station.devices.driver import Driver, Simulated, opens
+from softcal.station.devices.config import StageConfig, check_choice
+from softcal.station.devices.driver import Driver, Simulated, make_opener
+from softcal.station.devices.piece_feed import PieceFeed, runs_on_mm, runs_on_s
 from softcal.station.drivers.admission import admit
 from softcal.station.drivers.grbl_settings import ANSWER_S, read_settings
-from softcal.station.interfaces import Held, Move, OnWait, StagePosition, ignore_wait
+from softcal.station.interfaces import Move, OnWait, StageOnHold, StagePosition, ignore_wait
 from softcal.station.messages import PAGES
-from softcal.station.motion.feeding import PieceFeed, runs_on_mm, runs_on_s
-from softcal.station.record.trajectory import Trapezoid
 from softcal.station.simulated.grbl import SimulatedGrbl
+from softcal.station.trajectory import Trapezoid
 from softcal.station.wire.frames import grbl
 from softcal.station.wire.link import POLL_S, Link
 
@@ -49,7 +49,7 @@ class GrblConfig(StageConfig):
     is_reversed: bool = True
 
     def __post_init__(self) -> None:
-        check_known("stage.axis", self.axis, ("X", "Y", "Z"))
+        check_choice("stage.axis", self.axis, ("X", "Y", "Z"))
 
 
 class GrblStage:
@@ -73,8 +73,8 @@ class GrblStage:
         self._in_flight: deque[int] = deque()
         self._feed: PieceFeed | None = None
         self._speed_mm_s = self._peak_mm_s = 0.0
-        self._is_button_held = self._is_alarmed = self.can_lift_roughly = False
-        self._asked_s: float | None = None
+        self._is_button_pressed = self._is_alarmed = self.can_lift_roughly = False
+        self._query_s: float | None = None
         self._next_status_s = 0.0
         self.position_mm = self._target_mm = 0.0
         for _ in range(4):  # A boot loader swallows the first tries.
@@ -131,11 +131,11 @@ class GrblStage:
                 self.is_position_known = False
                 raise DeviceError(Reason("grbl.restarted"))
             elif isinstance(reply, grbl.GrblStatus):
-                asked_s = line.host_s if self._asked_s is None else self._asked_s
-                self._asked_s = None
-                self._is_button_held = "H" in reply.pins
+                query_s = line.host_s if self._query_s is None else self._query_s
+                self._query_s = None
+                self._is_button_pressed = "H" in reply.pins
                 if reply.state == "Hold":
-                    raise Held(Reason("grbl.held"))
+                    raise StageOnHold(Reason("grbl.held"))
                 if reply.state == "Door":
                     raise DeviceError(Reason("grbl.door"))
                 if reply.state in ("Alarm", "Sleep"):
@@ -143,12 +143,12 @@ class GrblStage:
                     raise DeviceError(reason("grbl.state", state=reply.state))
                 self._offset_mm = reply.offset_mm or self._offset_mm
                 self.position_mm = self._sign * self._machine_mm(reply)
-                positions.append(StagePosition((asked_s + line.host_s) / 2, self.position_mm))
+                positions.append(StagePosition((query_s + line.host_s) / 2, self.position_mm))
         now_s = self._link.clock.now_s()
-        if self._asked_s is not None and now_s - self._asked_s > SILENCE_S:
+        if self._query_s is not None and now_s - self._query_s > SILENCE_S:
             raise NoReply(reason("grbl.no_status", seconds=SILENCE_S))
         self._send_due()
-        if self._asked_s is None and now_s >= self._next_status_s:
+        if self._query_s is None and now_s >= self._next_status_s:
             self._ask_status(now_s)
         return positions
 
@@ -158,23 +158,23 @@ class GrblStage:
         A reset after a complete hold keeps the position; one in motion would lose it. How long braking takes follows
         from the speed and the deceleration of the drive. Only a stage that is far beyond it is cut off in motion.
         """
-        answers_before = 0 if self._asked_s is None else 1
+        answers_before = 0 if self._query_s is None else 1
         self._forget_motion()
         self._link.write(grbl.HOLD)
         self._link.discard()
         # Homing ignores the hold and answers no poll: only a reset ends it, and there is no position to lose.
-        was_homing, was_known = self._is_homing, self.is_position_known
+        was_homing, was_homed = self._is_homing, self.is_position_known
         has_stopped = not was_homing and self._has_stopped(answers_before)
         self._is_homing = False
         self._link.write(grbl.RESET)
-        self.is_position_known = was_known and has_stopped
+        self.is_position_known = was_homed and has_stopped
         self._wait_for_greeting(ANSWER_S)
         # Cut by our own reset, nothing else: the count is a few steps wrong.
-        self.can_lift_roughly = was_known and not has_stopped and not was_homing and not self._is_alarmed
+        self.can_lift_roughly = was_homed and not has_stopped and not was_homing and not self._is_alarmed
         if self.is_position_known:
             self._await_status()
-        if self._is_button_held:
-            raise Held(Reason("grbl.held.now"))
+        if self._is_button_pressed:
+            raise StageOnHold(Reason("grbl.held.now"))
 
     def lift_roughly(self, distance_mm: float, speed_mm_s: float) -> None:
         distance_mm = min(distance_mm, self.position_mm - OFF_SWITCH_MM)
@@ -193,7 +193,7 @@ class GrblStage:
             self._link.write(line)
 
     def unsafe_settings(self) -> list[tuple[str, Reason]]:
-        return self.settings.unsafe()
+        return self.settings.list_unsafe()
 
     def runs_on_s(self, speed_mm_s: float) -> float:
         return runs_on_s(speed_mm_s, self.acceleration_mm_s2)
@@ -211,7 +211,7 @@ class GrblStage:
             ends_mm = self._feed.due_mm(now_s)
             if ends_mm is None or not self._send(grbl.move_line(self._axis, self._sign * ends_mm, self._speed_mm_s)):
                 return
-            self._feed.sent(now_s)
+            self._feed.mark_sent(now_s)
         if self._feed is not None and self._send(grbl.SYNCHRONISE):
             self._feed = None
 
@@ -232,7 +232,7 @@ class GrblStage:
 
     def _ask_status(self, now_s: float) -> None:
         self._link.write(grbl.STATUS)
-        self._asked_s = now_s
+        self._query_s = now_s
         self._next_status_s = now_s + STATUS_S
 
     def _await_status(self) -> None:
@@ -243,14 +243,14 @@ class GrblStage:
     def _forget_motion(self) -> None:
         self._feed = None
         self._in_flight.clear()
-        self._asked_s = None
+        self._query_s = None
 
     def _has_stopped(self, answers_before: int) -> bool:
         """Poll until the controller reports rest; answers to polls from before the stop are ignored."""
         self._is_alarmed = False
-        heard_s = self._link.clock.now_s()
-        end_s = heard_s + 2 * SILENCE_S + MARGIN * self._peak_mm_s / self.acceleration_mm_s2
-        while self._link.clock.now_s() < min(end_s, heard_s + 2 * SILENCE_S):
+        reply_s = self._link.clock.now_s()
+        end_s = reply_s + 2 * SILENCE_S + MARGIN * self._peak_mm_s / self.acceleration_mm_s2
+        while self._link.clock.now_s() < min(end_s, reply_s + 2 * SILENCE_S):
             self._link.write(grbl.STATUS)
             try:
                 line = self._link.next_line(SILENCE_S)
@@ -263,14 +263,14 @@ class GrblStage:
                 self._is_alarmed = True
                 return False
             if isinstance(reply, grbl.GrblStatus):
-                heard_s, self._is_button_held = line.host_s, "H" in reply.pins
+                reply_s, self._is_button_pressed = line.host_s, "H" in reply.pins
                 self.position_mm = self._sign * self._machine_mm(reply)
-                stands = (reply.state, reply.substate) in (("Hold", 0), ("Idle", 0))
-                if stands and answers_before <= 0:
+                is_at_rest = (reply.state, reply.substate) in (("Hold", 0), ("Idle", 0))
+                if is_at_rest and answers_before <= 0:
                     return True
                 answers_before -= 1
             self._link.clock.sleep_s(0.02)
-        self._is_alarmed = self._link.clock.now_s() >= heard_s + 2 * SILENCE_S
+        self._is_alarmed = self._link.clock.now_s() >= reply_s + 2 * SILENCE_S
         return False
 
     def _wait_for_greeting(self, within_s: float) -> None:
@@ -298,8 +298,8 @@ class GrblStage:
                     raise CommandRefused(reason("grbl.homing_refused", reply=reply.reason))
                 if isinstance(reply, grbl.Alarm | grbl.Greeting):
                     self._is_homing = False
-                    why = reply.reason if isinstance(reply, grbl.Alarm) else Reason("grbl.part.restarted")
-                    raise DeviceError(reason("grbl.homing_failed", why=why))
+                    cause = reply.reason if isinstance(reply, grbl.Alarm) else Reason("grbl.part.restarted")
+                    raise DeviceError(reason("grbl.homing_failed", why=cause))
             self._link.clock.sleep_s(POLL_S)
             on_wait()
         raise NoReply(reason("rig.not_home", seconds=HOMING_S))
@@ -310,7 +310,7 @@ DRIVERS = (
         "grbl",
         "GRBL 1.1 and grblHAL controllers",
         GrblConfig,
-        opens("stage", lambda link, config: GrblStage(link, config.axis, config.is_reversed)),
+        make_opener("stage", lambda link, config: GrblStage(link, config.axis, config.is_reversed)),
         lambda around: Simulated(GrblConfig(around.wire.port), SimulatedGrbl(around.wire, around.axis)),
         messages=PAGES["grbl"],
     ),

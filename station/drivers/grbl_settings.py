@@ -48,15 +48,15 @@ class GrblSettings:
         travel_mm, speed_mm_min, acceleration_mm_s2 = of_axis
         return travel_mm, speed_mm_min / 60.0, acceleration_mm_s2
 
-    def unsafe(self) -> list[tuple[str, Reason]]:
+    def list_unsafe(self) -> list[tuple[str, Reason]]:
         """Return each unsafe setting as `$n=value` with its correction."""
-        found = []
+        problems = []
         for number, is_safe, cure in SAFE:
-            shown = number + (self.index if number == ACCELERATION else 0)
-            value = self.values.get(shown)
+            number_of_axis = number + (self.index if number == ACCELERATION else 0)
+            value = self.values.get(number_of_axis)
             if value is not None and not is_safe(value):
-                found.append((f"${shown}={value:g}", replace(cure, values={"number": shown})))
-        return found
+                problems.append((f"${number_of_axis}={value:g}", replace(cure, values={"number": number_of_axis})))
+        return problems
 
 
 def read_settings(link: Link, index: int) -> GrblSettings:
@@ -82,6 +82,6 @@ def read_settings(link: Link, index: int) -> GrblSettings:
     refused += [Reason("grbl.inches")] if values.get(INCHES) else []
     if refused:
         # The settings are sent once: everything that is wrong with them is said at once.
-        advice = [reason("grbl.setting", setting=found, cure=cure) for found, cure in settings.unsafe()]
+        advice = [reason("grbl.setting", setting=problem, cure=cure) for problem, cure in settings.list_unsafe()]
         raise CommandRefused(several([*refused, *advice]))
     return settings

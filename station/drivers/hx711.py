@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, InputError
 from softcal.core.messages.reason import Reason, reason
-from softcal.station.device_names import CELL, named
+from softcal.station.device_names import CELL, device_label
 from softcal.station.devices.config import ForceConfig
-from softcal.station.devices.driver import Driver, Simulated, Surroundings, opens
+from softcal.station.devices.driver import Driver, Simulated, Surroundings, make_opener
 from softcal.station.drivers.text_stream import WIRES, TextStream
 from softcal.station.messages import PAGES
 from softcal.station.simulated.text_stream import CELL_COUNTS_PER_N, CELL_ZERO_COUNTS, SimulatedTextStream
@@ -54,7 +54,7 @@ class Hx711Cell(TextStream):
     def values_of(self, counts: tuple[int, ...]) -> tuple[float, ...]:
         """Return the force; raise `BadReply` if the converter is at its rail."""
         if not RAILS[0] < counts[0] < RAILS[1]:
-            raise BadReply(reason("hx711.saturated", device=named(self.name), count=float(counts[0])))
+            raise BadReply(reason("hx711.saturated", device=device_label(self.name), count=float(counts[0])))
         return ((counts[0] - self.zero_counts) / self.counts_per_N,)
 
 
@@ -70,7 +70,10 @@ def _simulate(around: Surroundings) -> Simulated[Hx711Config]:
     return Simulated(config, SimulatedTextStream(around.wire, counts, config.rate_Hz, drift, banner=banner))
 
 
-_OPEN = opens(CELL, lambda link, own: Hx711Cell(link, own.counts_per_N, own.zero_counts, own.capacity_N, own.rate_Hz))
-_WHAT = "text lines `ms,counts` of an HX711 or ADS1232"
+_OPEN = make_opener(
+    CELL,
+    lambda link, config: Hx711Cell(link, config.counts_per_N, config.zero_counts, config.capacity_N, config.rate_Hz),
+)
+_DESCRIPTION = "text lines `ms,counts` of an HX711 or ADS1232"
 _MESSAGES = {**PAGES["text_stream"], **PAGES["hx711"]}
-DRIVERS = (Driver("hx711", _WHAT, Hx711Config, _OPEN, _simulate, WIRES, messages=_MESSAGES),)
+DRIVERS = (Driver("hx711", _DESCRIPTION, Hx711Config, _OPEN, _simulate, WIRES, messages=_MESSAGES),)

@@ -43,5 +43,5 @@ class IndicatorCell(LineCell):
         return parse_N(text)
 
 
-_WHAT = "weighing indicators that print `ST,GS,+  4.876kg`"
-DRIVERS = (cell_driver(_WHAT, IndicatorConfig, IndicatorCell, SimulatedIndicator),)
+_DESCRIPTION = "weighing indicators that print `ST,GS,+  4.876kg`"
+DRIVERS = (cell_driver(_DESCRIPTION, IndicatorConfig, IndicatorCell, SimulatedIndicator),)

@@ -11,12 +11,12 @@ from typing import Any
 
 from softcal.core.errors import BadReply, CommandRefused, NoReply
 from softcal.core.messages.reason import reason
-from softcal.station.device_names import READOUT, named
-from softcal.station.devices.config import ReadoutConfig, check_known, check_within
+from softcal.station.device_names import READOUT, device_label
+from softcal.station.devices.config import ReadoutConfig, check_choice, check_within
 from softcal.station.devices.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.messages import PAGES
 from softcal.station.simulated.labjack import SimulatedLabjack, SimulatedLjm
-from softcal.station.wire.threaded import Reading, ThreadedReader
+from softcal.station.wire.threaded_reader import Reading, ThreadedReader
 
 RANGES_V = (10.0, 1.0, 0.1, 0.01)
 """Ranges of a T7; others take those they have and refuse the rest."""
@@ -40,7 +40,7 @@ class LabjackConfig(ReadoutConfig):
     resolution: int = 0
 
     def __post_init__(self) -> None:
-        check_known("readout.full_scale_V", self.full_scale_V, RANGES_V)
+        check_choice("readout.full_scale_V", self.full_scale_V, RANGES_V)
         check_within("readout.first_input", self.first_input, 0, 254)
         check_within("readout.resolution", self.resolution, 0, 12)
 
@@ -53,7 +53,9 @@ class LabjackConfig(ReadoutConfig):
         try:
             return importlib.import_module("labjack.ljm")
         except Exception as error:  # It raises a kind of its own where LJM itself is missing.
-            raise NoReply(reason("labjack.missing", device=named(READOUT, self.port), error=str(error))) from error
+            raise NoReply(
+                reason("labjack.missing", device=device_label(READOUT, self.port), error=str(error))
+            ) from error
 
 
 def open_labjack(config: LabjackConfig, opening: Opening) -> ThreadedReader:
@@ -62,7 +64,7 @@ def open_labjack(config: LabjackConfig, opening: Opening) -> ThreadedReader:
     try:
         handle = ljm.openS(config.device, "ANY", config.port)
     except ljm.LJMError as error:
-        raise NoReply(reason("labjack.none", device=named(READOUT, config.port), error=str(error))) from error
+        raise NoReply(reason("labjack.none", device=device_label(READOUT, config.port), error=str(error))) from error
     try:
         for name in config.inputs:
             _set(ljm, handle, f"{name}_RANGE", config.full_scale_V, config.port)
@@ -74,7 +76,7 @@ def open_labjack(config: LabjackConfig, opening: Opening) -> ThreadedReader:
     def read() -> Reading:
         values = tuple(ljm.eReadNames(handle, config.channels, config.inputs))
         if not all(math.isfinite(value) for value in values):
-            raise BadReply(reason("labjack.reading", device=named(READOUT), values=str(values)))
+            raise BadReply(reason("labjack.reading", device=device_label(READOUT), values=str(values)))
         return Reading(values)
 
     # The converter reads a little beyond its range: at the range itself the sensor is at the rail.
@@ -85,13 +87,15 @@ def open_labjack(config: LabjackConfig, opening: Opening) -> ThreadedReader:
 def _set(ljm: Any, handle: int, name: str, value: float, port: str) -> None:
     try:
         ljm.eWriteName(handle, name, value)
-        found = float(ljm.eReadName(handle, name))
+        actual = float(ljm.eReadName(handle, name))
     except ljm.LJMError as error:
         raise CommandRefused(
-            reason("labjack.refused", device=named(READOUT, port), name=name, value=value, error=str(error))
+            reason("labjack.refused", device=device_label(READOUT, port), name=name, value=value, error=str(error))
         ) from error
-    if value and abs(found - value) > 0.1 * value:  # 0 lets the device choose.
-        raise CommandRefused(reason("labjack.other", device=named(READOUT, port), name=name, value=value, found=found))
+    if value and abs(actual - value) > 0.1 * value:  # 0 lets the device choose.
+        raise CommandRefused(
+            reason("labjack.other", device=device_label(READOUT, port), name=name, value=value, found=actual)
+        )
 
 
 @dataclass(frozen=True)
@@ -112,5 +116,7 @@ def _simulate(around: Surroundings) -> Simulated[LabjackConfig]:
     return Simulated(config, SimulatedLabjack(around.wire, around.outputs_V))
 
 
-_WHAT = "LabJack T4, T7, T8: analog inputs"
-DRIVERS = (Driver("labjack", _WHAT, LabjackConfig, open_labjack, _simulate, ("library",), True, PAGES["labjack"]),)
+_DESCRIPTION = "LabJack T4, T7, T8: analog inputs"
+DRIVERS = (
+    Driver("labjack", _DESCRIPTION, LabjackConfig, open_labjack, _simulate, ("library",), True, PAGES["labjack"]),
+)

@@ -15,7 +15,7 @@ PING, MODEL, UNITS, STREAM = b"\r", b"MODEL\r", b"UNITS\r", b"WC\r"
 READY = b"A"
 """The answer to an empty command, which ends a stream as well."""
 
-KNOWN_MODELS = (b"DI-100", b"DI-1000")
+SUPPORTED_MODELS = (b"DI-100", b"DI-1000")
 
 
 def parse_N(line: bytes, unit: str) -> float:
@@ -55,7 +55,7 @@ class LoadstarCell(LineCell):
         if answer != READY:
             raise NoReply(reason("loadstar.answer", answer=repr(answer[:40])))
         self.model = self._ask(MODEL)
-        if not any(known in self.model.encode() for known in KNOWN_MODELS):
+        if not any(supported in self.model.encode() for supported in SUPPORTED_MODELS):
             raise NoReply(reason("loadstar.model", model=repr(self.model[:40])))
         self.native_unit = parse_unit(self._ask(UNITS).encode())
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from softcal.station.device_names import CELL
 from softcal.station.drivers.serial_cell import SerialCellConfig, cell_driver
 from softcal.station.simulated.force_gauge import SimulatedMark10
-from softcal.station.wire.asked import AskedReader
 from softcal.station.wire.frames import gcl2
 from softcal.station.wire.link import Link
+from softcal.station.wire.query_reader import QueryReader
 
 ANSWER_S = 1.0
 
@@ -19,7 +19,7 @@ class Mark10Config(SerialCellConfig):
     kind: str = "mark10"
 
 
-class Mark10Gauge(AskedReader):
+class Mark10Gauge(QueryReader):
     """A gauge that answers `?C` with a reading and its unit.
 
     It has no clock: the time of a reading is the midpoint between query and answer. A successful

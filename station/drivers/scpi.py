@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, InputError, NoReply
 from softcal.core.messages.reason import Reason, reason
-from softcal.station.device_names import READOUT, named
-from softcal.station.devices.config import ReadoutConfig, check_known, check_positive, check_within
-from softcal.station.devices.driver import Driver, Simulated, Surroundings, opens
+from softcal.station.device_names import READOUT, device_label
+from softcal.station.devices.config import ReadoutConfig, check_choice, check_positive, check_within
+from softcal.station.devices.driver import Driver, Simulated, Surroundings, make_opener
 from softcal.station.messages import PAGES
 from softcal.station.simulated.scpi import SimulatedDmm, SimulatedLcr
-from softcal.station.wire.asked import AskedReader
 from softcal.station.wire.link import Link
+from softcal.station.wire.query_reader import QueryReader
 from softcal.station.wire.transport import WireKind
 
 ANSWER_S = 3.0
@@ -55,12 +55,14 @@ class DmmConfig(ReadoutConfig):
     cycles: float = 0.2
 
     def __post_init__(self) -> None:
-        check_known("readout.quantity", self.quantity, DMM_QUANTITIES)
+        check_choice("readout.quantity", self.quantity, DMM_QUANTITIES)
         _check_one_channel(self)
-        check_known("readout.cycles", self.cycles, (0.02, 0.2, 1.0, 10.0, 100.0))
+        check_choice("readout.cycles", self.cycles, (0.02, 0.2, 1.0, 10.0, 100.0))
         if self.rate_Hz * self.cycles / MAINS_HZ > 0.8:
-            most_Hz = 0.8 * MAINS_HZ / self.cycles
-            raise InputError(reason("station_file.dmm_rate", rate_Hz=self.rate_Hz, cycles=self.cycles, most_Hz=most_Hz))
+            max_rate_Hz = 0.8 * MAINS_HZ / self.cycles
+            raise InputError(
+                reason("station_file.dmm_rate", rate_Hz=self.rate_Hz, cycles=self.cycles, most_Hz=max_rate_Hz)
+            )
         check_positive("readout.full_scale", self.full_scale)
 
 
@@ -85,7 +87,7 @@ class LcrConfig(ReadoutConfig):
     impedance_ohm: float = 0.0
 
     def __post_init__(self) -> None:
-        check_known("readout.quantity", self.quantity, LCR_QUANTITIES)
+        check_choice("readout.quantity", self.quantity, LCR_QUANTITIES)
         _check_one_channel(self)
         check_within("readout.frequency_Hz", self.frequency_Hz, 20, 2e6)
         if not 0.0 < self.level_V <= 20.0:
@@ -107,26 +109,26 @@ def _readout(
     unit: str,
     per_unit: float,
     full_scale: float,
-) -> AskedReader:
+) -> QueryReader:
     """Return what asks a bench instrument of these models for one quantity, at a steady rate."""
     link.discard()
     identity = _answer(link, "*IDN?").strip()
     fields = [field.strip() for field in identity.split(",")]
     if len(fields) < 2 or fields[1] not in models:
         raise NoReply(
-            reason("scpi.other", device=named(READOUT), identity=repr(identity[:60]), models=", ".join(models))
+            reason("scpi.other", device=device_label(READOUT), identity=repr(identity[:60]), models=", ".join(models))
         )
     # One command a line: over USB-TMC each line is a message of its own.
     for command in ("*RST", "*CLS", *setup):
         link.write(command.encode() + b"\n")
     error = _answer(link, "SYST:ERR?")
-    if int_of(error.split(",")[0]) != 0:
-        raise CommandRefused(reason("scpi.settings", device=named(READOUT), error=error[:80]))
+    if parse_int(error.split(",")[0]) != 0:
+        raise CommandRefused(reason("scpi.settings", device=device_label(READOUT), error=error[:80]))
 
     def parse(line: bytes) -> tuple[float, ...]:
         return (per_unit * parse_reading(line),)
 
-    return AskedReader(READOUT, unit, config.rate_Hz, link, question, parse, limits=(-full_scale, full_scale))
+    return QueryReader(READOUT, unit, config.rate_Hz, link, question, parse, limits=(-full_scale, full_scale))
 
 
 def _answer(link: Link, question: str) -> str:
@@ -140,22 +142,22 @@ def parse_reading(line: bytes) -> float:
     try:
         value = float(fields[0])
     except ValueError as error:
-        raise BadReply(reason("scpi.reading", device=named(READOUT), line=repr(line[:40]))) from error
-    status = int_of(fields[2].decode("ascii", "replace")) if len(fields) > 2 else 0
+        raise BadReply(reason("scpi.reading", device=device_label(READOUT), line=repr(line[:40]))) from error
+    status = parse_int(fields[2].decode("ascii", "replace")) if len(fields) > 2 else 0
     if status:
-        why = LCR_STATUS.get(status) or reason("scpi.status.other", status=status)
-        raise BadReply(reason("scpi.status", device=named(READOUT), why=why))
+        cause = LCR_STATUS.get(status) or reason("scpi.status.other", status=status)
+        raise BadReply(reason("scpi.status", device=device_label(READOUT), why=cause))
     if not abs(value) < OVERLOAD:
-        raise BadReply(reason("scpi.overload", device=named(READOUT)))
+        raise BadReply(reason("scpi.overload", device=device_label(READOUT)))
     return value
 
 
-def int_of(text: str) -> int:
+def parse_int(text: str) -> int:
     """Return an integer in SCPI notation; raise `BadReply` for any other text."""
     try:
         return int(float(text))
     except (ValueError, OverflowError) as error:
-        raise BadReply(reason("scpi.whole", device=named(READOUT), text=repr(text[:40]))) from error
+        raise BadReply(reason("scpi.whole", device=device_label(READOUT), text=repr(text[:40]))) from error
 
 
 def dmm_setup(config: DmmConfig) -> tuple[str, ...]:
@@ -176,12 +178,12 @@ def lcr_setup(config: LcrConfig) -> tuple[str, ...]:
     return ("FORM ASC", f"FUNC:IMP {function}", ranges, *signal, "APER SHOR,1", "TRIG:SOUR BUS", "INIT:CONT ON")
 
 
-def _dmm(link: Link, config: DmmConfig) -> AskedReader:
-    unit, most = DMM_QUANTITIES[config.quantity][1], 1.2 * config.full_scale
-    return _readout(link, config, DMM_MODELS, dmm_setup(config), b"READ?\n", unit, 1.0, most)
+def _dmm(link: Link, config: DmmConfig) -> QueryReader:
+    unit, max_reading = DMM_QUANTITIES[config.quantity][1], 1.2 * config.full_scale
+    return _readout(link, config, DMM_MODELS, dmm_setup(config), b"READ?\n", unit, 1.0, max_reading)
 
 
-def _lcr(link: Link, config: LcrConfig) -> AskedReader:
+def _lcr(link: Link, config: LcrConfig) -> QueryReader:
     _, unit, per_unit = LCR_QUANTITIES[config.quantity]
     question = b"TRIG:IMM;:FETC?\n"
     return _readout(link, config, LCR_MODELS, lcr_setup(config), question, unit, per_unit, config.full_scale)
@@ -200,6 +202,6 @@ def _simulate_lcr(around: Surroundings) -> Simulated[LcrConfig]:
 _DMM, _LCR = "SCPI multimeters: Keysight 34461A and its family", "SCPI LCR meters: Keysight E4980A, E4980AL"
 _WIRES: tuple[WireKind, ...] = ("tcp", "visa", "serial")
 DRIVERS = (
-    Driver("scpi_dmm", _DMM, DmmConfig, opens(READOUT, _dmm), _simulate_dmm, _WIRES, messages=PAGES["scpi"]),
-    Driver("scpi_lcr", _LCR, LcrConfig, opens(READOUT, _lcr), _simulate_lcr, _WIRES, messages=PAGES["scpi"]),
+    Driver("scpi_dmm", _DMM, DmmConfig, make_opener(READOUT, _dmm), _simulate_dmm, _WIRES, messages=PAGES["scpi"]),
+    Driver("scpi_lcr", _LCR, LcrConfig, make_opener(READOUT, _lcr), _simulate_lcr, _WIRES, messages=PAGES["scpi"]),
 )

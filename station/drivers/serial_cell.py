@@ -8,7 +8,7 @@ from softcal.core.errors import BadReply
 from softcal.core.messages.reason import Reason
 from softcal.station.device_names import CELL
 from softcal.station.devices.config import ForceConfig
-from softcal.station.devices.driver import AnyDriver, Driver, Simulated, opens
+from softcal.station.devices.driver import AnyDriver, Driver, Simulated, make_opener
 from softcal.station.drivers.text_stream import LineReader
 from softcal.station.interfaces import ForceReader, Sample
 from softcal.station.messages import PAGES
@@ -31,7 +31,7 @@ class SerialCellConfig(ForceConfig):
 
 
 def cell_driver(
-    what: str,
+    description: str,
     config: type[SerialCellConfig],
     cell: Callable[[Link, float, float, float], ForceReader],
     gauge: type[SimulatedGauge],
@@ -39,9 +39,9 @@ def cell_driver(
     """Return the driver of a cell that is made of its port, capacity, sign and rate; its page has its kind's name."""
     return Driver(
         config.kind,
-        what,
+        description,
         config,
-        opens(CELL, lambda link, own: cell(link, own.capacity_N, own.sign, own.rate_Hz)),
+        make_opener(CELL, lambda link, section: cell(link, section.capacity_N, section.sign, section.rate_Hz)),
         lambda around: Simulated(config(around.wire.port), gauge(around.wire, around.force_N)),
         messages=PAGES[config.kind],
     )

@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from softcal.core.errors import BadReply, reason_of
 from softcal.core.messages.reason import reason
 from softcal.station.clock import unwrap_ms
-from softcal.station.device_names import named
+from softcal.station.device_names import device_label
 from softcal.station.interfaces import Sample
 from softcal.station.wire.frames.text_stream import parse
 from softcal.station.wire.link import Line, Link
@@ -14,7 +14,7 @@ from softcal.station.wire.transport import WireKind
 WIRES: tuple[WireKind, ...] = ("serial", "tcp", "ble")
 """What such a device may stand behind."""
 
-BAD_IN_A_ROW = 10
+MAX_BAD_LINES = 10
 """So many unreadable lines one after the other are no longer noise."""
 
 LONGEST_STEP_MS = 5000
@@ -56,7 +56,7 @@ class LineReader(ABC):
     def is_noise(self) -> bool:
         """Count an unreadable line, and return whether it may still be noise."""
         self._bad_in_a_row += 1
-        return self._bad_in_a_row < BAD_IN_A_ROW
+        return self._bad_in_a_row < MAX_BAD_LINES
 
 
 class TextStream(LineReader):
@@ -83,20 +83,22 @@ class TextStream(LineReader):
 
     def sample_of(self, line: Line) -> Sample | None:
         try:
-            said = parse(line.text)
-            if len(said.counts) != self.channels:
-                raise BadReply(reason("rig.channels", count=len(said.counts), expected=self.channels))
+            stream_line = parse(line.text)
+            if len(stream_line.counts) != self.channels:
+                raise BadReply(reason("rig.channels", count=len(stream_line.counts), expected=self.channels))
         except BadReply as error:
             self.unreadable += 1
             if self.is_noise():
                 return None
-            why = reason("rig.unreadable", device=named(self.name), count=BAD_IN_A_ROW, why=reason_of(error))
-            raise BadReply(why) from error
+            cause = reason("rig.unreadable", device=device_label(self.name), count=MAX_BAD_LINES, why=reason_of(error))
+            raise BadReply(cause) from error
         last_ms = self._last_ms
-        device_ms = said.device_ms if last_ms is None else unwrap_ms(last_ms, said.device_ms)
+        device_ms = stream_line.device_ms if last_ms is None else unwrap_ms(last_ms, stream_line.device_ms)
         if device_ms == last_ms:
             return None
         if last_ms is not None and not 0 < device_ms - last_ms <= LONGEST_STEP_MS:
-            raise BadReply(reason("rig.clock.back", device=named(self.name), before_ms=last_ms, after_ms=device_ms))
+            raise BadReply(
+                reason("rig.clock.back", device=device_label(self.name), before_ms=last_ms, after_ms=device_ms)
+            )
         self._last_ms = device_ms
-        return Sample(line.host_s, device_ms / 1000.0, self.values_of(said.counts))
+        return Sample(line.host_s, device_ms / 1000.0, self.values_of(stream_line.counts))

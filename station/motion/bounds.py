@@ -30,11 +30,11 @@ class Reaction:
         """Return the overrun of a stop in mm: v·T + v²/(2a)."""
         return speed_mm_s * self.delay_s + speed_mm_s**2 / (2.0 * self.acceleration_mm_s2)
 
-    def fastest_mm_s(self, room_mm: float) -> float:
-        """Return the speed whose overrun is `room_mm`."""
+    def fastest_mm_s(self, allowed_mm: float) -> float:
+        """Return the speed whose overrun is `allowed_mm`."""
         a, t = self.acceleration_mm_s2, self.delay_s
         # Equal to a·(√(t² + 2·room/a) − t), without its cancellation.
-        return 2.0 * max(0.0, room_mm) / (math.sqrt(t**2 + 2.0 * max(0.0, room_mm) / a) + t)
+        return 2.0 * max(0.0, allowed_mm) / (math.sqrt(t**2 + 2.0 * max(0.0, allowed_mm) / a) + t)
 
 
 @dataclass(frozen=True)
@@ -58,14 +58,14 @@ class ForceBounds:
     @property
     def free_mm_s(self) -> float:
         """Largest speed on a path that should be free: an obstacle stops the stage at `touch_N`."""
-        return self.noticed_mm_s(self.touch_N)
+        return self.detected_mm_s(self.touch_N)
 
     @property
     def unknown_mm_s(self) -> float:
         """Largest speed before this unit was pressed, for any stiffness that it may have."""
-        return self.noticed_mm_s(self.limit_N)
+        return self.detected_mm_s(self.limit_N)
 
-    def noticed_mm_s(self, force_N: float) -> float:
+    def detected_mm_s(self, force_N: float) -> float:
         """Fastest speed where a hard stop may lie that is noticed at this force."""
         return self.reaction.fastest_mm_s((self.ceiling_N - force_N) / self.stiffest_N_mm)
 
@@ -73,7 +73,7 @@ class ForceBounds:
         """Return the allowed rise of the force over the next step of a slow press, after `last_N` over the last."""
         return max(RISE * self.limit_N, RISES * last_N)
 
-    def known_mm_s(self, force_N: float, stiffness_N_mm: float) -> float:
+    def probed_mm_s(self, force_N: float, stiffness_N_mm: float) -> float:
         """Fastest speed where this unit showed at most this force and this stiffness."""
         return self.reaction.fastest_mm_s((self.ceiling_N - force_N) / max(stiffness_N_mm, 1e-6))
 
@@ -85,7 +85,7 @@ class ForceBounds:
         unseen_s = self.reaction.delay_s - REACTION_S
         return (self.ceiling_N - force_N) / self.stiffest_N_mm - speed_mm_s * unseen_s
 
-    def gone_N(self, speed_mm_s: float, ran_on_mm: float) -> float:
+    def host_loss_N(self, speed_mm_s: float, ran_on_mm: float) -> float:
         """Return the force at most where the host dies at the limit: unseen, and what runs out."""
         unseen_s = self.reaction.delay_s - REACTION_S
         return self.limit_N + self.stiffest_N_mm * (speed_mm_s * unseen_s + ran_on_mm)

@@ -19,8 +19,8 @@ UNLOADED_SAMPLES = 25
 OUTPUT_AHEAD = 4.0
 """When the output has changed by so many thresholds and the force by none, the cell is dead."""
 
-REACH_MM, GRID_MM = 1.5, 0.02
-"""The contact is sought within REACH_MM above the deepest point of the search, first on a grid."""
+ONSET_RANGE_MM, GRID_MM = 1.5, 0.02
+"""The contact is sought within ONSET_RANGE_MM above the deepest point of the search, first on a grid."""
 
 POWERS = (1.0, 1.25, 1.5, 1.75, 2.0)
 """Force laws from a flat pad to a cone, to begin with."""
@@ -28,7 +28,7 @@ POWERS = (1.0, 1.25, 1.5, 1.75, 2.0)
 CURVED = 9.0
 """A curve must leave this much less than a line, in variances of one sample."""
 
-SURE_MM, AGAIN_MM, FINEST_MM_S = 0.0033, 0.15, 0.08
+MAX_UNCERTAINTY_MM, SECOND_APPROACH_MM, MIN_SEARCH_MM_S = 0.0033, 0.15, 0.08
 """A contact of a larger standard deviation (three are 10 µm) is touched again, from so far above it and more slowly,
 but not slower than this: a soft cone would take half a minute."""
 
@@ -36,15 +36,15 @@ STRETCH_MM = 0.1
 
 
 @dataclass(frozen=True)
-class Foot:
+class ContactOnset:
     """Position of the onset of contact with its standard deviation, from the residual of the fit."""
 
     at_mm: float
-    doubt_mm: float
+    uncertainty_mm: float
 
 
 @dataclass(frozen=True, eq=False)
-class Touch:
+class Approach:
     """Readings of one approach until the onset of contact.
 
     Args:
@@ -57,9 +57,9 @@ class Touch:
     host_s: Array
     values: Array
 
-    def foot(self, late_s: float) -> Foot:
+    def fit_onset(self, late_s: float) -> ContactOnset:
         """Return where the signal leaves its unloaded value; the readings are late by so much."""
-        return bend(self.stage_at(self.host_s - late_s), self.values)
+        return fit_contact_onset(self.stage_at(self.host_s - late_s), self.values)
 
 
 class ContactSearch:
@@ -85,33 +85,33 @@ class ContactSearch:
 
     def begin(self) -> None:
         """Search from here on, against the unloaded values of the first time."""
-        self._seen_cell, self._seen_output = len(self._cell), len(self._output)
-        self._began_at = self._seen_cell if self._has_force else self._seen_output
-        self._is_felt = self.has_found = False
+        self._cell_count, self._output_count = len(self._cell), len(self._output)
+        self._began_at = self._cell_count if self._has_force else self._output_count
+        self._has_cell_contact = self.has_contact = False
         self._ahead_since_s: float | None = None
 
     def is_over(self) -> bool:
-        """Return whether the onset of contact was reached; `has_found` stores the result.
+        """Return whether the onset of contact was reached; `has_contact` stores the result.
 
         Raises:
             BadReply: the output shows contact, the load cell does not.
         """
-        if self.has_found:
+        if self.has_contact:
             return True
-        new, self._seen_cell = self._cell[self._seen_cell :], len(self._cell)
+        new, self._cell_count = self._cell[self._cell_count :], len(self._cell)
         for sample in new:
             change_N = abs(sample.values[0] - self._free_N)
-            self._is_felt = self._is_felt or change_N > self._fixture.contact_N
+            self._has_cell_contact = self._has_cell_contact or change_N > self._fixture.contact_N
             if change_N > self._fixture.touch_N:
-                self.has_found = True
+                self.has_contact = True
                 return True
-        new, self._seen_output = self._output[self._seen_output :], len(self._output)
+        new, self._output_count = self._output[self._output_count :], len(self._output)
         for sample in new:
             change = abs(sample.values[0] - self._free_output)
             if not self._has_force and change > self._fixture.contact_output:
-                self.has_found = True
+                self.has_contact = True
                 return True
-            if self._is_felt or change <= OUTPUT_AHEAD * self._fixture.contact_output:
+            if self._has_cell_contact or change <= OUTPUT_AHEAD * self._fixture.contact_output:
                 self._ahead_since_s = None
                 continue
             if self._ahead_since_s is None:
@@ -120,15 +120,15 @@ class ContactSearch:
                 raise BadReply(reason("rig.no_contact.cell", change=change))
         return False
 
-    def touch(self, stage_at: Callable[[Array], Array]) -> Touch:
+    def approach(self, stage_at: Callable[[Array], Array]) -> Approach:
         """Return the readings since then; `stage_at`: host times -> stage positions in mm."""
         samples = self._cell if self._has_force else self._output
         host_s = device_times_s(samples)  # Lines come late; a line 20 ms late is a contact 10 µm too deep.
         values = np.array([sample.values[0] for sample in samples])
-        return Touch(stage_at, host_s[self._began_at :], values[self._began_at :])
+        return Approach(stage_at, host_s[self._began_at :], values[self._began_at :])
 
 
-def bend(stage_mm: Array, values: Array) -> Foot:
+def fit_contact_onset(stage_mm: Array, values: Array) -> ContactOnset:
     """Return where values that were constant begin to rise or fall as a power of the way that follows.
 
     Least squares of values = b + k · max(0, stage_mm − x0)^p over b, k, x0 and p in [1, 2]: a flat pad rises with
@@ -140,7 +140,7 @@ def bend(stage_mm: Array, values: Array) -> Foot:
         values: (n,) force or output there.
     """
     deepest_mm = float(np.max(stage_mm))
-    shallowest_mm = max(float(np.min(stage_mm)), deepest_mm - REACH_MM)
+    shallowest_mm = max(float(np.min(stage_mm)), deepest_mm - ONSET_RANGE_MM)
     candidates_mm = np.arange(shallowest_mm, deepest_mm, GRID_MM)
     starts = []
     for power in POWERS:
@@ -149,10 +149,10 @@ def bend(stage_mm: Array, values: Array) -> Foot:
         explained = (shape @ (values - values.mean())) ** 2 / np.maximum(np.sum(shape**2, axis=1), 1e-300)
         k = int(np.argmax(explained))
         starts.append(_Start(float(explained[k]), float(candidates_mm[k]), power))
-    line, left_by_line = _fitted(stage_mm, values, starts[0], is_straight=True)
-    curve, left = _fitted(stage_mm, values, max(starts), is_straight=False)
+    line, line_squares = _fit_power(stage_mm, values, starts[0], is_linear=True)
+    curve, curve_squares = _fit_power(stage_mm, values, max(starts), is_linear=False)
     # A straight line unless a curve is clearly better: a free power costs certainty where it is not needed.
-    return curve if left < left_by_line * (1.0 - CURVED / len(values)) else line
+    return curve if curve_squares < line_squares * (1.0 - CURVED / len(values)) else line
 
 
 class _Start(NamedTuple):
@@ -163,30 +163,30 @@ class _Start(NamedTuple):
     power: float
 
 
-def _fitted(stage_mm: Array, values: Array, start: _Start, is_straight: bool) -> tuple[Foot, float]:
+def _fit_power(stage_mm: Array, values: Array, start: _Start, is_linear: bool) -> tuple[ContactOnset, float]:
     """Return the onset of contact by a line or a free power law, and the residual sum of squares."""
 
-    def left(parameters: Array) -> Array:
+    def residuals(parameters: Array) -> Array:
         level, slope, at_mm = parameters[:3]
-        power = 1.0 if is_straight else parameters[3]
+        power = 1.0 if is_linear else parameters[3]
         return np.asarray(level + slope * np.maximum(0.0, stage_mm - at_mm) ** power - values)
 
-    power = 1.0 if is_straight else float(np.clip(start.power, 1.05, 1.95))
+    power = 1.0 if is_linear else float(np.clip(start.power, 1.05, 1.95))
     slope, level = np.polyfit(np.maximum(0.0, stage_mm - start.at_mm) ** power, values, 1)
     low, high = [-np.inf, -np.inf, float(np.min(stage_mm)) - 1e-6], [np.inf, np.inf, float(np.max(stage_mm))]
     first = [level, slope, start.at_mm]
-    if not is_straight:
+    if not is_linear:
         first, low, high = [*first, power], [*low, POWERS[0]], [*high, POWERS[-1]]
-    solution = least_squares(left, first, bounds=(low, high), x_scale="jac")
+    solution = least_squares(residuals, first, bounds=(low, high), x_scale="jac")
     squares = float(2.0 * solution.cost)
     variance = squares / max(1, len(values) - len(first))
-    doubt_mm = float(np.sqrt(np.linalg.pinv(solution.jac.T @ solution.jac)[2, 2] * variance))
-    return Foot(float(solution.x[2]), doubt_mm), squares
+    uncertainty_mm = float(np.sqrt(np.linalg.pinv(solution.jac.T @ solution.jac)[2, 2] * variance))
+    return ContactOnset(float(solution.x[2]), uncertainty_mm), squares
 
 
-def slower_mm_s(speed_mm_s: float, doubt_mm: float) -> float:
+def slower_mm_s(speed_mm_s: float, uncertainty_mm: float) -> float:
     """Return the speed of a search that is sure enough: more readings average the noise."""
-    return max(FINEST_MM_S, speed_mm_s * (SURE_MM / doubt_mm) ** 2)
+    return max(MIN_SEARCH_MM_S, speed_mm_s * (MAX_UNCERTAINTY_MM / uncertainty_mm) ** 2)
 
 
 def stiffest_N_mm(stage_mm: Array, force_N: Array) -> float:

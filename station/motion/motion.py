@@ -12,11 +12,11 @@ import numpy as np
 
 from softcal.core.errors import BadReply, DeviceError, NoReply, SafetyStop
 from softcal.core.messages.reason import Reason, reason
-from softcal.station.devices.bench import Bench
-from softcal.station.interfaces import Held, Move, RoughLift, RunsOn
+from softcal.station.bench.bench import Bench
+from softcal.station.interfaces import Move, RoughLiftStage, SelfStoppingStage, StageOnHold
 from softcal.station.motion.interlock import Interlock, State
-from softcal.station.motion.safety import LASTS_S
-from softcal.station.record.trajectory import DrivenMove, Trapezoid
+from softcal.station.motion.monitors import LASTS_S
+from softcal.station.trajectory import DrivenMove, Trapezoid
 
 TICK_S = 0.005
 """How often devices are read while something may move; far below every promised latency."""
@@ -24,7 +24,7 @@ TICK_S = 0.005
 RETRACT_MM_S, LIFT_MM = 5.0, 1.0
 """A stage is lifted so fast at most and so far at least, wherever it stood."""
 
-PATIENCE_S = 1.5
+FINAL_READING_S = 1.5
 """How long load cell and sensor are read to say what stands on the unit: readings may be old, a unit comes back."""
 
 STILL_S, STILL_MM, UNFED_S = 0.5, 0.1, 0.2
@@ -74,7 +74,7 @@ class Motion(Interlock):
         return 0.0 if self._path is None else self._path.peak_mm_s
 
     @property
-    def left_mm(self) -> float:
+    def remaining_mm(self) -> float:
         return 0.0 if self._path is None else abs(self._path.end_mm - self._stage.position_mm)
 
     @property
@@ -100,12 +100,12 @@ class Motion(Interlock):
         self.enter(State.HOMING)
         end_s = self._clock.now_s() + self.row.late_s
 
-        def watch() -> None:
+        def check_deadline() -> None:
             on_wait()
             if self._clock.now_s() > end_s:
                 raise NoReply(reason("rig.not_home", seconds=self.row.late_s))
 
-        self._stage.home(watch)
+        self._stage.home(check_deadline)
 
     def go(self, to_mm: float, speed_mm_s: float, is_over: Callable[[], bool] | None = None) -> DrivenMove:
         """Move to a position, or until `is_over`, and wait for rest.
@@ -124,13 +124,13 @@ class Motion(Interlock):
         self.check_move(is_down)
         self._path = path
         self._stage.begin(Move(to_mm, speed_mm_s, self._ahead_mm(to_mm, speed_mm_s) if is_down else math.inf))
-        changed_s, looked_s, at_mm = began_s, began_s, self._stage.position_mm
+        changed_s, checked_s, at_mm = began_s, began_s, self._stage.position_mm
         while self._stage.is_moving:
             self._tick()
-            before_s, looked_s = looked_s, self._clock.now_s()
+            before_s, checked_s = checked_s, self._clock.now_s()
             # A stage that nobody fed for a while may stand for as long.
-            if self._stage.position_mm != at_mm or looked_s - before_s > UNFED_S:
-                changed_s, at_mm = looked_s, self._stage.position_mm
+            if self._stage.position_mm != at_mm or checked_s - before_s > UNFED_S:
+                changed_s, at_mm = checked_s, self._stage.position_mm
             self._check_still(path, began_s, changed_s)
             if is_over is not None and is_over():
                 move = DrivenMove(path, began_s, self._clock.now_s())
@@ -148,8 +148,8 @@ class Motion(Interlock):
         """Raise `BadReply` where the position has stayed while the stage should have moved."""
         now_s = self._clock.now_s()
         if now_s - changed_s > STILL_S:
-            before_mm, here_mm = path.position_mm(np.array([changed_s, now_s]) - began_s)
-            if abs(here_mm - before_mm) > STILL_MM:
+            before_mm, after_mm = path.position_mm(np.array([changed_s, now_s]) - began_s)
+            if abs(after_mm - before_mm) > STILL_MM:
                 about = {"at_mm": self._stage.position_mm, "seconds": now_s - changed_s}
                 raise BadReply(reason("rig.still", **about))
 
@@ -165,33 +165,33 @@ class Motion(Interlock):
         stage, after a door, an emergency stop or an alarm, nor a second time after an interruption.
         """
         if self.state in (State.STOPPED, State.OVER):
-            return self._left(Reason("left.stopped"))
+            return self._report_stop(Reason("left.stopped"))
         self.enter(State.STOPPING)
         self._path, self._cell, self._output = None, [], []
         try:
             return self._stop_and_lift(cause)
         except KeyboardInterrupt:  # A second interruption: stand, wherever it is.
-            is_told = self.state is not State.STOPPING
+            is_lifting = self.state is not State.STOPPING
             self._stop_quietly()
-            return self._left(Reason("left.told" if is_told else "left.there"))
+            return self._report_stop(Reason("left.told" if is_lifting else "left.there"))
 
     def _stop_and_lift(self, cause: BaseException) -> Reason:
         try:
             self._stage.stop()
-        except Held:
-            return self._left(Reason("left.held"))
+        except StageOnHold:
+            return self._report_stop(Reason("left.held"))
         except DeviceError:
             self.enter(State.STOPPED)
-            if not isinstance(self._stage, RunsOn):
+            if not isinstance(self._stage, SelfStoppingStage):
                 return Reason("left.unreachable")
             return reason("left.runs_on", seconds=self._stage.runs_on_s(self._bench.config.safety.speed_mm_s))
-        if isinstance(cause, Held):
-            return self._left(Reason("left.held"))
+        if isinstance(cause, StageOnHold):
+            return self._report_stop(Reason("left.held"))
         if not isinstance(cause, (Exception, KeyboardInterrupt)):
-            return self._left(Reason("left.stopped"))
-        can_lift_roughly = isinstance(self._stage, RoughLift) and self._stage.can_lift_roughly
+            return self._report_stop(Reason("left.stopped"))
+        can_lift_roughly = isinstance(self._stage, RoughLiftStage) and self._stage.can_lift_roughly
         if not self._stage.is_position_known and not can_lift_roughly:
-            return self._left(Reason("left.must_home"))
+            return self._report_stop(Reason("left.must_home"))
         return self._lift()
 
     def _lift(self) -> Reason:
@@ -201,21 +201,21 @@ class Motion(Interlock):
         speed_mm_s = min(RETRACT_MM_S, stage.max_speed_mm_s)
         path = Trapezoid(stage.position_mm, to_mm, speed_mm_s, stage.acceleration_mm_s2)
         self.enter(State.LIFTING)
-        self._listen()
+        self._take_readings()
         try:
             if path.start_mm > path.end_mm:
                 self._begin_lift(path)
                 self._follow_lift(self._clock.now_s() + path.duration_s + self.row.late_s)
-        except Held:
-            return self._left(Reason("left.held"))
+        except StageOnHold:
+            return self._report_stop(Reason("left.held"))
         except DeviceError:
             self._stop_quietly()
-            return self._left(Reason("left.not_lifted"))
-        return self._confirmed()
+            return self._report_stop(Reason("left.not_lifted"))
+        return self._confirm_lift()
 
     def _begin_lift(self, path: Trapezoid) -> None:
         self.check_move(path.end_mm > path.start_mm)
-        if not self._stage.is_position_known and isinstance(self._stage, RoughLift):
+        if not self._stage.is_position_known and isinstance(self._stage, RoughLiftStage):
             self._stage.lift_roughly(path.start_mm - path.end_mm, path.speed_mm_s)
         else:
             self._stage.begin(Move(path.end_mm, path.speed_mm_s))
@@ -225,23 +225,23 @@ class Motion(Interlock):
             self._clock.sleep_s(TICK_S)
             with suppress(BadReply):  # A line with noise says nothing about the lift; silence and alarms do.
                 self._stage.poll()
-            self._listen()
+            self._take_readings()
             if self._clock.now_s() > end_s:
                 raise NoReply(Reason("rig.late.lifting"))
 
-    def _confirmed(self) -> Reason:
+    def _confirm_lift(self) -> Reason:
         """Return whether the stage is lifted, by a load cell back at zero; the controller's count is no evidence.
 
         A cell that showed no force before may be dead: then the sensor must be at rest, too.
         """
-        fixture, force_N = self._bench.config.fixture, self._standing_N()
+        fixture, force_N = self._bench.config.fixture, self._read_force_N()
         if force_N is not None and abs(force_N) > fixture.contact_N:
-            return self._said(Reason("left.stays"), force_N)
+            return self._report_state(Reason("left.stays"), force_N)
         has_fallen = max((value for _, value in self._cell), default=0.0) - (self.zero_N or 0.0) > fixture.contact_N
         output, free = self._newest(self._output), self.free_output
         is_output_free = output is not None and free is not None and abs(output - free) <= fixture.contact_output
         if force_N is None or abs(force_N) > REST * fixture.contact_N or not (has_fallen or is_output_free):
-            return self._said(Reason("left.told"), force_N)
+            return self._report_state(Reason("left.told"), force_N)
         self.enter(State.STOPPED)
         return Reason("left.lifted" if self._stage.is_position_known else "left.lifted_roughly")
 
@@ -249,11 +249,11 @@ class Motion(Interlock):
         with suppress(DeviceError):  # It was told to stop all the same.
             self._stage.stop()
 
-    def _left(self, state: Reason) -> Reason:
+    def _report_stop(self, state: Reason) -> Reason:
         """Return the message for a stage that stays in place, with the remaining load."""
-        return self._said(state, self._standing_N())
+        return self._report_state(state, self._read_force_N())
 
-    def _said(self, state: Reason, force_N: float | None) -> Reason:
+    def _report_state(self, state: Reason, force_N: float | None) -> Reason:
         if self.state in (State.STOPPING, State.LIFTING):
             self.enter(State.STOPPED)
         if force_N is None:
@@ -262,24 +262,24 @@ class Motion(Interlock):
             return reason("left.stands_lost", state=state, force_N=force_N)
         return reason("left.stands", state=state, force_N=force_N, at_mm=self._stage.position_mm)
 
-    def _standing_N(self) -> float | None:
+    def _read_force_N(self) -> float | None:
         """Return the last force of the load cell; None if it is silent or has no zero."""
         if self._bench.force is None or self.zero_N is None:
             return None
-        end_s = self._clock.now_s() + PATIENCE_S
+        end_s = self._clock.now_s() + FINAL_READING_S
         while self._clock.now_s() < end_s:
             self._clock.sleep_s(TICK_S)
-            self._listen()
-        shown_N = self._newest(self._cell)
-        return None if shown_N is None else shown_N - self.zero_N
+            self._take_readings()
+        reading_N = self._newest(self._cell)
+        return None if reading_N is None else reading_N - self.zero_N
 
-    def _listen(self) -> None:
+    def _take_readings(self) -> None:
         """Read load cell and sensor; ignore a device that fails."""
-        for reader, seen in ((self._bench.force, self._cell), (self._bench.readout, self._output)):
+        for reader, readings in ((self._bench.force, self._cell), (self._bench.readout, self._output)):
             try:
-                seen += [(self._clock.now_s(), sample.values[0]) for sample in (reader.poll() if reader else ())]
+                readings += [(self._clock.now_s(), sample.values[0]) for sample in (reader.poll() if reader else ())]
             except DeviceError:
-                seen.clear()
+                readings.clear()
 
     def _newest(self, readings: Sequence[tuple[float, float]]) -> float | None:
         """Return the mean of what came just now; None where nothing did."""

@@ -22,8 +22,8 @@ class CellLagConfig:
     Args:
         latest_s: largest delay that is tried when force and stage are laid over each other.
         coarse_s: steps of these delays.
-        beside_s, tells, tells_samples: a delay is known that fits n samples tells + tells_samples / n times better than
-            any that is `beside_s` or more away: few samples fit anyhow.
+        apart_s, tells, tells_samples: a delay is known that fits n samples tells + tells_samples / n times better than
+            any that is `apart_s` or more away: few samples fit anyhow.
         late_s, period_share: a cell may seem this much later or earlier than declared, and by this share of its
             sampling period.
         hidden: and earlier by this share of a low pass: a unit that relaxes as fast hides that.
@@ -31,7 +31,7 @@ class CellLagConfig:
 
     latest_s: float = setting(0.7, RIGS)
     coarse_s: float = setting(0.02, RIGS)
-    beside_s: float = setting(0.04, RIGS)
+    apart_s: float = setting(0.04, RIGS)
     tells: float = setting(1.1, RIGS)
     tells_samples: float = setting(40.0, RIGS)
     late_s: float = setting(0.01, RIGS)
@@ -86,18 +86,18 @@ class HangConfig:
     Args:
         mean_s: its mean force over so long is looked at.
         share: it hangs where that is off the law of the depth by this share of the largest force.
-        least, times: or by this share, and so many times the RMS of the rest of the run. Good rigs show 0.29 and 20:
+        min_frac, times: or by this share, and so many times the RMS of the rest of the run. Good rigs show 0.29 and 20:
             a unit that softens is stiffest at its first peak.
-        beside_s: the rest is all but so much on either side.
+        apart_s: the rest is all but so much on either side.
         rounds: of the fit by least absolute deviations.
         largest: quantile that represents the largest force.
     """
 
     mean_s: float = setting(0.1, RIGS)
     share: float = setting(0.3, RIGS)
-    least: float = setting(0.03, RIGS)
+    min_frac: float = setting(0.03, RIGS)
     times: float = setting(22.0, PRESSED)
-    beside_s: float = setting(0.6, RIGS)
+    apart_s: float = setting(0.6, RIGS)
     rounds: int = setting(25, RIGS)
     largest: float = setting(0.99, RIGS)
 
@@ -155,19 +155,19 @@ class SlipConfig:
     """A stage that lost steps once in a run.
 
     Args:
-        left: largest share that it leaves of the residual of the depth law. Good rigs show 0.47.
+        max_residual: largest share that it leaves of the residual of the depth law. Good rigs show 0.47.
         clear: and this share of what any change of the cell leaves.
-        beside_softening: and of what a unit leaves that softens where it was pressed: it seems a little higher, too.
-        least_mm: less is not said.
-        tried_mm: losses that are tried at each moment at which something may change, on so many samples.
+        max_softening: and of what a unit leaves that softens where it was pressed: it seems a little higher, too.
+        min_loss_mm: less is not said.
+        candidates_mm: losses that are tried at each moment at which something may change, on so many samples.
         finer: tries around the best of them.
     """
 
-    left: float = setting(0.46, PRESSED)
+    max_residual: float = setting(0.46, PRESSED)
     clear: float = setting(0.9, CHANGED)
-    beside_softening: float = setting(0.7, PRESSED)
-    least_mm: float = setting(0.05, CHANGED)
-    tried_mm: tuple[float, ...] = setting((-0.4, -0.1, 0.1, 0.2, 0.4, 0.8), CHANGED)
+    max_softening: float = setting(0.7, PRESSED)
+    min_loss_mm: float = setting(0.05, CHANGED)
+    candidates_mm: tuple[float, ...] = setting((-0.4, -0.1, 0.1, 0.2, 0.4, 0.8), CHANGED)
     samples: int = setting(400, CHANGED)
     finer: int = setting(60, CHANGED)
 

@@ -42,11 +42,11 @@ class PressLaw:
 
     @cached_property
     def _by_depth(self) -> Array:
-        return self._basis.whole(np.maximum(0.0, self._depth_mm))
+        return self._basis.with_history(np.maximum(0.0, self._depth_mm))
 
     @cached_property
     def _by_force(self) -> Array:
-        return self._basis.whole(np.interp(self._basis.grid_s, self._t_s, self._force_N))
+        return self._basis.with_history(np.interp(self._basis.grid_s, self._t_s, self._force_N))
 
     @cached_property
     def _in_force(self) -> Array:
@@ -90,19 +90,19 @@ class PressLaw:
 
         def misfit(slip: tuple[float, float], every: int = 1) -> float:
             higher_mm = np.maximum(0.0, self._depth_mm - slip[1] * (grid_s > slip[0]))
-            basis = LawBasis(t_s[::every], self._method, grid_s).whole(higher_mm, float(np.max(self._depth_mm)))
+            basis = LawBasis(t_s[::every], self._method, grid_s).with_history(higher_mm, float(np.max(self._depth_mm)))
             return _misfit(basis, self._force_N[::every])
 
         every = max(1, len(t_s) // config.samples)
-        tried = ((at_s, lost_mm) for at_s in self._moments_s for lost_mm in config.tried_mm)
-        coarse = min(tried, key=lambda slip: misfit(slip, every))
+        candidates = ((at_s, lost_mm) for at_s in self._moments_s for lost_mm in config.candidates_mm)
+        coarse = min(candidates, key=lambda slip: misfit(slip, every))
         at_s, lost_mm = minimize(misfit, coarse, method="Nelder-Mead", options={"maxfev": config.finer}).x
         # A law that bends fits better from another zero, from the first press on: then nothing was lost.
         before = min(misfit((at_s, 0.0)), misfit((-np.inf, lost_mm)))
-        left = misfit((at_s, lost_mm)) / max(before, 1e-300)
+        residual = misfit((at_s, lost_mm)) / max(before, 1e-300)
         softened = _misfit(self._basis.softening(np.maximum(0.0, self._depth_mm)), self._force_N) / max(before, 1e-300)
-        least = min(config.left, config.clear * (1.0 - by_cell), config.beside_softening * softened)
-        if abs(lost_mm) >= config.least_mm and left < least:
+        max_ratio = min(config.max_residual, config.clear * (1.0 - by_cell), config.max_softening * softened)
+        if abs(lost_mm) >= config.min_loss_mm and residual < max_ratio:
             raise BadReply(reason("rig.slipped", at_s=float(at_s - t_s[0]), lost_mm=float(lost_mm)))
 
     def name_cause(self, error: BadReply) -> BadReply:
@@ -124,12 +124,12 @@ class PressLaw:
         t_s, basis, output, config = self._t_s, self._by_force, self._output, self._method.output
         q, _ = np.linalg.qr(basis)
         fitted = q @ (q.T @ output)
-        left = output - fitted
-        squares, count = max(float(left @ left), 1e-300), len(t_s)
+        residual = output - fitted
+        squares, count = max(float(residual @ residual), 1e-300), len(t_s)
 
         def explained(change: Array) -> float:
-            own, _ = np.linalg.qr(change - q @ (q.T @ change))
-            return float(np.sum((own.T @ left) ** 2)) / squares
+            orthogonal, _ = np.linalg.qr(change - q @ (q.T @ change))
+            return float(np.sum((orthogonal.T @ residual) ** 2)) / squares
 
         def step(at_s: float) -> Array:
             return np.column_stack([np.ones(count), fitted - fitted[0]]) * (t_s > at_s)[:, None]
@@ -156,14 +156,14 @@ class PressLaw:
         """Return what share of a law's misfit a gain, a zero or a delay explains that changes, by moment."""
         q, _ = np.linalg.qr(basis)
         fitted = q @ (q.T @ values)
-        left, is_after, squares = values - fitted, self._t_s[:, None] > self._moments_s, []
+        residual, is_after, squares = values - fitted, self._t_s[:, None] > self._moments_s, []
         for change in (fitted - fitted[0], np.ones_like(values), np.gradient(fitted)):
             column = is_after * change[:, None]
-            own = column - q @ (q.T @ column)  # What the law could not make itself.
-            squares.append((left @ own) ** 2 / np.maximum(np.sum(own**2, axis=0), 1e-300))
-        most = np.max(squares, axis=0)
-        is_slight = most < len(values) * (self._method.change.slight * np.ptp(values)) ** 2
-        return np.where(is_slight, 0.0, most / max(float(left @ left), 1e-300))
+            orthogonal = column - q @ (q.T @ column)  # What the law could not make itself.
+            squares.append((residual @ orthogonal) ** 2 / np.maximum(np.sum(orthogonal**2, axis=0), 1e-300))
+        max_explained = np.max(squares, axis=0)
+        is_slight = max_explained < len(values) * (self._method.change.slight * np.ptp(values)) ** 2
+        return np.where(is_slight, 0.0, max_explained / max(float(residual @ residual), 1e-300))
 
     def _check_moments(self) -> None:
         t_s, force_N, hang = self._t_s, self._force_N, self._method.hang
@@ -178,10 +178,10 @@ class PressLaw:
         # What arrives first may belong to a path before these samples, which the law does not know.
         mean_N[t_s < min(t_s[0] + self._method.lag.latest_s, float(np.median(t_s)))] = 0.0
         oddest = int(np.argmax(np.abs(mean_N)))
-        is_rest = np.abs(t_s - t_s[oddest]) > hang.beside_s
+        is_rest = np.abs(t_s - t_s[oddest]) > hang.apart_s
         share = abs(mean_N[oddest]) / float(np.quantile(np.abs(force_N), hang.largest))
         rest_N = float(np.sqrt(np.mean(off_N[is_rest] ** 2))) if np.any(is_rest) else float("inf")
-        if share > hang.share or (share > hang.least and abs(mean_N[oddest]) > hang.times * rest_N):
+        if share > hang.share or (share > hang.min_frac and abs(mean_N[oddest]) > hang.times * rest_N):
             raise BadReply(reason("rig.odd_force", at_s=float(t_s[oddest] - t_s[0])))
 
 
@@ -196,7 +196,7 @@ class LawBasis:
         """Return the law of a value on the grid that begins with the run."""
         return self._columns([], value, self._law.relaxation_s)
 
-    def whole(self, value: Array, largest: float | None = None) -> Array:
+    def with_history(self, value: Array, largest: float | None = None) -> Array:
         """Return the model of a value on the grid, and the relaxing contribution of the path before it."""
         t_s = self._t_s
         relaxation_s = [time_s for time_s in self._law.every_relaxation_s if time_s < t_s[-1] - t_s[0]]
@@ -210,7 +210,7 @@ class LawBasis:
         virgin = [share**power * (1.0 - deepest) ** order for power in (1, 2) for order in (1, 2)]
         again = [share**power * (share < 0.999 * deepest) for power in (1, 2)]
         columns = [np.interp(self._t_s, self.grid_s, column) for column in (*virgin, *again)]
-        return np.column_stack([self.whole(depth_mm), *columns])
+        return np.column_stack([self.with_history(depth_mm), *columns])
 
     def _columns(
         self, before: list[Array], value: Array, relaxation_s: Sequence[float], largest: float | None = None
@@ -218,8 +218,8 @@ class LawBasis:
         share = value / max(float(np.max(value)) if largest is None else largest, 1e-9)
         columns = [share**power for power in self._law.powers]
         for time_s in relaxation_s:
-            kept = float(np.exp(-self._law.grid_s / time_s))
-            columns += [lfilter([1.0, -1.0], [1.0, -kept], share**power) for power in self._law.relaxed_powers]
+            decay = float(np.exp(-self._law.grid_s / time_s))
+            columns += [lfilter([1.0, -1.0], [1.0, -decay], share**power) for power in self._law.relaxed_powers]
         return np.column_stack([*before, *(np.interp(self._t_s, self.grid_s, column) for column in columns)])
 
 
@@ -312,9 +312,9 @@ def press_gains(stage_mm: Array, force_N: Array, config: PressConfig) -> Array:
     is_pressed = np.isfinite(usual) & (usual > config.pressed * np.nanmax(usual))
     gains = []
     for begin, end in turns.reshape(-1, 2):
-        own = is_pressed[begin:end]
-        if np.count_nonzero(own) >= config.samples:
-            expected, force = usual[begin:end][own], force_N[begin:end][own]
+        is_compared = is_pressed[begin:end]
+        if np.count_nonzero(is_compared) >= config.samples:
+            expected, force = usual[begin:end][is_compared], force_N[begin:end][is_compared]
             gains.append(float(np.dot(force, expected) / np.dot(expected, expected)))
     return np.array(gains)
 

@@ -9,13 +9,13 @@ from softcal.core.errors import BadReply, InputError
 from softcal.core.messages.reason import Reason, reason
 from softcal.core.recording import Array, Indices, LabelledRecording, OutputRecording
 from softcal.station.clock import CLOCK_SHARE, ClockFit, fit_clock, residual_offset_s
-from softcal.station.device_names import CELL, named
+from softcal.station.device_names import CELL, device_label
 from softcal.station.interfaces import Sample, StagePosition
 from softcal.station.record.method import METHOD, ProofMethod
 from softcal.station.record.proof import PressLaw, check_converter, check_follows, check_gain, check_output_gain
 from softcal.station.record.response import CellResponse, check_lag, check_response, fit_response
 from softcal.station.record.spool import SpooledRun
-from softcal.station.record.trajectory import DrivenMove, StageTrack, Trapezoid, reconstruct
+from softcal.station.trajectory import DrivenMove, StageTrack, Trapezoid, reconstruct_track
 
 LARGEST_LOSS = 0.02
 """A recording that lost more of its samples than this is not one."""
@@ -104,7 +104,7 @@ class StationRecording:
 
 
 @dataclass(frozen=True)
-class RunFacts:
+class RunMetadata:
     """Metadata of a run that a text file can store.
 
     Args:
@@ -114,7 +114,7 @@ class RunFacts:
         contact_mm, zero_N, zero_return_N: as in `StationRecording`.
         with_reference: whether the recording keeps the force.
         force_late_s: latency of the load cell as used in the run; subtracted from its times.
-        is_latency_stated: whether the station file states the latency; otherwise the measured latency is subtracted.
+        is_latency_declared: whether the station file states the latency; otherwise the measured latency is subtracted.
     """
 
     serial: str
@@ -130,7 +130,7 @@ class RunFacts:
     zero_return_N: float
     with_reference: bool
     force_late_s: float = 0.0
-    is_latency_stated: bool = True
+    is_latency_declared: bool = True
 
 
 @dataclass(frozen=True)
@@ -142,23 +142,23 @@ class Raw:
     polls: Sequence[StagePosition]
 
 
-def assemble(raw: Raw, facts: RunFacts, method: ProofMethod = METHOD) -> StationRecording:
+def assemble(raw: Raw, metadata: RunMetadata, method: ProofMethod = METHOD) -> StationRecording:
     """Interpolate all channels to the sensor's clock and cut the profile out of the run.
 
     Raises:
         BadReply: too many samples were lost, a device clock is far off, or the load cell does not tell the stage's
             story (late, behind a low pass, another gain from press to press).
     """
-    sensor, begun_s, ended_s = _channel(raw.output, facts.sensor), *facts.span_s
+    sensor, begun_s, ended_s = _channel(raw.output, metadata.sensor), *metadata.span_s
     chosen = (sensor.host_s >= begun_s) & (sensor.host_s <= ended_s)
     sensor_s, host_s, output = sensor.device_s[chosen], sensor.host_s[chosen], sensor.values[chosen]
-    lost = _count_lost(sensor_s, facts)
-    track = track_of(raw, facts)
-    stage_mm = track.at(host_s) - facts.zero_mm
-    check_converter(sensor_s - sensor_s[0], output, stage_mm, facts.output_unit, method)
+    lost = _count_lost_samples(sensor_s, metadata)
+    track = track_of(raw, metadata)
+    stage_mm = track.at(host_s) - metadata.zero_mm
+    check_converter(sensor_s - sensor_s[0], output, stage_mm, metadata.output_unit, method)
     follows: BadReply | None = None
     try:
-        check_follows(host_s, output, track.at, facts.contact_mm, method)
+        check_follows(host_s, output, track.at, metadata.contact_mm, method)
     except BadReply as error:
         follows = error  # A cell may know why.
         if not raw.force:
@@ -170,34 +170,34 @@ def assemble(raw: Raw, facts: RunFacts, method: ProofMethod = METHOD) -> Station
     else:
         cell = _channel(raw.force, CELL)
         if follows is not None:
-            raise _law(cell, sensor, track, facts, facts.force_late_s, method).name_cause(follows) from follows
-        response, late_s = _response(cell, track, facts, method), facts.force_late_s
+            raise _law(cell, sensor, track, metadata, metadata.force_late_s, method).name_cause(follows) from follows
+        response, late_s = _response(cell, track, metadata, method), metadata.force_late_s
         constant_s, behind_s = response.time_constant_s, response.lag_s
-        if not facts.is_latency_stated and abs(behind_s - late_s) > method.lag.late_s:
+        if not metadata.is_latency_declared and abs(behind_s - late_s) > method.lag.late_s:
             late_s = behind_s
         response_N = response.error_N(late_s)
-        if facts.with_reference:
+        if metadata.with_reference:
             check_response(response, response_N, method.response)
-        if facts.is_latency_stated:
-            check_lag(response, facts.force_late_s, float(np.median(np.diff(cell.device_s))), method.lag)
-        remarks = _check_cell(cell, sensor, track, facts, late_s, method)
-        force_N = _force_at(host_s, cell, facts, late_s)
-        offset_s = residual_offset_s(force_N, output[:, 0], facts.sample_rate_Hz)
+        if metadata.is_latency_declared:
+            check_lag(response, metadata.force_late_s, float(np.median(np.diff(cell.device_s))), method.lag)
+        remarks = _check_cell(cell, sensor, track, metadata, late_s, method)
+        force_N = _force_at(host_s, cell, metadata, late_s)
+        offset_s = residual_offset_s(force_N, output[:, 0], metadata.sample_rate_Hz)
         cell_drift, cell_late_s = cell.clock.rate - 1, cell.clock.late_s
-    stage_offset_s = residual_offset_s(np.maximum(stage_mm, 0.0), output[:, 0], facts.sample_rate_Hz)
+    stage_offset_s = residual_offset_s(np.maximum(stage_mm, 0.0), output[:, 0], metadata.sample_rate_Hz)
     late, offsets = (sensor.clock.late_s, cell_late_s), (offset_s, stage_offset_s)
     return StationRecording(
-        facts.serial,
-        facts.profile,
+        metadata.serial,
+        metadata.profile,
         sensor_s - sensor_s[0],
         output,
         stage_mm,
-        force_N if facts.with_reference else None,
-        facts.sample_rate_Hz,
-        facts.output_unit,
-        facts.contact_mm,
-        facts.zero_N,
-        facts.zero_return_N,
+        force_N if metadata.with_reference else None,
+        metadata.sample_rate_Hz,
+        metadata.output_unit,
+        metadata.contact_mm,
+        metadata.zero_N,
+        metadata.zero_return_N,
         lost,
         Alignment(
             sensor.clock.rate - 1, cell_drift, *late, *offsets, track.residual_mm, behind_s, constant_s, response_N
@@ -207,10 +207,10 @@ def assemble(raw: Raw, facts: RunFacts, method: ProofMethod = METHOD) -> Station
     )
 
 
-def track_of(raw: Raw, facts: RunFacts) -> StageTrack:
+def track_of(raw: Raw, metadata: RunMetadata) -> StageTrack:
     """Return where the stage was from the first move of a run on."""
-    moves = [DrivenMove(Trapezoid(*row[:4]), *row[4:]) for row in facts.moves]
-    return reconstruct([poll for poll in raw.polls if poll.host_s >= moves[0].begun_s], moves)
+    moves = [DrivenMove(Trapezoid(*row[:4]), *row[4:]) for row in metadata.moves]
+    return reconstruct_track([poll for poll in raw.polls if poll.host_s >= moves[0].begun_s], moves)
 
 
 def restore(run: SpooledRun, method: ProofMethod = METHOD) -> StationRecording:
@@ -222,10 +222,10 @@ def restore(run: SpooledRun, method: ProofMethod = METHOD) -> StationRecording:
         BadReply: as `assemble`.
     """
     serial = run.header.get("serial", "?")
-    if not run.is_whole or not run.facts:
+    if not run.is_complete or not run.metadata:
         raise InputError(reason("rig.run_ended", serial=serial, end=run.end))
     try:
-        return assemble(Raw(run.output, run.force, run.polls), RunFacts(**run.facts), method)
+        return assemble(Raw(run.output, run.force, run.polls), RunMetadata(**run.metadata), method)
     except (IndexError, TypeError, ValueError) as error:
         raise InputError(reason("rig.run_facts", serial=serial)) from error
 
@@ -257,26 +257,26 @@ class _Channel:
 def _channel(samples: Sequence[Sample], name: str) -> _Channel:
     device_s, clock = clock_of(samples)
     if abs(clock.rate - 1) > CLOCK_SHARE:
-        raise BadReply(reason("rig.clock", device=named(name), percent=100 * (clock.rate - 1)))
+        raise BadReply(reason("rig.clock", device=device_label(name), percent=100 * (clock.rate - 1)))
     return _Channel(device_s, clock.to_host(device_s), np.array([sample.values for sample in samples]), clock)
 
 
-def _count_lost(sensor_s: Array, facts: RunFacts) -> int:
-    expected = round((sensor_s[-1] - sensor_s[0]) * facts.sample_rate_Hz) + 1
+def _count_lost_samples(sensor_s: Array, metadata: RunMetadata) -> int:
+    expected = round((sensor_s[-1] - sensor_s[0]) * metadata.sample_rate_Hz) + 1
     lost = max(0, int(expected) - len(sensor_s))
     if lost > LARGEST_LOSS * expected:
-        raise BadReply(reason("rig.lost", device=named(facts.sensor), lost=lost, count=expected))
+        raise BadReply(reason("rig.lost", device=device_label(metadata.sensor), lost=lost, count=expected))
     return lost
 
 
-def _response(cell: _Channel, track: StageTrack, facts: RunFacts, method: ProofMethod) -> CellResponse:
+def _response(cell: _Channel, track: StageTrack, metadata: RunMetadata, method: ProofMethod) -> CellResponse:
     # The slow press before the profile counts, too: one speed cannot tell a delay from a loop of the unit's.
-    inside = _enough(_in_presses(cell.host_s, facts))
-    return fit_response(cell.host_s[inside], cell.values[inside, 0], track.at, facts.contact_mm, method)
+    inside = _enough(_in_presses(cell.host_s, metadata))
+    return fit_response(cell.host_s[inside], cell.values[inside, 0], track.at, metadata.contact_mm, method)
 
 
-def _in_presses(force_s: Array, facts: RunFacts) -> Indices:
-    return np.flatnonzero((force_s >= facts.moves[0][4]) & (force_s <= facts.span_s[1]))
+def _in_presses(force_s: Array, metadata: RunMetadata) -> Indices:
+    return np.flatnonzero((force_s >= metadata.moves[0][4]) & (force_s <= metadata.span_s[1]))
 
 
 def _enough(samples: Indices) -> Indices:
@@ -285,17 +285,17 @@ def _enough(samples: Indices) -> Indices:
 
 
 def _check_cell(
-    cell: _Channel, sensor: _Channel, track: StageTrack, facts: RunFacts, late_s: float, method: ProofMethod
+    cell: _Channel, sensor: _Channel, track: StageTrack, metadata: RunMetadata, late_s: float, method: ProofMethod
 ) -> tuple[Reason, ...]:
     """Compare all presses including the slow one, as a gain may change between them; return the remarks."""
-    force_s, force_N = cell.host_s - late_s, cell.values[:, 0] - facts.zero_N
-    inside = _in_presses(force_s, facts)
+    force_s, force_N = cell.host_s - late_s, cell.values[:, 0] - metadata.zero_N
+    inside = _in_presses(force_s, metadata)
     if not len(inside):
         return ()
-    law = _law(cell, sensor, track, facts, late_s, method)
+    law = _law(cell, sensor, track, metadata, late_s, method)
     law.check_slip()
     try:
-        check_gain(track.at(force_s[inside]) - facts.zero_mm, force_N[inside], method.press)
+        check_gain(track.at(force_s[inside]) - metadata.zero_mm, force_N[inside], method.press)
         law.check()
     except BadReply as error:
         raise law.name_cause(error) from error
@@ -304,17 +304,17 @@ def _check_cell(
 
 
 def _law(
-    cell: _Channel, sensor: _Channel, track: StageTrack, facts: RunFacts, late_s: float, method: ProofMethod
+    cell: _Channel, sensor: _Channel, track: StageTrack, metadata: RunMetadata, late_s: float, method: ProofMethod
 ) -> PressLaw:
     """Return the laws of some samples of the cell in the presses, its lateness taken off."""
     force_s = cell.host_s - late_s
-    inside = _enough(_in_presses(force_s, facts))
+    inside = _enough(_in_presses(force_s, metadata))
     output = np.interp(force_s[inside], sensor.host_s, sensor.values[:, 0])
-    force_N = cell.values[inside, 0] - facts.zero_N
-    return PressLaw(force_s[inside], force_N, output, track.at, facts.contact_mm, method)
+    force_N = cell.values[inside, 0] - metadata.zero_N
+    return PressLaw(force_s[inside], force_N, output, track.at, metadata.contact_mm, method)
 
 
-def _force_at(host_s: Array, cell: _Channel, facts: RunFacts, late_s: float) -> Array:
+def _force_at(host_s: Array, cell: _Channel, metadata: RunMetadata, late_s: float) -> Array:
     """Return the force at host times, zero subtracted, of a load cell that is late by so much."""
     force_s = cell.host_s - late_s
     # One sample beyond either end is needed, too; what lies before it is homing and the search for contact.
@@ -322,4 +322,4 @@ def _force_at(host_s: Array, cell: _Channel, facts: RunFacts, late_s: float) -> 
     longest_s = float(np.max(np.diff(force_s[max(0, first - 1) : last + 1]), initial=0.0))
     if longest_s > LONGEST_GAP_S:
         raise BadReply(reason("rig.gap", seconds=longest_s))
-    return np.interp(host_s, force_s, cell.values[:, 0]) - facts.zero_N
+    return np.interp(host_s, force_s, cell.values[:, 0]) - metadata.zero_N

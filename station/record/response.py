@@ -26,17 +26,17 @@ class CellResponse:
             too noisy, or presses that come again and again.
         time_constant_s: of the first-order low pass behind it; 0 for none.
         grid_s: (n,) host times.
-        true_N, shown_N: (n,) the force by the fitted law, and the same behind delay and low pass.
+        true_N, filtered_N: (n,) the force by the fitted law, and the same behind delay and low pass.
     """
 
     delay_s: float
     time_constant_s: float
     grid_s: Array
     true_N: Array
-    shown_N: Array
+    filtered_N: Array
 
     @property
-    def is_told(self) -> bool:
+    def is_identifiable(self) -> bool:
         return bool(np.isfinite(self.delay_s))
 
     @property
@@ -49,12 +49,14 @@ class CellResponse:
         if not self.time_constant_s:
             return 0.0
         inside = self.grid_s[self.grid_s + late_s < self.grid_s[-1]]
-        return float(np.sqrt(np.mean((self._shown(inside + late_s) - self._true(inside)) ** 2)))
+        return float(
+            np.sqrt(np.mean((self._interpolate_filtered(inside + late_s) - self._interpolate_true(inside)) ** 2))
+        )
 
-    def _shown(self, t_s: Array) -> Array:
-        return np.interp(t_s, self.grid_s, self.shown_N)
+    def _interpolate_filtered(self, t_s: Array) -> Array:
+        return np.interp(t_s, self.grid_s, self.filtered_N)
 
-    def _true(self, t_s: Array) -> Array:
+    def _interpolate_true(self, t_s: Array) -> Array:
         return np.interp(t_s, self.grid_s, self.true_N)
 
 
@@ -86,12 +88,12 @@ def fit_response(
     if prompt.misfit < (response.tells + allowance) * best.misfit:
         best = prompt
     # Presses that come again and again fit nearly as well half a press away: every other delay counts.
-    others_s = [best.delay_s - lag.beside_s, best.delay_s + lag.beside_s, *delays_s]
-    beside = law.best_apart(best, others_s, lag.beside_s)
-    if beside < (lag.tells + allowance) * best.misfit:
+    others_s = [best.delay_s - lag.apart_s, best.delay_s + lag.apart_s, *delays_s]
+    other_misfit = law.best_apart(best, others_s, lag.apart_s)
+    if other_misfit < (lag.tells + allowance) * best.misfit:
         return CellResponse(float("nan"), 0.0, t_s, force_N, force_N)
-    true_N, shown_N = law.forces_N(best)
-    return CellResponse(best.delay_s, best.constant_s, law.grid_s, true_N, shown_N)
+    true_N, filtered_N = law.forces_N(best)
+    return CellResponse(best.delay_s, best.constant_s, law.grid_s, true_N, filtered_N)
 
 
 def check_lag(response: CellResponse, declared_s: float, period_s: float, config: CellLagConfig) -> None:
@@ -101,8 +103,8 @@ def check_lag(response: CellResponse, declared_s: float, period_s: float, config
     """
     off_s, slack_s = response.lag_s - declared_s, config.late_s + config.period_share * period_s
     if off_s > slack_s or off_s < -slack_s - config.hidden * response.time_constant_s:
-        found_s = response.lag_s
-        raise BadReply(reason("rig.behind", found_s=found_s, declared_s=declared_s, latency_s=max(0.0, found_s)))
+        lag_s = response.lag_s
+        raise BadReply(reason("rig.behind", found_s=lag_s, declared_s=declared_s, latency_s=max(0.0, lag_s)))
 
 
 def check_response(response: CellResponse, error_N: float, config: ResponseConfig) -> None:
@@ -162,10 +164,10 @@ class _Law:
 
     def forces_N(self, fit: _Candidate) -> tuple[Array, Array]:
         """Return the force on the grid, and the force after the response of the cell."""
-        shown = low_pass(self._columns, fit.constant_s, self._step_s)
-        weights, _ = self._weights(shown, fit.delay_s)
-        level_N = float(np.mean(self._force_N - self._later(shown, fit.delay_s) @ weights))
-        late = np.interp(self.grid_s - fit.delay_s, self.grid_s, shown @ weights)
+        filtered = low_pass(self._columns, fit.constant_s, self._step_s)
+        weights, _ = self._weights(filtered, fit.delay_s)
+        level_N = float(np.mean(self._force_N - self._later(filtered, fit.delay_s) @ weights))
+        late = np.interp(self.grid_s - fit.delay_s, self.grid_s, filtered @ weights)
         return level_N + self._columns @ weights, level_N + late
 
     def _candidate(self, columns: Array, constant_s: float, delay_s: float) -> _Candidate:
@@ -175,9 +177,9 @@ class _Law:
         count = 1 + self._elastic.shape[1]
         late = np.column_stack([self._later(columns, delay_s), self._force_N])
         r: Array = np.asarray(np.linalg.qr(self._passed(late), mode="r"))
-        relaxing, left = nnls(r[count:, count:-1], r[count:, -1])
+        relaxing, residual = nnls(r[count:, count:-1], r[count:, -1])
         free = np.linalg.lstsq(r[:count, :count], r[:count, -1] - r[:count, count:-1] @ relaxing, rcond=None)[0]
-        return np.concatenate([free[1:], relaxing]), left**2
+        return np.concatenate([free[1:], relaxing]), residual**2
 
     def _later(self, columns: Array, delay_s: float) -> Array:
         return np.column_stack([np.interp(self._at_s - delay_s, self.grid_s, column) for column in columns.T])
@@ -188,16 +190,16 @@ class _Law:
         What arrives first may belong to a path before these samples, which the law does not know.
         """
         first = min(round(self._latest_s / self._even_s), len(columns) // 2)
-        kept = float(np.exp(-self._even_s / self._config.high_pass_s))
-        passed = lfilter([1.0, -1.0], [1.0, -kept], columns[first:], axis=0)
-        return np.column_stack([kept ** np.arange(len(passed)), passed])
+        decay = float(np.exp(-self._even_s / self._config.high_pass_s))
+        passed = lfilter([1.0, -1.0], [1.0, -decay], columns[first:], axis=0)
+        return np.column_stack([decay ** np.arange(len(passed)), passed])
 
 
 def low_pass(columns: Array, constant_s: float, step_s: float) -> Array:
     """Return columns, (n, m), behind a first-order low pass, straight between their samples and at rest before them."""
     if not constant_s:
         return columns
-    kept = float(np.exp(-step_s / constant_s))
-    newest = 1.0 - constant_s / step_s * (1.0 - kept)
+    decay = float(np.exp(-step_s / constant_s))
+    newest = 1.0 - constant_s / step_s * (1.0 - decay)
     at_rest = (1.0 - newest) * columns[:1]
-    return np.asarray(lfilter([newest, 1.0 - kept - newest], [1.0, -kept], columns, axis=0, zi=at_rest)[0])
+    return np.asarray(lfilter([newest, 1.0 - decay - newest], [1.0, -decay], columns, axis=0, zi=at_rest)[0])

@@ -29,7 +29,7 @@ class SpooledRun:
     Args:
         header: serial, profile and what else the run wrote first.
         output, force, polls: everything that was read, in order.
-        facts: metadata of the run at its end; empty for an interrupted run.
+        metadata: metadata of the run at its end; empty for an interrupted run.
         end: "done", or why the run ended otherwise; "cut off" where nothing says so.
         damaged: lines whose checksum does not fit; what follows the first of them is not used.
     """
@@ -38,12 +38,12 @@ class SpooledRun:
     output: tuple[Sample, ...]
     force: tuple[Sample, ...]
     polls: tuple[StagePosition, ...]
-    facts: dict[str, Any]
+    metadata: dict[str, Any]
     end: Reason
     damaged: int
 
     @property
-    def is_whole(self) -> bool:
+    def is_complete(self) -> bool:
         return str(self.end) == str(Reason("spool.done")) and not self.damaged
 
 
@@ -78,8 +78,8 @@ class Spool:
     ) -> None:
         end = Reason("spool.done")
         if error is not None:
-            said = reason_of(error)
-            end = reason("spool.aborted", why=said if str(said) else plain(type(error).__name__))
+            cause = reason_of(error)
+            end = reason("spool.aborted", why=cause if str(cause) else plain(type(error).__name__))
         self._put({"end": end.to_json()})
         self._lines.put(None)
         self._thread.join()
@@ -102,9 +102,9 @@ class Spool:
                 }
             )
 
-    def add_facts(self, facts: dict[str, Any]) -> None:
+    def add_metadata(self, metadata: dict[str, Any]) -> None:
         """Add the metadata by which the samples become a recording again."""
-        self._put({"facts": facts})
+        self._put({"facts": metadata})
 
     def _check(self) -> None:
         if self._error is not None:
@@ -158,7 +158,7 @@ def read_spool(path: Path) -> SpooledRun:
         damaged += sum("schema" in value for value in values[1:])
         end = Reason.parse(values[-1].get("end", Reason("spool.cut_off")))
         header = {key: str(text) for key, text in values[0].items() if key != "schema"}
-        facts: dict[str, Any] = next((value["facts"] for value in values if "facts" in value), {})
-        return SpooledRun(header, output, force, polls, facts, end, damaged)
+        metadata: dict[str, Any] = next((value["facts"] for value in values if "facts" in value), {})
+        return SpooledRun(header, output, force, polls, metadata, end, damaged)
     except (AttributeError, IndexError, TypeError, ValueError) as error:
         raise InputError(reason("file.no_spool", path=str(path))) from error  # Whole lines of something else.

@@ -2,7 +2,7 @@
 
 import re
 
-from softcal.station.simulated.answering import FarEnd
+from softcal.station.simulated.far_end import FarEnd
 from softcal.station.simulated.force_gauge import SimulatedMark10
 from softcal.station.simulated.motion import Axis, QueuedMove
 from softcal.station.simulated.wire import Wire
@@ -44,7 +44,7 @@ class SimulatedEsm(FarEnd):
                 self.upper_mm = float(command["upper"])
             else:
                 answer = self._letter(command["letter"], now_s)
-            self.say(answer, now_s)
+            self.send_line(answer, now_s)
 
     def advance(self, now_s: float) -> None:
         super().advance(now_s)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 
-from softcal.station.simulated.answering import FarEnd
+from softcal.station.simulated.far_end import FarEnd
 from softcal.station.simulated.wire import Wire
 
 PER_NEWTON = {"N": ("N", 1.0), "LBF": ("lbF", 0.2248089), "KGF": ("kgF", 0.1019716)}
@@ -28,19 +28,19 @@ class SimulatedMark10(SimulatedGauge):
         self.unit, self.mode, self.is_numeric_only = "LBF", "PC", False
         self._zero_N = 0.0
 
-    def answer(self, words: str, now_s: float) -> str:
-        if words in ("?", "?C"):
+    def answer(self, request: str, now_s: float) -> str:
+        if request in ("?", "?C"):
             name, factor = PER_NEWTON[self.unit]
             reading = f"{(self._force_N(now_s) - self._zero_N) * factor:.3f}"
             return reading if self.is_numeric_only else f"{reading} {name}"
-        if words == "LIST":
+        if request == "LIST":
             kind = "NUM" if self.is_numeric_only else "FULL"
             return f"V1.00;{self.unit};{self.mode};FLTC8;FLTP1;AOUT00;AOFF5;{kind};MIT;POL;B0"
-        if words in ("LB", "N", "KG"):
-            self.unit = {"LB": "LBF", "N": "N", "KG": "KGF"}[words]
-        elif words in ("CUR", "PT", "PC"):
-            self.mode = words
-        elif words == "Z":
+        if request in ("LB", "N", "KG"):
+            self.unit = {"LB": "LBF", "N": "N", "KG": "KGF"}[request]
+        elif request in ("CUR", "PT", "PC"):
+            self.mode = request
+        elif request == "Z":
             self._zero_N = self._force_N(now_s)
         else:
             return "*10"
@@ -61,7 +61,7 @@ class SimulatedIndicator(SimulatedGauge):
         force_N = self._force_N(self.due_s)
         state = "OL" if abs(force_N) > self.capacity_N else "US"
         sign = "-" if force_N < 0 else "+"
-        self.say(f"{state},GS,{sign}{abs(force_N) / 9.80665:7.4f}kg", self.due_s)
+        self.send_line(f"{state},GS,{sign}{abs(force_N) / 9.80665:7.4f}kg", self.due_s)
         super().do_due()
 
 
@@ -76,10 +76,10 @@ class SimulatedLoadstar(SimulatedGauge):
         self.model, self.unit, self.is_faulty = "FCM DI-1000", "lb", False
         self.period_s = 1.0 / 80.0
 
-    def answer(self, words: str, now_s: float) -> str:
-        self.due_s = now_s + self.period_s if words == "WC" else math.inf
-        return {"": "A", "MODEL": self.model, "UNITS": self.unit, "WC": ""}.get(words, "E")
+    def answer(self, request: str, now_s: float) -> str:
+        self.due_s = now_s + self.period_s if request == "WC" else math.inf
+        return {"": "A", "MODEL": self.model, "UNITS": self.unit, "WC": ""}.get(request, "E")
 
     def do_due(self) -> None:
-        self.say("E" if self.is_faulty else f"{self._force_N(self.due_s) / 4.4482216152605:.6f}", self.due_s)
+        self.send_line("E" if self.is_faulty else f"{self._force_N(self.due_s) / 4.4482216152605:.6f}", self.due_s)
         super().do_due()

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from functools import partial
 
-from softcal.station.simulated.answering import FarEnd
+from softcal.station.simulated.far_end import FarEnd
 from softcal.station.simulated.motion import Axis, QueuedMove
 from softcal.station.simulated.wire import Wire
 from softcal.station.wire.frames import grbl
@@ -46,7 +46,7 @@ class SimulatedGrbl(FarEnd):
         self.state = "Alarm"
         self.stop_received_s: float | None = None
         self.was_moving_at_stop = False  # noqa: V101
-        self.believe_zero_here()
+        self.assume_zero()
         self._now_s = 0.0
         self._lines: deque[bytes] = deque()
         self._waiting: Callable[[], bool] | None = None
@@ -56,7 +56,7 @@ class SimulatedGrbl(FarEnd):
         self._feed_mm_s = 0.0
         self._greet()
 
-    def believe_zero_here(self) -> None:
+    def assume_zero(self) -> None:
         """Set the present position as Z = 0, as a controller does after power-up."""
         self._offset_mm = -self.axis.position_mm
 
@@ -91,7 +91,7 @@ class SimulatedGrbl(FarEnd):
 
     def next_event_s(self) -> float:
         # A pause does not end while the stage is held: its end would be an event of the past for ever.
-        pause_s = math.inf if self.state == "Hold" or self.axis.is_held else self._dwell_until_s
+        pause_s = math.inf if self.state == "Hold" or self.axis.is_on_hold else self._dwell_until_s
         return min(self.axis.ends_s, self.wire.next_arrival_s, pause_s, self._holds_at_s)
 
     def advance(self, now_s: float) -> None:
@@ -110,14 +110,14 @@ class SimulatedGrbl(FarEnd):
         self._lines.clear()
         self._waiting = None
         self._alarm(1)
-        self._say("[MSG:Reset to continue]")
+        self._send_line("[MSG:Reset to continue]")
         self.is_locked_until_reset = True
 
     def dip_power(self) -> None:
         """Interrupt the supply for a moment: the controller restarts without a valid position."""
         self.axis.flush()
         self._start_again()
-        self.believe_zero_here()
+        self.assume_zero()
         self.state = "Alarm"
         self._greet()
 
@@ -141,10 +141,10 @@ class SimulatedGrbl(FarEnd):
             self.state = "Hold"
 
     def _greet(self) -> None:
-        self._say("")
-        self._say("Grbl 1.1h ['$' for help]")
+        self._send_line("")
+        self._send_line("Grbl 1.1h ['$' for help]")
         if self.state == "Alarm":
-            self._say("[MSG:'$H'|'$X' to unlock]")
+            self._send_line("[MSG:'$H'|'$X' to unlock]")
 
     def _reset(self) -> None:
         was_moving = self.axis.is_moving or self.state == "Home"
@@ -154,7 +154,7 @@ class SimulatedGrbl(FarEnd):
         self.state = "Alarm" if was_moving or was_locked else "Idle"
         if was_moving:
             self._offset_mm += 0.4  # steps are lost when the motors are cut in motion
-            self._say("ALARM:3")
+            self._send_line("ALARM:3")
         self._greet()
 
     def _start_again(self) -> None:
@@ -176,14 +176,14 @@ class SimulatedGrbl(FarEnd):
         letters = ("Z" if self.switch == "stuck" else "") + ("H" if self._is_hold_pressed else "")
         pins = f"|Pn:{letters}" if letters else ""
         machine_mm = -(self.reported_mm + self._offset_mm)
-        self._say(f"<{state}|MPos:0.000,0.000,{machine_mm:.3f}|Bf:{free},128|FS:{speed:.0f},0{pins}>")
+        self._send_line(f"<{state}|MPos:0.000,0.000,{machine_mm:.3f}|Bf:{free},128|FS:{speed:.0f},0{pins}>")
 
-    def _say(self, text: str) -> None:
+    def _send_line(self, text: str) -> None:
         self.wire.send(text.encode() + b"\r\n", self._now_s + self.delay_reply_s)
 
     def _alarm(self, code: int) -> None:
         self.state = "Alarm"
-        self._say(f"ALARM:{code}")
+        self._send_line(f"ALARM:{code}")
 
     def _work(self) -> None:
         while True:
@@ -196,12 +196,12 @@ class SimulatedGrbl(FarEnd):
             line = self._lines.popleft().upper().replace(b" ", b"")
             reply = self._dollar(line) if line.startswith(b"$") else self._code(line)
             if reply:
-                self._say(reply)
+                self._send_line(reply)
 
     def _dollar(self, line: bytes) -> str:
         if line == b"$$":
             for number, value in sorted(self.settings.items()):
-                self._say(f"${number}={value:g}" if value == int(value) else f"${number}={value:.3f}")
+                self._send_line(f"${number}={value:g}" if value == int(value) else f"${number}={value:.3f}")
             return "ok"
         if line == b"$X":
             if self.is_locked_until_reset:
@@ -218,15 +218,15 @@ class SimulatedGrbl(FarEnd):
             self.state = "Home"
             self.axis.flush()
             pull_off_mm, is_missing = self.settings[27], self.switch == "missing"
-            reach_mm = self.axis.position_mm - 1.5 * self.travel_mm if is_missing else 0.0
-            seek, slow = ((reach_mm, SEEK_MM_S), (pull_off_mm, SEEK_MM_S)), ((0.0, FEED_MM_S), (pull_off_mm, FEED_MM_S))
+            seek_mm = self.axis.position_mm - 1.5 * self.travel_mm if is_missing else 0.0
+            seek, slow = ((seek_mm, SEEK_MM_S), (pull_off_mm, SEEK_MM_S)), ((0.0, FEED_MM_S), (pull_off_mm, FEED_MM_S))
             for target_mm, speed_mm_s in seek[:1] if is_missing else (*seek, *slow):
                 self.axis.add(QueuedMove(target_mm, speed_mm_s))
             self._waiting = self._is_homed
             return ""
         if line == b"$I":
-            self._say("[VER:1.1h.20190825:]")
-            self._say("[OPT:V,15,128]")
+            self._send_line("[VER:1.1h.20190825:]")
+            self._send_line("[OPT:V,15,128]")
             return "ok"
         setting = re.fullmatch(rb"\$(\d+)=(-?[\d.]+)", line)
         if not setting or int(setting[1]) not in self.settings:
@@ -247,7 +247,7 @@ class SimulatedGrbl(FarEnd):
             return True
         self._offset_mm = 0.0
         self.state = "Idle"
-        self._say("ok")
+        self._send_line("ok")
         return True
 
     def _code(self, line: bytes) -> str:
@@ -255,10 +255,10 @@ class SimulatedGrbl(FarEnd):
             return "ok"
         if self.state == "Alarm" or self.is_locked_until_reset:
             return "error:9"
-        words = _WORD.findall(line)
-        codes = {float(value) for letter, value in words if letter == b"G"}
-        values = {letter: float(value) for letter, value in words if letter != b"G"}
-        if b"".join(letter + value for letter, value in words) != line or not codes <= {0, 1, 4, 21, 53, 90, 91}:
+        fields = _WORD.findall(line)
+        codes = {float(value) for letter, value in fields if letter == b"G"}
+        values = {letter: float(value) for letter, value in fields if letter != b"G"}
+        if b"".join(letter + value for letter, value in fields) != line or not codes <= {0, 1, 4, 21, 53, 90, 91}:
             return "error:20"
         if 4 in codes:
             self._waiting = partial(self._has_paused, values.get(b"P", 0.0))
@@ -281,24 +281,24 @@ class SimulatedGrbl(FarEnd):
         fastest = self.settings[112] / 60
         block = QueuedMove(target_mm, fastest if is_rapid else min(self._feed_mm_s, fastest))
 
-        def put() -> bool:
-            if len(self.axis.queue) >= PLANNER_BLOCKS or self.axis.is_held or self.state == "Hold":
+        def queue_block() -> bool:
+            if len(self.axis.queue) >= PLANNER_BLOCKS or self.axis.is_on_hold or self.state == "Hold":
                 return False
             self.axis.add(block)
             self.state = "Run" if self.axis.is_moving else self.state
-            self._say("ok")
+            self._send_line("ok")
             return True
 
-        self._waiting = put
+        self._waiting = queue_block
         return ""
 
     def _has_paused(self, seconds: float) -> bool:
-        if self.axis.is_moving or self.axis.is_held or self.state == "Hold":
+        if self.axis.is_moving or self.axis.is_on_hold or self.state == "Hold":
             return False
         if self._dwell_until_s == math.inf:
             self._dwell_until_s = self._now_s + seconds
         if self._now_s < self._dwell_until_s:
             return False
         self._dwell_until_s = math.inf
-        self._say("ok")
+        self._send_line("ok")
         return True

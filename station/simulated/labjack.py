@@ -3,7 +3,7 @@
 import socket
 from collections.abc import Callable
 
-from softcal.station.simulated.answering import SimulatedAnswers
+from softcal.station.simulated.far_end import SimulatedAnswers
 from softcal.station.simulated.wire import Wire
 
 TIMEOUT_S = 0.4
@@ -18,8 +18,8 @@ class SimulatedLabjack(SimulatedAnswers):
         self._inputs_V = inputs_V
         self.registers: dict[str, float] = {}
 
-    def _reply(self, words: str, now_s: float) -> str:
-        number, *names = words.split()
+    def _reply(self, instruction: str, now_s: float) -> str:
+        number, *names = instruction.split()
         values = [f"{self._value(name, now_s):.6f}" for name in names]
         content = " ".join([number, *values])
         return f"{content} {sum(content.encode())}"
@@ -70,14 +70,14 @@ class SimulatedLjm:
     def eWriteName(self, handle: int, name: str, value: float) -> None:
         self._ask(handle, [f"{name}={value}"])
 
-    def _ask(self, handle: int, words: list[str]) -> list[float]:
+    def _ask(self, handle: int, instruction: list[str]) -> list[float]:
         self._number += 1
         line = self._sockets.get(handle)
         if line is None:
             raise self.LJMError("LJME_DEVICE_NOT_OPEN")
         try:
-            line.sendall(" ".join([str(self._number), *words]).encode() + b"\n")
-            return self._answer(line, len(words))
+            line.sendall(" ".join([str(self._number), *instruction]).encode() + b"\n")
+            return self._answer(line, len(instruction))
         except OSError as error:
             raise self.LJMError("LJME_RECONNECT_FAILED") from error
 

@@ -35,7 +35,7 @@ class Axis:
         self.velocity_mm_s = 0.0
         self.time_s = 0.0
         self.queue: deque[QueuedMove] = deque()
-        self.is_held = False
+        self.is_on_hold = False
         self.standstills_s: deque[float] = deque(maxlen=100)
         self._set_phases(())
 
@@ -45,12 +45,12 @@ class Axis:
 
     def add(self, block: QueuedMove) -> None:
         self.queue.append(block)
-        if not self.is_held:
+        if not self.is_on_hold:
             self._plan()
 
     def hold(self) -> None:
         """Brake with the drive's acceleration to rest; the queue is kept."""
-        self.is_held = True
+        self.is_on_hold = True
         braking_s = abs(self.velocity_mm_s) / self.acceleration_mm_s2
         braking = _Phase(braking_s, -math.copysign(self.acceleration_mm_s2, self.velocity_mm_s))
         self._set_phases((braking,) if braking_s > 0 else ())
@@ -66,7 +66,7 @@ class Axis:
 
     def resume(self) -> None:
         """Continue the queue after a hold."""
-        self.is_held = False
+        self.is_on_hold = False
         self._plan()
 
     def flush(self) -> None:
@@ -76,29 +76,29 @@ class Axis:
         if self.velocity_mm_s:
             self.standstills_s.append(self.time_s)
         self.velocity_mm_s = 0.0
-        self.is_held = False
+        self.is_on_hold = False
 
     def advance(self, now_s: float) -> None:
         while self.ends_s <= now_s + 1e-12:
-            self._place(self._phases[0].seconds)
+            self._update_position(self._phases[0].seconds)
             self.time_s = self.ends_s
             self._phases.popleft()
             if self._phases:
                 self._set_phases(self._phases)
                 continue
-            if not self.is_held:
+            if not self.is_on_hold:
                 self.position_mm = self.queue.popleft().target_mm
-            if self.is_held or not self.queue or abs(self.velocity_mm_s) < 1e-9:
+            if self.is_on_hold or not self.queue or abs(self.velocity_mm_s) < 1e-9:
                 self.velocity_mm_s = 0.0
                 self.standstills_s.append(self.time_s)
-            if self.is_held:
+            if self.is_on_hold:
                 self._set_phases(())
             else:
                 self._plan()
         if now_s > self.time_s:
             self.time_s = now_s
             if self._phases:
-                self._place(now_s - self._began_s)
+                self._update_position(now_s - self._began_s)
 
     def positions_mm(self, times_s: Iterable[float]) -> list[float]:
         """Return the positions of the carriage at later, ascending times, without further commands."""
@@ -117,7 +117,7 @@ class Axis:
         self._began_s, self._began_mm, self._began_mm_s = self.time_s, self.position_mm, self.velocity_mm_s
         self.ends_s = self.time_s + self._phases[0].seconds if self._phases else math.inf
 
-    def _place(self, seconds: float) -> None:
+    def _update_position(self, seconds: float) -> None:
         """Set the carriage to its position at a time after the start of the phase."""
         acceleration = self._phases[0].acceleration
         self.position_mm = self._began_mm + self._began_mm_s * seconds + 0.5 * acceleration * seconds**2
@@ -139,15 +139,15 @@ class Axis:
 
     def _exit_speed(self, direction: float, distance: float, entry: float) -> float:
         """The fastest speed at the end of this block from which the rest of the queue can stop."""
-        room, speed, previous = 0.0, math.inf, self.queue[0].target_mm
+        way, speed, previous = 0.0, math.inf, self.queue[0].target_mm
         for block in list(self.queue)[1:]:
             step = (block.target_mm - previous) * direction
             if step <= 0:
                 break
-            room, previous = room + step, block.target_mm
+            way, previous = way + step, block.target_mm
             speed = min(speed, block.speed_mm_s)
         a = self.acceleration_mm_s2
-        limits = (speed, self.queue[0].speed_mm_s, math.sqrt(2 * a * room), math.sqrt(entry**2 + 2 * a * distance))
+        limits = (speed, self.queue[0].speed_mm_s, math.sqrt(2 * a * way), math.sqrt(entry**2 + 2 * a * distance))
         return min(limits)
 
 

@@ -8,7 +8,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.station.simulated.answering import FarEnd
+from softcal.station.simulated.far_end import FarEnd
 from softcal.station.simulated.motion import Axis
 
 SINK_MM_N = 0.02
@@ -35,7 +35,7 @@ class Physics(Protocol):
         """Restore an earlier state."""
 
 
-Way: TypeAlias = Sequence[tuple[float, float]]
+StagePath: TypeAlias = Sequence[tuple[float, float]]
 """Instants in s with the position in mm at each."""
 
 
@@ -48,33 +48,33 @@ class PressedUnits:
 
     def __init__(self, units: Sequence[Physics]) -> None:
         self._units, self._is_causal = units, all(unit.is_causal for unit in units)
-        self._way: Way = ()
-        self._used = 0
+        self._way: StagePath = ()
+        self._row_count = 0
         self._rows: list[tuple[float, ...]] = []
         self._states: list[Any] = []
 
-    def read(self, t_s: float, u_mm: float, coming: Callable[[int], Way]) -> tuple[float, ...]:
+    def read(self, t_s: float, u_mm: float, coming: Callable[[int], StagePath]) -> tuple[float, ...]:
         """Return force_N of the first unit and output_V of each, at the next instant.
 
         Args:
             coming: count -> at most so many further instants, without further commands.
         """
-        if self._used == len(self._way) or self._way[self._used] != (t_s, u_mm):
+        if self._row_count == len(self._way) or self._way[self._row_count] != (t_s, u_mm):
             self._look_ahead(t_s, u_mm, coming)
-        self._used += 1
-        return self._rows[self._used - 1]
+        self._row_count += 1
+        return self._rows[self._row_count - 1]
 
-    def _look_ahead(self, t_s: float, u_mm: float, coming: Callable[[int], Way]) -> None:
-        if self._used < len(self._way):
+    def _look_ahead(self, t_s: float, u_mm: float, coming: Callable[[int], StagePath]) -> None:
+        if self._row_count < len(self._way):
             for unit, state in zip(self._units, self._states, strict=True):
                 unit.go_back(state)
-            self._advance(self._way[: self._used])
-        count = min(2 * self._used, MAX_AHEAD) if self._is_causal else 0
-        self._way, self._used = [(t_s, u_mm), *coming(count)], 0
+            self._advance(self._way[: self._row_count])
+        count = min(2 * self._row_count, MAX_AHEAD) if self._is_causal else 0
+        self._way, self._row_count = [(t_s, u_mm), *coming(count)], 0
         self._states = [unit.state() for unit in self._units] if len(self._way) > 1 else []
         self._rows = self._advance(self._way)
 
-    def _advance(self, way: Way) -> list[tuple[float, ...]]:
+    def _advance(self, way: StagePath) -> list[tuple[float, ...]]:
         if not way:
             return []
         t_s, u_mm = np.array(way).T
@@ -100,7 +100,7 @@ class SimulatedRig:
         self.weight_N = self._sunk_mm = 0.0
         self.force_fault: Callable[[float, float], float] | None = None
         self.output_fault: Callable[[float, float], float] | None = None
-        self._stands_at_mm: float | None = None
+        self._stalled_at_mm: float | None = None
         self._lost_mm, self.steps_share = 0.0, 1.0
         self.largest_force_N = 0.0
 
@@ -134,7 +134,7 @@ class SimulatedRig:
             outputs_V = tuple(self.output_fault(now_s, output_V) for output_V in outputs_V)
         return force_N, outputs_V
 
-    def _coming(self, count: int) -> Way:
+    def _coming(self, count: int) -> StagePath:
         if self.weight_N:
             return ()  # How far it sinks depends on the reading before.
         later_s = (s for s in merge(*(sampler.coming_s() for sampler in self.samplers)) if s > self._read_s)
@@ -146,7 +146,7 @@ class SimulatedRig:
         ]
 
     def _carriage_at_mm(self, counted_mm: float) -> float:
-        counted_mm = counted_mm if self._stands_at_mm is None else self._stands_at_mm
+        counted_mm = counted_mm if self._stalled_at_mm is None else self._stalled_at_mm
         return self.steps_share * counted_mm - self._lost_mm
 
     @property
@@ -156,7 +156,7 @@ class SimulatedRig:
 
     def cut_motor(self) -> None:
         """Cut the supply of the motor: the controller keeps counting, the carriage stays."""
-        self._stands_at_mm = self.axis.position_mm
+        self._stalled_at_mm = self.axis.position_mm
 
     def lose_steps(self, lost_mm: float) -> None:
         """The motor slips: from now on the carriage is higher than the controller counts."""

@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable
 
-from softcal.station.simulated.answering import FarEnd
+from softcal.station.simulated.far_end import FarEnd
 from softcal.station.simulated.wire import Wire
 
 OVERLOAD = "+9.90000000E+37"
@@ -31,7 +31,7 @@ class SimulatedScpi(FarEnd):
         measure_s: float,
     ) -> None:
         super().__init__(wire)
-        self.said_end = b"\n"
+        self.reply_end = b"\n"
         self.identity, self._defaults, self._measure = identity, settings, measure
         self.measure_s, self.settings = measure_s, dict(settings)
         self.is_overloaded, self.refuses = False, ""
@@ -39,19 +39,19 @@ class SimulatedScpi(FarEnd):
         self._triggered: deque[float] = deque()
 
     def take_line(self, line: bytes, now_s: float) -> None:
-        for words in line.decode("ascii", "replace").strip().split(";"):
-            header, _, value = words.strip().lstrip(":").partition(" ")
+        for message in line.decode("ascii", "replace").strip().split(";"):
+            header, _, value = message.strip().lstrip(":").partition(" ")
             if header == self.refuses and header:
                 self._errors.append('-113,"Undefined header"')
             elif header == "*IDN?":
-                self.say(self.identity, now_s)
+                self.send_line(self.identity, now_s)
             elif header == "SYST:ERR?":
-                self.say(self._errors.popleft() if self._errors else '+0,"No error"', now_s)
+                self.send_line(self._errors.popleft() if self._errors else '+0,"No error"', now_s)
             elif header == "*RST":
                 self.settings = dict(self._defaults)
             elif header == "*CLS":
                 self._errors.clear()
-            elif not self.measured(header, now_s):
+            elif not self.start_reading(header, now_s):
                 header = re.sub(r"^CONF:(\w+(:DC)?)$", r"CONF", header)
                 if header in self.settings:
                     self.settings[header] = value
@@ -60,7 +60,7 @@ class SimulatedScpi(FarEnd):
 
     def do_due(self) -> None:
         done_s = self._triggered.popleft()
-        self.say(self._measure(done_s - self.measure_s / 2), done_s)
+        self.send_line(self._measure(done_s - self.measure_s / 2), done_s)
         self.due_s = self._triggered[0] if self._triggered else math.inf
 
     def trigger(self, now_s: float) -> None:
@@ -70,7 +70,7 @@ class SimulatedScpi(FarEnd):
         self.due_s = self._triggered[0]
 
     @abstractmethod
-    def measured(self, header: str, now_s: float) -> bool:
+    def start_reading(self, header: str, now_s: float) -> bool:
         """Return whether a header requests a reading, and start that reading."""
 
 
@@ -89,7 +89,7 @@ class SimulatedDmm(SimulatedScpi):
 
         super().__init__(wire, identity, settings, measure, 0.2 / 50.0 + 0.002)
 
-    def measured(self, header: str, now_s: float) -> bool:
+    def start_reading(self, header: str, now_s: float) -> bool:
         if header == "READ?":
             self.trigger(now_s)
         return header == "READ?"
@@ -108,13 +108,13 @@ class SimulatedLcr(SimulatedScpi):
 
         super().__init__(wire, "Keysight Technologies,E4980A,MY54300001,B.07.03", settings, measure, 0.0056)
 
-    def measured(self, header: str, now_s: float) -> bool:
+    def start_reading(self, header: str, now_s: float) -> bool:
         if header == "TRIG:IMM" and self.settings["TRIG:SOUR"] == "BUS" and self.settings["INIT:CONT"] == "ON":
             self._is_triggered = True
         elif header == "FETC?":
             if self._is_triggered:
                 self.trigger(now_s)
             else:
-                self.say("+9.90000E+37,+9.90000E+37,-1", now_s)
+                self.send_line("+9.90000E+37,+9.90000E+37,-1", now_s)
             self._is_triggered = False
         return header in ("TRIG:IMM", "FETC?")

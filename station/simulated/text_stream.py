@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from softcal.station.simulated.answering import FarEnd
+from softcal.station.simulated.far_end import FarEnd
 from softcal.station.simulated.wire import Wire
 from softcal.station.wire.frames.text_stream import StreamLine, format_line
 

@@ -147,7 +147,7 @@ class Wire:
         self.is_plugged = True
         self.is_silent = False
         self.garbage = self.repeat = self.loss = self.torn = self.flipped = self.swapped = 0.0
-        self._held_back: list[bytes] = []
+        self._delayed: list[bytes] = []
 
     def receive(self) -> bytes:
         return self._medium.read() if self.is_plugged else b""
@@ -185,21 +185,21 @@ class Wire:
         self.next_arrival_s = self._outbox[0][0] if self._outbox else math.inf
 
     def _with_faults(self, content: bytes) -> list[bytes]:
-        if self._falls(self.loss):
+        if self._draw(self.loss):
             return []
-        if self._falls(self.garbage):
+        if self._draw(self.garbage):
             return [self._rng.integers(0, 256, len(content), dtype=np.uint8).tobytes()]
-        if self._falls(self.torn):
+        if self._draw(self.torn):
             return [content[: len(content) // 2]]
-        if self._falls(self.flipped):
-            wrong = bytearray(content)
-            wrong[int(self._rng.integers(len(content)))] ^= 1 << int(self._rng.integers(7))
-            return [bytes(wrong)]
-        if not self._held_back and self._falls(self.swapped):
-            self._held_back.append(content)
+        if self._draw(self.flipped):
+            damaged = bytearray(content)
+            damaged[int(self._rng.integers(len(content)))] ^= 1 << int(self._rng.integers(7))
+            return [bytes(damaged)]
+        if not self._delayed and self._draw(self.swapped):
+            self._delayed.append(content)
             return []
-        before, self._held_back = self._held_back, []
-        return [content, content] if self._falls(self.repeat) else [content, *before]
+        before, self._delayed = self._delayed, []
+        return [content, content] if self._draw(self.repeat) else [content, *before]
 
-    def _falls(self, share: float) -> bool:
+    def _draw(self, share: float) -> bool:
         return bool(share and self._rng.random() < share)

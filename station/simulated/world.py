@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from heapq import heappop, heappush
 from itertools import count
 
-from softcal.station.simulated.answering import FarEnd
+from softcal.station.simulated.far_end import FarEnd
 
 LARGEST_LAG_S, BACKGROUND_STEP_S = 0.1, 0.002
 

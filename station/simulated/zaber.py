@@ -1,7 +1,7 @@
 """A Zaber stage with one axis at the far end of a serial line (Zaber ASCII manual)."""
 
 from softcal.core.errors import BadReply
-from softcal.station.simulated.answering import FarEnd
+from softcal.station.simulated.far_end import FarEnd
 from softcal.station.simulated.motion import Axis, QueuedMove
 from softcal.station.simulated.wire import Wire
 from softcal.station.wire.frames import zaber
@@ -47,7 +47,7 @@ class SimulatedZaber(FarEnd):
             return  # A device does not answer what it cannot read.
         if command.device not in (0, 1):
             return
-        is_ok, data = self._do(command.words)
+        is_ok, data = self._do(command.instruction)
         warning = self.warning or ("--" if self._is_homed else "WR")
         reply = zaber.Reply(1, command.axis, command.message_id, is_ok, self.axis.is_moving, warning, data)
         self.wire.send(zaber.format_reply(reply, has_checksum), now_s)
@@ -66,8 +66,8 @@ class SimulatedZaber(FarEnd):
         self.axis.flush()
         self.warning = "NC"
 
-    def _do(self, words: str) -> tuple[bool, str]:
-        match words.split():
+    def _do(self, instruction: str) -> tuple[bool, str]:
+        match instruction.split():
             case []:
                 return True, "0"
             case ["get", "pos"]:

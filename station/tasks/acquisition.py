@@ -10,31 +10,38 @@ from softcal.core.errors import BadReply, CommandRefused, SafetyStop
 from softcal.core.messages.reason import Reason, reason
 from softcal.core.profiles import Profile
 from softcal.core.recording import Array
-from softcal.station.devices.bench import Bench
+from softcal.station.bench.bench import Bench
 from softcal.station.devices.config import LATEST_S
 from softcal.station.interfaces import Move, OnWait, ignore_wait
-from softcal.station.motion.contact import AGAIN_MM, SURE_MM, ContactSearch, Touch, slower_mm_s, stiffest_N_mm
+from softcal.station.motion.contact import (
+    MAX_UNCERTAINTY_MM,
+    SECOND_APPROACH_MM,
+    Approach,
+    ContactSearch,
+    slower_mm_s,
+    stiffest_N_mm,
+)
 from softcal.station.motion.interlock import State
+from softcal.station.motion.monitored_bench import MonitoredBench
+from softcal.station.motion.monitors import STUCK_MM
 from softcal.station.motion.motion import RETRACT_MM_S
-from softcal.station.motion.safety import STUCK_MM
-from softcal.station.motion.watched import WatchedBench
 from softcal.station.record.method import METHOD, ProofMethod
-from softcal.station.record.recording import Raw, RunFacts, StationRecording, assemble, device_times_s
+from softcal.station.record.recording import Raw, RunMetadata, StationRecording, assemble, device_times_s
 from softcal.station.record.response import check_lag, fit_response
 from softcal.station.record.spool import Spool
-from softcal.station.record.trajectory import DrivenMove, reconstruct
-from softcal.station.tasks.seconds import (
-    FEEL_S,
-    FEELING,
+from softcal.station.tasks.durations import (
     HOMING,
+    MIN_PROBING_S,
     PRESSING,
+    PROBING,
     READING,
     RETURNING,
     SEARCHING,
     SETTLE_S,
     STEP_MM,
-    seconds_of,
+    phase_seconds,
 )
+from softcal.station.trajectory import DrivenMove, reconstruct_track
 
 SEARCH_WAY_MM = 0.05
 """A contact that is there after less than this cannot be located: nothing was read above it."""
@@ -72,15 +79,15 @@ def check_profile(bench: Bench, profile: Profile) -> None:
     bounds, fixture = bench.config.safety, bench.config.fixture
     fastest_mm_s = min(bounds.speed_mm_s, bench.stage.max_speed_mm_s)
     deepest_mm = min(bounds.deepest_mm, bench.stage.travel_mm)
-    name, most_mm = repr(profile.name), deepest_mm - fixture.approach_mm
+    name, max_depth_mm = repr(profile.name), deepest_mm - fixture.approach_mm
     for move in steps_of(profile):
         if not isinstance(move, Move):
             continue
         if move.speed_mm_s > fastest_mm_s * (1 + 1e-9):
             speeds = {"speed_mm_s": move.speed_mm_s, "most_mm_s": fastest_mm_s}
             raise CommandRefused(reason("rig.profile.speed", profile=name, **speeds))
-        if not -fixture.clearance_mm <= move.to_mm <= most_mm:
-            raise CommandRefused(reason("rig.profile.depth", profile=name, to_mm=move.to_mm, most_mm=most_mm))
+        if not -fixture.clearance_mm <= move.to_mm <= max_depth_mm:
+            raise CommandRefused(reason("rig.profile.depth", profile=name, to_mm=move.to_mm, most_mm=max_depth_mm))
 
 
 def steps_of(profile: Profile) -> list[Move | float]:
@@ -123,7 +130,7 @@ def record(
     if bench.force is None and not bench.config.safety.without_cell:
         raise CommandRefused(Reason("rig.no_limit"))
     run = _Run(bench, serial, profile, on_progress, spool, on_wait, method)
-    return run.watched.motion.supervise(lambda: run.perform(with_reference))
+    return run.monitored.motion.supervise(lambda: run.perform(with_reference))
 
 
 class _Run:
@@ -140,58 +147,58 @@ class _Run:
         self._bench, self._serial, self._profile, self._spool = bench, serial, profile, spool
         self._clock, self._stage = bench.clock, bench.stage
         self._on_progress, self._on_wait, self._method = on_progress, on_wait, method
-        self.watched = WatchedBench(bench, spool, self._on_tick)
-        self._motion, self._readings = self.watched.motion, self.watched.readings
+        self.monitored = MonitoredBench(bench, spool, self._on_tick)
+        self._motion, self._readings = self.monitored.motion, self.monitored.readings
         self._moves: list[DrivenMove] = []
-        self._phase, self._began_s, self._shown_s = "starting", bench.clock.now_s(), -1.0
+        self._phase, self._began_s, self._reported_s = "starting", bench.clock.now_s(), -1.0
         from_mm = bench.stage.position_mm if bench.stage.is_position_known else None
-        self._plan = seconds_of(bench.config, self.watched.bounds, profile, from_mm)
+        self._plan = phase_seconds(bench.config, self.monitored.bounds, profile, from_mm)
         self._total_s, self._done = sum(self._plan.values()), 0.0
 
     def perform(self, with_reference: bool) -> StationRecording:
-        self.watched.start()
-        self.watched.await_streams()
+        self.monitored.start()
+        self.monitored.await_streams()
         if not self._stage.is_position_known:
             self._enter(HOMING)
-            self.watched.home()
+            self.monitored.home()
         else:
-            self.watched.enter(State.LISTENING)
+            self.monitored.enter(State.LISTENING)
         self._enter(READING)
         self._motion.wait(REST_S)
-        self.watched.expect_nothing()
+        self.monitored.expect_nothing()
         # To where no unit reaches, so slowly that a hand that is in the way takes no harm.
         approach_mm = self._bench.config.fixture.approach_mm
         if abs(approach_mm - self._stage.position_mm) > ROUNDING_MM:
-            self._go(approach_mm, self.watched.fastest_mm_s)
+            self._go(approach_mm, self.monitored.fastest_mm_s)
             self._motion.wait(REST_S)
         zero_N = self._take_zero()
-        touch, fixture = self._find_contact(), self._bench.config.fixture
-        contact_mm = touch.foot(self.watched.late_s).at_mm
-        self.watched.expect_contact(contact_mm)
-        felt_mm, safe_mm_s = self._feel(contact_mm - fixture.clearance_mm, touch, zero_N)
+        approach, fixture = self._find_contact(), self._bench.config.fixture
+        contact_mm = approach.fit_onset(self.monitored.late_s).at_mm
+        self.monitored.expect_contact(contact_mm)
+        probed_mm, safe_mm_s = self._probe(contact_mm - fixture.clearance_mm, approach, zero_N)
         # A late cell shows the contact too deep, and how late it is may be known only now.
-        contact_mm = touch.foot(self.watched.late_s).at_mm
+        contact_mm = approach.fit_onset(self.monitored.late_s).at_mm
         zero_mm = contact_mm - fixture.clearance_mm
         # Up: where a clearance is 0, rounding alone may make it a move down.
         self._go(min(zero_mm, self._stage.position_mm), fixture.search_mm_s)
-        self.watched.expect_press(contact_mm, felt_mm, safe_mm_s)
+        self.monitored.expect_press(contact_mm, probed_mm, safe_mm_s)
         # A slow press ended in a rest already.
-        self._motion.wait(SETTLE_S - REST_S if felt_mm else SETTLE_S)
+        self._motion.wait(SETTLE_S - REST_S if probed_mm else SETTLE_S)
         span_s = self._press(zero_mm)
         zeros = (zero_mm, contact_mm, zero_N, self._return(zero_N))
         moves = tuple((*astuple(move.path), move.begun_s, move.confirmed_s) for move in self._moves)
         readout, force = self._bench.readout, self._bench.config.force
         about = (self._serial, self._profile.name, readout.name, readout.unit, readout.rate_Hz)
-        is_stated = force is None or force.is_latency_stated
-        facts = RunFacts(*about, moves, span_s, *zeros, with_reference, self.watched.late_s, is_stated)
+        is_declared = force is None or force.is_latency_declared
+        metadata = RunMetadata(*about, moves, span_s, *zeros, with_reference, self.monitored.late_s, is_declared)
         if self._spool is not None:
-            self._spool.add_facts(asdict(facts))
-        self._tell(1.0, 0.0)
+            self._spool.add_metadata(asdict(metadata))
+        self._report_progress(1.0, 0.0)
         try:
             raw = Raw(self._readings.output, self._readings.force, self._readings.polls)
-            return assemble(raw, facts, self._method)
+            return assemble(raw, metadata, self._method)
         except BadReply as error:
-            raise self.watched.blame(error) from error
+            raise self.monitored.attribute_fault(error) from error
 
     def _press(self, zero_mm: float) -> tuple[float, float]:
         began_s = self._clock.now_s()
@@ -222,21 +229,21 @@ class _Run:
 
     def _on_tick(self) -> None:
         self._on_wait()
-        if self._clock.now_s() - self._shown_s >= 0.1:
-            self._show()
+        if self._clock.now_s() - self._reported_s >= 0.1:
+            self._update_progress()
 
     def _enter(self, phase: str) -> None:
         phases = list(self._plan)
-        left_s = sum(self._plan[later] for later in phases[phases.index(phase) :])
-        self._phase, self._total_s = phase, self._clock.now_s() - self._began_s + left_s
-        self._show()
+        remaining_s = sum(self._plan[later] for later in phases[phases.index(phase) :])
+        self._phase, self._total_s = phase, self._clock.now_s() - self._began_s + remaining_s
+        self._update_progress()
 
-    def _show(self) -> None:
-        self._shown_s = self._clock.now_s()
-        gone_s = self._shown_s - self._began_s
+    def _update_progress(self) -> None:
+        self._reported_s = self._clock.now_s()
+        elapsed_s = self._reported_s - self._began_s
         # A phase may take longer than planned: what is done stays done.
-        self._done = max(self._done, min(0.99, gone_s / self._total_s))
-        self._tell(self._done, max(0.0, self._total_s - gone_s))
+        self._done = max(self._done, min(0.99, elapsed_s / self._total_s))
+        self._report_progress(self._done, max(0.0, self._total_s - elapsed_s))
 
     def _go(self, to_mm: float, speed_mm_s: float, is_over: Callable[[], bool] | None = None) -> None:
         self._moves.append(self._motion.go(to_mm, speed_mm_s, is_over))
@@ -248,116 +255,116 @@ class _Run:
             zero_N = float(np.mean([sample.values[0] for sample in self._readings.force[count:]]))
             if abs(zero_N) > (allowed_N := self._bench.config.safety.zero_N):
                 raise ZeroMoved(reason("rig.not_zero", zero_N=zero_N, allowed_N=allowed_N))
-        self.watched.take_zero(zero_N)
+        self.monitored.take_zero(zero_N)
         return zero_N
 
-    def _find_contact(self) -> Touch:
+    def _find_contact(self) -> Approach:
         """Lower slowly until force, or output without a cell, changes; return what shows the contact."""
         self._enter(SEARCHING)
         bench, fixture = self._bench, self._bench.config.fixture
-        read, latest_s = self._readings, self.watched.latest_s
+        read, latest_s = self._readings, self.monitored.latest_s
         search = ContactSearch(fixture, bench.force is not None, read.force, read.output, latest_s)
-        speed_mm_s = min(fixture.search_mm_s, self.watched.fastest_mm_s)
-        touch = self._touch(search, speed_mm_s)
-        contact = touch.foot(self.watched.late_s)
-        slow_mm_s = slower_mm_s(speed_mm_s, contact.doubt_mm)
-        if contact.doubt_mm <= SURE_MM or slow_mm_s >= speed_mm_s:
-            return touch
-        above_mm = contact.at_mm - AGAIN_MM
+        speed_mm_s = min(fixture.search_mm_s, self.monitored.fastest_mm_s)
+        approach = self._approach(search, speed_mm_s)
+        contact = approach.fit_onset(self.monitored.late_s)
+        slow_mm_s = slower_mm_s(speed_mm_s, contact.uncertainty_mm)
+        if contact.uncertainty_mm <= MAX_UNCERTAINTY_MM or slow_mm_s >= speed_mm_s:
+            return approach
+        above_mm = contact.at_mm - SECOND_APPROACH_MM
         self._go(above_mm, self._retract_mm_s)
-        self._motion.wait(max(REST_S, self.watched.bounds.reaction.delay_s))
+        self._motion.wait(max(REST_S, self.monitored.bounds.reaction.delay_s))
         search.begin()
-        return self._touch(search, slow_mm_s)
+        return self._approach(search, slow_mm_s)
 
-    def _touch(self, search: ContactSearch, speed_mm_s: float) -> Touch:
+    def _approach(self, search: ContactSearch, speed_mm_s: float) -> Approach:
         deepest_mm, began_s = self._bench.config.safety.deepest_mm, self._clock.now_s()
         move = self._motion.go(deepest_mm, speed_mm_s, search.is_over)
-        if not search.has_found:
+        if not search.has_contact:
             raise SafetyStop(reason("rig.no_contact", deepest_mm=deepest_mm))
         polls = [poll for poll in self._readings.polls if poll.host_s >= began_s]
         if not polls or self._stage.position_mm - move.path.start_mm < SEARCH_WAY_MM:
             raise BadReply(reason("rig.contact_at_once", way_mm=SEARCH_WAY_MM))
         # The search ended in a stop: the path that can be reconstructed begins here.
         self._moves.clear()
-        return search.touch(reconstruct(polls, [move]).at)
+        return search.approach(reconstruct_track(polls, [move]).at)
 
-    def _feel(self, zero_mm: float, touch: Touch, zero_N: float) -> tuple[float, float]:
+    def _probe(self, zero_mm: float, approach: Approach, zero_N: float) -> tuple[float, float]:
         """Press once slowly to the depth of the profile: only there may the stage then move fast.
 
         Returns how deep that was (0 where the profile itself is slow enough, or no load cell reads), and the fastest
         speed down to there that a stop can hold; a faster profile is refused after the slow press.
         """
-        slow_mm_s = self.watched.fastest_mm_s
+        slow_mm_s = self.monitored.fastest_mm_s
         if self._bench.force is None or self._profile.fastest_mm_s <= slow_mm_s:
-            self.watched.enter(State.RELEASING)
+            self.monitored.enter(State.RELEASING)
             return 0.0, slow_mm_s
         deepest_mm, began = zero_mm + self._profile.deepest_mm, len(self._readings.force)
-        self._enter(FEELING)
-        if not self._feel_down(deepest_mm):
+        self._enter(PROBING)
+        if not self._probe_down(deepest_mm):
             # Something hard: slowly from the top, and any force up to the limit is borne. Up so slowly that a late cell
             # does not seem to hang when the stage turns round.
-            self._go(zero_mm, min(self._retract_mm_s, STUCK_MM / (2.0 * self.watched.latest_s + 0.2)))
+            self._go(zero_mm, min(self._retract_mm_s, STUCK_MM / (2.0 * self.monitored.latest_s + 0.2)))
             self._moves.clear()
             began = len(self._readings.force)
-            self.watched.expect_rise(math.inf)
-            self._go(deepest_mm, self.watched.fastest_mm_s)
+            self.monitored.expect_rise(math.inf)
+            self._go(deepest_mm, self.monitored.fastest_mm_s)
         down = len(self._readings.force)
         self._motion.wait(REST_S)
-        self.watched.enter(State.RELEASING)
+        self.monitored.enter(State.RELEASING)
         self._go(zero_mm, self._retract_mm_s)
-        self._motion.wait(max(REST_S, self.watched.bounds.reaction.delay_s))
-        at = reconstruct(self._readings.polls, self._moves).at
-        host_s = np.array([sample.host_s for sample in self._readings.force[began:]]) - self.watched.late_s
+        self._motion.wait(max(REST_S, self.monitored.bounds.reaction.delay_s))
+        at = reconstruct_track(self._readings.polls, self._moves).at
+        host_s = np.array([sample.host_s for sample in self._readings.force[began:]]) - self.monitored.late_s
         force_N = np.array([sample.values[0] for sample in self._readings.force[began:]])
-        self._measure_latency(began, force_N, at, touch)
-        seen = slice(None, down - began)
-        felt_N, stiffness_N_mm = float(np.max(force_N)) - zero_N, stiffest_N_mm(at(host_s[seen]), force_N[seen])
-        bounds, fastest_mm_s = self.watched.bounds, self._profile.fastest_mm_s
-        known_mm_s = bounds.known_mm_s(felt_N, stiffness_N_mm)
-        if fastest_mm_s > known_mm_s:
-            felt = {"force_N": felt_N, "stiffness_N_mm": stiffness_N_mm}
-            speeds = {"speed_mm_s": fastest_mm_s, "slower_mm_s": known_mm_s, "ceiling_N": bounds.ceiling_N}
-            worst_N = bounds.worst_N(fastest_mm_s, **felt)
-            about = reason("rig.too_fast", profile=repr(self._profile.name), worst_N=worst_N, **felt, **speeds)
+        self._measure_latency(began, force_N, at, approach)
+        downward = slice(None, down - began)
+        peak_N, stiffness_N_mm = float(np.max(force_N)) - zero_N, stiffest_N_mm(at(host_s[downward]), force_N[downward])
+        bounds, fastest_mm_s = self.monitored.bounds, self._profile.fastest_mm_s
+        probed_mm_s = bounds.probed_mm_s(peak_N, stiffness_N_mm)
+        if fastest_mm_s > probed_mm_s:
+            response = {"force_N": peak_N, "stiffness_N_mm": stiffness_N_mm}
+            speeds = {"speed_mm_s": fastest_mm_s, "slower_mm_s": probed_mm_s, "ceiling_N": bounds.ceiling_N}
+            worst_N = bounds.worst_N(fastest_mm_s, **response)
+            about = reason("rig.too_fast", profile=repr(self._profile.name), worst_N=worst_N, **response, **speeds)
             raise CommandRefused(about)
-        return deepest_mm + ROUNDING_MM, known_mm_s
+        return deepest_mm + ROUNDING_MM, probed_mm_s
 
-    def _feel_down(self, deepest_mm: float) -> bool:
+    def _probe_down(self, deepest_mm: float) -> bool:
         """Press in steps, each as fast as a stop holds that notices more force than the step before lets expect.
 
         Returns whether it came to the end; no more force than that was met.
         """
         last_N, before_N, from_mm = 0.0, 0.0, self._stage.position_mm
-        slow_mm_s, enough_mm_s = self.watched.fastest_mm_s, (deepest_mm - from_mm) / FEEL_S
+        slow_mm_s, enough_mm_s = self.monitored.fastest_mm_s, (deepest_mm - from_mm) / MIN_PROBING_S
         if slow_mm_s >= enough_mm_s:
             self._go(deepest_mm, slow_mm_s)
             return True
         steps = max(1, math.ceil((deepest_mm - from_mm) / STEP_MM))
         for to_mm in np.linspace(from_mm, deepest_mm, steps + 1)[1:].tolist():
-            force_N = self.watched.expect_rise(last_N)
+            force_N = self.monitored.expect_rise(last_N)
             last_N, before_N = force_N - before_N, force_N
-            speed_mm_s = min(enough_mm_s, self.watched.fastest_mm_s)
-            self._go(to_mm, speed_mm_s, self.watched.has_risen)
-            if self.watched.has_risen():
+            speed_mm_s = min(enough_mm_s, self.monitored.fastest_mm_s)
+            self._go(to_mm, speed_mm_s, self.monitored.has_risen)
+            if self.monitored.has_risen():
                 return False
         return True
 
-    def _measure_latency(self, began: int, force_N: Array, at: Callable[[Array], Array], touch: Touch) -> None:
+    def _measure_latency(self, began: int, force_N: Array, at: Callable[[Array], Array], approach: Approach) -> None:
         """Measure the latency of the cell in the slow press by its own clock, as lines are delayed, too."""
-        force, reader, late_s = self._bench.config.force, self._bench.force, self.watched.late_s
+        force, reader, late_s = self._bench.config.force, self._bench.force, self.monitored.late_s
         if force is None or reader is None:
             return
         host_s = device_times_s(self._readings.force)[began:]
         for _ in range(2):  # A late cell shows the contact too deep; by a law that begins there it seems slow.
-            response = fit_response(host_s, force_N, at, touch.foot(late_s).at_mm, self._method)
-            if force.is_latency_stated or not response.is_told:
+            response = fit_response(host_s, force_N, at, approach.fit_onset(late_s).at_mm, self._method)
+            if force.is_latency_declared or not response.is_identifiable:
                 break
             late_s = min(max(0.0, response.lag_s), LATEST_S)
         check_lag(response, late_s, 1.0 / reader.rate_Hz, self._method.lag)
-        if not force.is_latency_stated and response.is_told:
-            self.watched.learn_latency(late_s)
+        if not force.is_latency_declared and response.is_identifiable:
+            self.monitored.learn_latency(late_s)
 
-    def _tell(self, fraction: float, remaining_s: float) -> None:
+    def _report_progress(self, fraction: float, remaining_s: float) -> None:
         if self._on_progress is None:
             return
         read, t_s = self._readings, self._clock.now_s() - self._began_s

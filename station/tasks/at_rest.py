@@ -8,10 +8,10 @@ import numpy as np
 from softcal.core.errors import BadReply, CommandRefused
 from softcal.core.messages.reason import Reason
 from softcal.core.recording import Array
-from softcal.station.devices.bench import Bench
+from softcal.station.bench.bench import Bench
+from softcal.station.motion.monitored_bench import BOOT_S
+from softcal.station.motion.monitors import StreamMonitor
 from softcal.station.motion.motion import TICK_S
-from softcal.station.motion.safety import StreamWatch
-from softcal.station.motion.watched import BOOT_S
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,16 +38,16 @@ def read_at_rest(
     readout.start()
     began_s = clock.now_s()
     # A board that is still booting says nothing for a while.
-    patient = replace(bench.config.safety, silence_s=max(bench.config.safety.silence_s, BOOT_S))
-    watch = StreamWatch(readout, patient, began_s, readout.range)
+    bounds = replace(bench.config.safety, silence_s=max(bench.config.safety.silence_s, BOOT_S))
+    monitor = StreamMonitor(readout, bounds, began_s, readout.range)
     readings: list[tuple[float, ...]] = []
-    while (gone_s := clock.now_s() - began_s) < total_s:
+    while (elapsed_s := clock.now_s() - began_s) < total_s:
         clock.sleep_s(TICK_S)
         for sample in readout.poll():
-            watch.check(sample)
-            if gone_s >= settle_s:
+            monitor.check(sample)
+            if elapsed_s >= settle_s:
                 readings.append(sample.values)
-        watch.check_silence(clock.now_s())
+        monitor.check_silence(clock.now_s())
         # Nothing old may wait in the lines of stage and load cell.
         bench.stage.poll()
         if bench.force is not None:
@@ -55,7 +55,7 @@ def read_at_rest(
                 bench.force.poll()
             except BadReply:
                 bench.force.start()  # A hand at the unit may saturate the cell; no load is read from it here.
-        on_look(min(gone_s / total_s, 1.0), max(0.0, total_s - gone_s))
+        on_look(min(elapsed_s / total_s, 1.0), max(0.0, total_s - elapsed_s))
     if not readings:
-        watch.check_silence(float("inf"))
+        monitor.check_silence(float("inf"))
     return RestReading(serial, np.array(readings, np.float64), readout.unit)

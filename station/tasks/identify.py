@@ -9,11 +9,11 @@ import numpy as np
 
 from softcal.core.errors import BadReply, NoReply
 from softcal.core.messages.reason import Reason, reason
-from softcal.station.clock import seen_rate_Hz
+from softcal.station.clock import estimate_rate_Hz
 from softcal.station.drivers import loadstar
 from softcal.station.drivers.indicator import OVERLOADED, parse_N
 from softcal.station.interfaces import Clock
-from softcal.station.motion.watched import BOOT_S
+from softcal.station.motion.monitored_bench import BOOT_S
 from softcal.station.wire.frames import esm, gcl2, grbl, zaber
 from softcal.station.wire.frames.text_stream import parse as parse_stream
 from softcal.station.wire.link import POLL_S, Line, Link
@@ -55,38 +55,38 @@ def identify(port: str, clock: Clock) -> DeviceIdentity:
     link = Link(port, clock)
     try:
         for probe in (_stream, _esm, _grbl, _zaber, _mark10, _loadstar):
-            if (found := probe(link)) is not None:
-                return found
+            if (identity := probe(link)) is not None:
+                return identity
         return DeviceIdentity(port, "", "", Reason("port.unknown"))
     finally:
         link.close()
 
 
 def _stream(link: Link) -> DeviceIdentity | None:
-    banner, lines, heard = "", [], list[Line]()
+    banner, lines, received = "", [], list[Line]()
     end_s = link.clock.now_s() + BOOT_S
-    while len(heard) < FEW_LINES and link.clock.now_s() < end_s:
+    while len(received) < FEW_LINES and link.clock.now_s() < end_s:
         link.clock.sleep_s(POLL_S)
-        heard += link.read_lines()
-    if not heard:
+        received += link.read_lines()
+    if not received:
         return None
     link.clock.sleep_s(LISTEN_S)
     after = link.read_lines()
-    heard, rate_Hz = [*heard, *after], len(after) / LISTEN_S
-    if any(_is_indicator(line.text) for line in heard[1:3]):
-        said = reason("port.said", said=heard[1].text.decode())
-        return DeviceIdentity(link.port, "force", "indicator", said, rate_Hz, 1)
-    for line in heard:
+    received, rate_Hz = [*received, *after], len(after) / LISTEN_S
+    if any(_is_indicator(line.text) for line in received[1:3]):
+        sentence = reason("port.said", said=received[1].text.decode())
+        return DeviceIdentity(link.port, "force", "indicator", sentence, rate_Hz, 1)
+    for line in received:
         if line.text.startswith(b"softcal "):
             banner = line.text.decode("ascii", "replace")
         with suppress(BadReply):
             lines.append(parse_stream(line.text))
     if len(lines) < FEW_LINES:
         return None
-    rate_Hz = seen_rate_Hz(np.array([line.device_ms for line in lines]) / 1000.0)
+    rate_Hz = estimate_rate_Hz(np.array([line.device_ms for line in lines]) / 1000.0)
     counts = [count for line in lines for count in line.counts]
-    role, kind, why = _told_apart(banner, max(map(abs, counts)), min(counts), rate_Hz)
-    return DeviceIdentity(link.port, role, kind, why, rate_Hz, len(lines[0].counts))
+    role, kind, cause = _classify_stream(banner, max(map(abs, counts)), min(counts), rate_Hz)
+    return DeviceIdentity(link.port, role, kind, cause, rate_Hz, len(lines[0].counts))
 
 
 def _is_indicator(line: bytes) -> bool:
@@ -97,7 +97,7 @@ def _is_indicator(line: bytes) -> bool:
     return True
 
 
-def _told_apart(banner: str, largest: int, smallest: int, rate_Hz: float) -> tuple[str, str, Reason]:
+def _classify_stream(banner: str, largest: int, smallest: int, rate_Hz: float) -> tuple[str, str, Reason]:
     """Return role, dialect and why: a banner decides, else what only one kind of device sends."""
     if "load cell" in banner:
         return "force", "hx711", reason("port.said", said=banner)
@@ -164,7 +164,11 @@ def _mark10(link: Link) -> DeviceIdentity | None:
 
 def _loadstar(link: Link) -> DeviceIdentity | None:
     def parse(line: bytes) -> str | None:
-        return line.decode("ascii", "replace") if any(known in line for known in loadstar.KNOWN_MODELS) else None
+        return (
+            line.decode("ascii", "replace")
+            if any(supported in line for supported in loadstar.SUPPORTED_MODELS)
+            else None
+        )
 
     model = _answer(link, loadstar.PING + loadstar.MODEL, parse)
     says = reason("port.loadstar", model=model) if model else None

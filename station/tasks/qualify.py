@@ -15,10 +15,10 @@ from softcal.core.errors import BadReply, CommandRefused
 from softcal.core.messages.reason import Reason, root_of
 from softcal.core.profiles import Profile, moves
 from softcal.core.recording import Array
-from softcal.station.devices.bench import Bench
+from softcal.station.bench.bench import Bench
 from softcal.station.devices.config import UNKNOWN_S
 from softcal.station.record.method import METHOD, ProofMethod
-from softcal.station.record.recording import Raw, RunFacts, device_times_s, track_of
+from softcal.station.record.recording import Raw, RunMetadata, device_times_s, track_of
 from softcal.station.record.response import fit_response
 from softcal.station.record.spool import Spool, read_spool
 from softcal.station.tasks.acquisition import OnProgress, record
@@ -121,43 +121,43 @@ def qualify(
                 )
         except BadReply as error:
             refusal = root_of(error.reason)
-            if not read_spool(path).facts:
+            if not read_spool(path).metadata:
                 raise
         run = read_spool(path)
-    facts = RunFacts(**run.facts)
+    metadata = RunMetadata(**run.metadata)
     raw = Raw(run.output, run.force, run.polls)
-    figures = _figures(raw, facts, bench.config.force.latency_s, stiffness_N_mm, method)
+    figures = _figures(raw, metadata, bench.config.force.latency_s, stiffness_N_mm, method)
     return Qualification(figures, refusal, bench.clock.now_s() - began_s)
 
 
 def _figures(
     raw: Raw,
-    facts: RunFacts,
+    metadata: RunMetadata,
     latency_s: float,
     stiffness_N_mm: float | None,
     method: ProofMethod,
 ) -> tuple[Figure, ...]:
-    track, host_s = track_of(raw, facts), device_times_s(raw.force)
-    force_N = np.array([sample.values[0] for sample in raw.force]) - facts.zero_N
-    inside = (host_s >= facts.span_s[0]) & (host_s <= facts.span_s[1])
+    track, host_s = track_of(raw, metadata), device_times_s(raw.force)
+    force_N = np.array([sample.values[0] for sample in raw.force]) - metadata.zero_N
+    inside = (host_s >= metadata.span_s[0]) & (host_s <= metadata.span_s[1])
     host_s, force_N, backlash_mm = host_s[inside], force_N[inside], 0.0
     for _ in range(2):  # Backlash makes a prompt cell seem late, and a late cell makes backlash.
         tip_mm_at = behind_backlash(host_s, track.at(host_s), backlash_mm)
-        response = fit_response(host_s, force_N, tip_mm_at, facts.contact_mm, method)
-        lag_s = response.lag_s if response.is_told else 0.0
-        presses = _Presses(host_s - lag_s, track.at(host_s - lag_s) - facts.zero_mm, force_N)
+        response = fit_response(host_s, force_N, tip_mm_at, metadata.contact_mm, method)
+        lag_s = response.lag_s if response.is_identifiable else 0.0
+        presses = _Presses(host_s - lag_s, track.at(host_s - lag_s) - metadata.zero_mm, force_N)
         backlash_mm = presses.backlash_mm
     largest_N = presses.largest_N
-    stated_s = latency_s if latency_s != UNKNOWN_S else 0.0
+    declared_s = latency_s if latency_s != UNKNOWN_S else 0.0
     off_s = method.lag.late_s + method.lag.period_share * presses.period_s
     off_s = MAX_DELAY_S if latency_s == UNKNOWN_S else off_s
     first, last = presses.slow[SLOW - 1], presses.slow[-1]
     slope = float(np.median([press.slope_N_mm(*STEEP) for press in presses.slow]))
-    known = stiffness_N_mm is not None
+    has_stiffness = stiffness_N_mm is not None
     compliance = 1.0 / slope - (1.0 / stiffness_N_mm if stiffness_N_mm is not None else 0.0)
-    output = np.array([sample.values[0] for sample in raw.output if sample.host_s > facts.span_s[1] - END_S])
+    output = np.array([sample.values[0] for sample in raw.output if sample.host_s > metadata.span_s[1] - END_S])
     return (
-        Figure("lag of the load cell beyond what is stated", abs(lag_s - stated_s), "s", off_s),
+        Figure("lag of the load cell beyond what is stated", abs(lag_s - declared_s), "s", off_s),
         Figure("pure delay of the load cell", max(0.0, response.delay_s), "s"),
         Figure("time constant of the load cell", response.time_constant_s, "s"),
         Figure("bandwidth of the load cell", _bandwidth_Hz(response.time_constant_s, presses.period_s), "Hz"),
@@ -169,20 +169,20 @@ def _figures(
             "lost motion from first to last press", abs(last.at_mm(MIDDLE) - first.at_mm(MIDDLE)), "mm", MAX_LOST_MM
         ),
         Figure(
-            "compliance of the frame" if known else "compliance of frame and unit, in series",
+            "compliance of the frame" if has_stiffness else "compliance of frame and unit, in series",
             max(0.0, compliance),
             "mm/N",
-            MAX_COMPLIANCE_MM_N if known else math.inf,
+            MAX_COMPLIANCE_MM_N if has_stiffness else math.inf,
         ),
         Figure(
             f"repeatability of {FAST} equal presses (s)",
-            float(np.std(presses.held_N, ddof=1)),
+            float(np.std(presses.hold_N, ddof=1)),
             "N",
             MAX_REPEATABILITY * largest_N,
         ),
         Figure("noise of the load cell (s)", _noise(presses.resting_N), "N", MAX_NOISE * largest_N),
-        Figure("noise of the output (s)", _noise(output), facts.output_unit),
-        Figure("zero return of the load cell", abs(facts.zero_return_N), "N"),
+        Figure("noise of the output (s)", _noise(output), metadata.output_unit),
+        Figure("zero return of the load cell", abs(metadata.zero_return_N), "N"),
         Figure("largest force", largest_N, "N"),
     )
 
@@ -216,7 +216,7 @@ class _Presses:
         self.largest_N = float(np.quantile(force_N, 0.99))
         every = [_Press(t_s[a:b], stage_mm[a:b], force_N[a:b], self.largest_N) for a, b in edges]
         self.slow = [press for k, press in enumerate(every) if not SLOW <= k < SLOW + FAST]
-        self.held_N = [press.held_N for press in every[SLOW : SLOW + FAST]]
+        self.hold_N = [press.hold_N for press in every[SLOW : SLOW + FAST]]
         self.resting_N = force_N[t_s > t_s[-1] - 0.8 * END_S]
 
     @property
@@ -234,8 +234,8 @@ class _Press:
             slice(None, int(np.argmax(at_bottom)) + 1),
             slice(len(t_s) - int(np.argmax(at_bottom[::-1])), None),
         )
-        held = at_bottom & (t_s > t_s[at_bottom][-1] - EDGE_S)
-        self.held_N = float(np.mean(force_N[held]))
+        is_hold_end = at_bottom & (t_s > t_s[at_bottom][-1] - EDGE_S)
+        self.hold_N = float(np.mean(force_N[is_hold_end]))
 
     def at_mm(self, share: float, is_down: bool = True) -> float:
         """Return the position at this share of the largest force of all, by a line through its neighbourhood."""

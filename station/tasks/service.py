@@ -15,10 +15,10 @@ from softcal.core.lot import check_serial
 from softcal.core.messages.reason import Reason, reason, root_of, several
 from softcal.core.orders import Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.profiles import Profile
-from softcal.core.quality.gate import Gate, RigFacts
+from softcal.core.quality.gate import Gate, RigStatus
 from softcal.core.quality.reading_at_rest import ReadingConfig
-from softcal.station.device_names import named
-from softcal.station.devices.bench import Bench
+from softcal.station.bench.bench import Bench
+from softcal.station.device_names import device_label
 from softcal.station.devices.config import LATEST_S
 from softcal.station.interfaces import Reader
 from softcal.station.motion.motion import Cancelled
@@ -26,7 +26,7 @@ from softcal.station.record.recording import StationRecording
 from softcal.station.record.spool import Spool
 from softcal.station.tasks.acquisition import RunProgress, ZeroMoved, record
 from softcal.station.tasks.at_rest import RestReading, read_at_rest
-from softcal.station.tasks.seconds import HOMING
+from softcal.station.tasks.durations import HOMING
 from softcal.station.tasks.self_test import SelfTestItem, self_test
 
 CODES: Mapping[type[SoftcalError], str] = {
@@ -56,13 +56,13 @@ class Hooks:
 
     Args:
         report: takes progress; called about ten times a second of station time.
-        is_stop_wanted: whether a stop of the run in progress was requested; called at every poll of the devices.
+        is_stop_requested: whether a stop of the run in progress was requested; called at every poll of the devices.
         gate: whether an order of this kind may run now, with this rig.
     """
 
     report: Callable[[Progress], None]
-    is_stop_wanted: Callable[[], bool]
-    gate: Callable[[OrderKind, RigFacts], Gate]
+    is_stop_requested: Callable[[], bool]
+    gate: Callable[[OrderKind, RigStatus], Gate]
 
 
 class StationService:
@@ -86,7 +86,7 @@ class StationService:
         self._open = ExitStack()
         self._bench: Bench | None = None
         self._started_s = time.monotonic()
-        self._heard_s: dict[str, float] = {}
+        self._newest_s: dict[str, float] = {}
         self._cell_clock_s = self._zero_return_N = 0.0
         self._homing_fault: Reason | None = None
         self._zero_fault: Reason | None = None
@@ -96,11 +96,11 @@ class StationService:
         self.findings: list[SelfTestItem] = []
 
     @property
-    def rig(self) -> RigFacts:
+    def rig(self) -> RigStatus:
         # Opening its port resets an Arduino's clock though its cell stays powered: the longer of the two is true.
         powered_s = max(self._cell_clock_s, time.monotonic() - self._started_s)
         is_homed = self._bench is not None and self._bench.stage.is_position_known
-        return RigFacts(
+        return RigStatus(
             timedelta(seconds=powered_s), is_homed, self._homing_fault, self._zero_fault, self._zero_return_N
         )
 
@@ -113,7 +113,7 @@ class StationService:
         except DeviceError as error:
             self.state, self.reasons = StationState.STOPPED, (error.reason,)
             return
-        self._heard_s = {}
+        self._newest_s = {}
         self.settle()
 
     def settle(self) -> None:
@@ -124,19 +124,19 @@ class StationService:
         self.state = StationState.READY if self.gate.is_open else StationState.CLOSED
         self.reasons = self.gate.reasons
 
-    def watch(self, seconds: float) -> None:
+    def poll_idle(self, seconds: float) -> None:
         """Wait a short time between orders and read all devices, so that a lost device is reported at once."""
         bench = self._bench
         if bench is None or self.state not in (StationState.READY, StationState.CLOSED):
             return
         try:
             bench.clock.sleep_s(seconds)
-            was_known = bench.stage.is_position_known
+            was_homed = bench.stage.is_position_known
             try:
                 bench.stage.poll()
             except DeviceError as error:
                 # A stage that was never homed is locked, and says so; that is no news.
-                if was_known or isinstance(error, NoReply):
+                if was_homed or isinstance(error, NoReply):
                     raise
             for reader in (bench.readout, bench.force):
                 if reader is not None:
@@ -154,7 +154,7 @@ class StationService:
             self._end(order, RunState.DONE, "", (Reason("run.acknowledged"),))
             return None
         if self.state is StationState.STOPPED or self._bench is None:
-            refusal = (*(reason("rig.stopped", why=why) for why in self.reasons), Reason("rig.acknowledge"))
+            refusal = (*(reason("rig.stopped", why=cause) for cause in self.reasons), Reason("rig.acknowledge"))
         else:
             gate = self._hooks.gate(order.kind, self.rig)
             refusal = () if gate.is_open else gate.reasons
@@ -164,7 +164,7 @@ class StationService:
         relay = _Relay(order, self._hooks)
         try:
             self.state, self.reasons = StationState.RUNNING, ()
-            self._heard_s = {}  # In a run the acquisition listens.
+            self._newest_s = {}  # In a run the acquisition listens.
             return self._run(order, relay)
         except Cancelled as error:
             self._stop(order, RunState.CANCELLED, "E-STOPPED", error)
@@ -198,15 +198,15 @@ class StationService:
         except BadReply:
             # A hand at the fixture saturates a cell, a restart sets a clock back: it speaks, the next run will judge.
             reader.start()
-            self._heard_s[reader.name] = now_s
+            self._newest_s[reader.name] = now_s
             return
         if samples:
-            self._heard_s[reader.name] = now_s
+            self._newest_s[reader.name] = now_s
             if reader is bench.force and samples[-1].device_s is not None:
                 self._cell_clock_s = samples[-1].device_s
-        silent_s = now_s - self._heard_s.setdefault(reader.name, now_s)
+        silent_s = now_s - self._newest_s.setdefault(reader.name, now_s)
         if silent_s > SILENT_S:
-            raise NoReply(reason("rig.silent.between", device=named(reader.name), seconds=silent_s))
+            raise NoReply(reason("rig.silent.between", device=device_label(reader.name), seconds=silent_s))
 
     def _run(self, order: Order, relay: "_Relay") -> StationRecording | RestReading | None:
         bench = self._bench
@@ -214,7 +214,7 @@ class StationService:
             raise NoReply(Reason("rig.no_devices"))
         if order.kind is OrderKind.CHECK:
             self._hooks.report(Progress(order.order_id, RunState.RUNNING, "self-test", 0.0, CHECK_S))
-            self.findings = self_test(bench, on_wait=relay.look)
+            self.findings = self_test(bench, on_wait=relay.check_stop)
             faults = [
                 reason("rig.self_test", device=f.device, what=f.what, value=f.value, cure=f.cure)
                 for f in self.findings
@@ -236,13 +236,13 @@ class StationService:
         header = {"serial": order.serial, "order": order.order_id, "station": order.station, "lot": order.lot_id}
         profile = self._profiles[order.kind]
         with Spool(self.spool_path(order), header | {"kind": order.kind, "profile": profile.name}) as spool:
-            recording = record(bench, order.serial, profile, with_reference, relay.on_progress, spool, relay.look)
+            recording = record(bench, order.serial, profile, with_reference, relay.on_progress, spool, relay.check_stop)
         self._zero_return_N = recording.zero_return_N
         # Later runs are held to how late a good one found the cell, until the ports open again.
         force, behind_s = bench.config.force, recording.alignment.force_behind_s
-        if force is not None and not force.is_latency_stated and math.isfinite(behind_s):
-            stated = replace(force, latency_s=min(max(0.0, behind_s), LATEST_S))
-            self._bench = replace(bench, config=replace(bench.config, force=stated))
+        if force is not None and not force.is_latency_declared and math.isfinite(behind_s):
+            declared = replace(force, latency_s=min(max(0.0, behind_s), LATEST_S))
+            self._bench = replace(bench, config=replace(bench.config, force=declared))
         self.state = StationState.READY  # The gate is asked between orders.
         return recording
 
@@ -261,12 +261,12 @@ class _Relay:
         self._order, self._hooks = order, hooks
         self._points: deque[tuple[float, float, float, float | None]] = deque(maxlen=SIGNAL_POINTS)
         self._unit = ""
-        self._told = -1
+        self._reported_step = -1
         self.phase = ""
 
-    def look(self) -> None:
+    def check_stop(self) -> None:
         """Raise `Cancelled` if a stop was requested."""
-        if self._hooks.is_stop_wanted():
+        if self._hooks.is_stop_requested():
             raise Cancelled(Reason("rig.by_hand"))
 
     def on_progress(self, progress: RunProgress) -> None:
@@ -283,8 +283,8 @@ class _Relay:
         self._hooks.report(Progress(self._order.order_id, RunState.RUNNING, *state, signal=signal))
 
     def on_reading(self, fraction: float, remaining_s: float) -> None:
-        self.look()
+        self.check_stop()
         # Ten times a second is enough for a screen.
-        if (step := int(remaining_s * 10)) != self._told:
-            self._told = step
+        if (step := int(remaining_s * 10)) != self._reported_step:
+            self._reported_step = step
             self._hooks.report(Progress(self._order.order_id, RunState.RUNNING, READING, fraction, remaining_s))

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import fields
 
 from softcal.core.errors import DeviceError, InputError
-from softcal.station.devices.catalogue import SECTIONS
-from softcal.station.devices.config import filled
-from softcal.station.devices.station_file import meanings
+from softcal.station.bench.catalogue import SECTIONS
+from softcal.station.bench.station_file import meanings
+from softcal.station.devices.config import fill_section
 from softcal.station.testing.rig import DriverRig, require
 
 OPENING_S = 60.0
@@ -22,7 +22,7 @@ def _declares_its_keys(rig: DriverRig) -> None:
     silent = [f.name for f in fields(config) if f.name not in explained]
     require(not silent, f"the docstring of {config.__name__} must explain {', '.join(silent)} under Args:")
     try:
-        filled(SECTIONS[rig.driver.role], config, {"port": rig.config.port, "no_such_key": 1})
+        fill_section(SECTIONS[rig.driver.role], config, {"port": rig.config.port, "no_such_key": 1})
     except InputError as error:
         missing = [f.name for f in fields(config) if f.name not in str(error)]
         require(not missing, f"an unknown key must list the known ones; {error} lacks {', '.join(missing)}")
@@ -36,8 +36,8 @@ def _opens_again(rig: DriverRig) -> None:
         device = rig.open()
         device.close()
         device.close()
-    left = [thread.name for thread in threading.enumerate() if thread not in before]
-    require(not left, f"closed, it leaves threads running: {', '.join(left)}")
+    leftover = [thread.name for thread in threading.enumerate() if thread not in before]
+    require(not leftover, f"closed, it leaves threads running: {', '.join(leftover)}")
 
 
 def _names_a_missing_port(rig: DriverRig) -> None:
@@ -55,7 +55,7 @@ def _names_a_missing_port(rig: DriverRig) -> None:
     require(False, f"it opened {port}, which is not there")
 
 
-def _says_nothing(switch: str, value: object, what: str) -> Callable[[DriverRig], None]:
+def _delivers_nothing(switch: str, value: object, fault: str) -> Callable[[DriverRig], None]:
     """A device on a faulty connection, which must be refused on opening, or deliver no reading."""
 
     def examine(rig: DriverRig) -> None:
@@ -64,14 +64,14 @@ def _says_nothing(switch: str, value: object, what: str) -> Callable[[DriverRig]
         try:
             device = rig.open()
         except DeviceError as error:
-            require(str(error), f"{what}: its error says nothing")
+            require(str(error), f"{fault}: its error says nothing")
             took_s = rig.clock.now_s() - began_s
-            require(took_s < OPENING_S, f"{what}: opening took {took_s:.0f} s")
+            require(took_s < OPENING_S, f"{fault}: opening took {took_s:.0f} s")
             return
-        require(rig.driver.role != "stage", f"{what}: a stage was opened that never answered")
+        require(rig.driver.role != "stage", f"{fault}: a stage was opened that never answered")
         device.start()
         samples, _ = rig.fault_within(2.0, device.poll)
-        require(not samples, f"{what}: it delivered {len(samples)} samples, the first {samples[:1]}")
+        require(not samples, f"{fault}: it delivered {len(samples)} samples, the first {samples[:1]}")
 
     return examine
 
@@ -87,8 +87,10 @@ COMMON: dict[str, Callable[[DriverRig], None]] = {
     "its keys have one kind, an explanation each, and an unknown one lists them": _declares_its_keys,
     "it opens, closes twice, opens again, and leaves no thread": _opens_again,
     "a port that is not there is named": _names_a_missing_port,
-    "a silent device is refused, or delivers nothing": _says_nothing("is_silent", True, "a device that says nothing"),
-    "noise is refused, or delivers nothing": _says_nothing("garbage", 1.0, "a device that sends noise"),
+    "a silent device is refused, or delivers nothing": _delivers_nothing(
+        "is_silent", True, "a device that says nothing"
+    ),
+    "noise is refused, or delivers nothing": _delivers_nothing("garbage", 1.0, "a device that sends noise"),
     "it closes although its device is gone": _survives_a_dead_port,
 }
 """Sentence -> what looks at it."""

@@ -7,20 +7,20 @@ from functools import partial
 
 import numpy as np
 
-from softcal.station.devices.simulated_station import SimulatedStation
-from softcal.station.simulated.answering import FarEnd
+from softcal.station.bench.simulated_station import SimulatedStation
+from softcal.station.simulated.far_end import FarEnd
 from softcal.station.simulated.force_gauge import SimulatedIndicator, SimulatedLoadstar, SimulatedMark10
 from softcal.station.simulated.zaber import SimulatedZaber
-from softcal.station.tasks.seconds import FEELING, HOMING, PRESSING, READING, RETURNING, SEARCHING
+from softcal.station.tasks.durations import HOMING, PRESSING, PROBING, READING, RETURNING, SEARCHING
 
-DOWN_S, HOLD_S, BETWEEN_S = 1.6, 3.0, 5.2
+DOWN_S, HOLD_S, REST_S = 1.6, 3.0, 5.2
 """Seconds into the pressing of `trial.PROFILE` at which the stage goes down, holds a press, and stands between two."""
 
 MOMENTS: Mapping[str, tuple[str, float]] = {
     "while homing": (HOMING, 0.1),
     "in the approach": (READING, 0.4),
     "in the search for contact": (SEARCHING, 0.5),
-    "while feeling": (FEELING, 0.5),
+    "while feeling": (PROBING, 0.5),
     "while pressing": (PRESSING, DOWN_S),
     "in a hold": (PRESSING, HOLD_S),
     "at the zero return": (RETURNING, 0.1),
@@ -37,7 +37,7 @@ class Fault:
     Args:
         phase: phase of the run in which it happens; "" for before the run.
         after_s: seconds into that phase.
-        is_seen_late: whether only a stretch of the run, or all of it, reveals the fault; others are detected at once.
+        is_detected_late: whether only a stretch of the run, or all of it, reveals the fault; others at once.
         stage_kind, force_kind: which drivers, as in a station file.
     """
 
@@ -45,15 +45,15 @@ class Fault:
     phase: str
     after_s: float
     inject: Inject
-    is_seen_late: bool = False  # noqa: V107
+    is_detected_late: bool = False  # noqa: V107
     has_cell: bool = True
     stage_kind: str = "grbl"
     force_kind: str = "hx711"
 
 
-def _at_every_moment(what: str, inject: Inject, *but: str) -> list[Fault]:
+def _at_every_moment(label: str, inject: Inject, *but: str) -> list[Fault]:
     moments = {when: moment for when, moment in MOMENTS.items() if when not in but}
-    return [Fault(f"{what} {when}", phase, after_s, inject) for when, (phase, after_s) in moments.items()]
+    return [Fault(f"{label} {when}", phase, after_s, inject) for when, (phase, after_s) in moments.items()]
 
 
 def _from_the_start(name: str, inject: Inject) -> Fault:
@@ -64,8 +64,8 @@ def _pressing(name: str, inject: Inject, after_s: float = DOWN_S, force_kind: st
     return Fault(name, PRESSING, after_s, inject, force_kind=force_kind)
 
 
-def _seen_late(*faults: Fault) -> list[Fault]:
-    return [replace(fault, is_seen_late=True) for fault in faults]
+def _detected_late(*faults: Fault) -> list[Fault]:
+    return [replace(fault, is_detected_late=True) for fault in faults]
 
 
 def _without_cell(fault: Fault) -> Fault:
@@ -120,12 +120,12 @@ def loosen(station: SimulatedStation, seconds: float, change: Callable[[float], 
 
 def filter_cell(station: SimulatedStation, constant_s: float) -> None:
     """The load cell's amplifier has a first-order low pass, as every weighing indicator has."""
-    shown: list[tuple[float, float]] = []  # (when, level behind the filter)
+    newest: list[tuple[float, float]] = []  # (when, level behind the filter)
 
     def filtered(now_s: float, force_N: float) -> float:
-        before_s, level_N = shown[-1] if shown else (now_s, force_N)
-        shown[:] = [(now_s, force_N + (level_N - force_N) * math.exp((before_s - now_s) / constant_s))]
-        return shown[0][1]
+        before_s, level_N = newest[-1] if newest else (now_s, force_N)
+        newest[:] = [(now_s, force_N + (level_N - force_N) * math.exp((before_s - now_s) / constant_s))]
+        return newest[0][1]
 
     station.rig.force_fault = filtered
 
@@ -164,7 +164,7 @@ def _of_stream(device: str, wire: str, end: str) -> list[Fault]:
         _pressing(f"{device}'s clock jumps back by 3 s", _add(end, "device_ms", -3000.0)),
         _pressing(f"{device}'s clock jumps ahead by 0.3 s", _add(end, "device_ms", 300.0)),
         _pressing(f"{device}'s clock jumps ahead by 3 s", _add(end, "device_ms", 3000.0)),
-        *_seen_late(
+        *_detected_late(
             _pressing(f"{lines} noise", _set(wire, "garbage", 0.3)),
             _pressing(f"{lines} torn", _set(wire, "torn", 0.3)),
             _pressing(f"{lines} with a flipped bit", _set(wire, "flipped", 0.3)),
@@ -187,7 +187,7 @@ def _of_zaber(name: str, inject: Inject) -> Fault:
     return replace(_pressing(f"{name} while pressing", inject), stage_kind="zaber")
 
 
-_NOISY, _GONE = _set("rig", "output_fault", _stuck_noisy), _set("rig", "clearance_mm", 100.0)
+_NOISY, _NO_UNIT = _set("rig", "output_fault", _stuck_noisy), _set("rig", "clearance_mm", 100.0)
 
 FAULTS: tuple[Fault, ...] = (
     # Of the controller.
@@ -203,17 +203,17 @@ FAULTS: tuple[Fault, ...] = (
     _pressing("controller slow to answer", _set("stage", "delay_reply_s", 0.4)),
     _pressing("noise on the controller's line", _set("stage_wire", "garbage", 0.5)),
     _pressing("drive switched off while pressing", lambda s: s.axis.hold()),
-    *_seen_late(
+    *_detected_late(
         _pressing("every third line of the controller torn", _set("stage_wire", "torn", 0.3)),
         _pressing("motor without supply while pressing", lambda s: s.rig.cut_motor()),
         _without_cell(_pressing("motor without supply", lambda s: s.rig.cut_motor())),
         _pressing("position report frozen while pressing", _freeze_position),
         _of_zaber("position report of a Zaber stage frozen", _freeze_position),
-        _pressing("motor loses 0.1 mm between two presses", lambda s: s.rig.lose_steps(0.1), BETWEEN_S),
-        _pressing("motor loses 0.15 mm between two presses", lambda s: s.rig.lose_steps(0.15), BETWEEN_S),
-        _pressing("motor loses 0.2 mm between two presses", lambda s: s.rig.lose_steps(0.2), BETWEEN_S),
-        _pressing("motor loses 0.5 mm between two presses", lambda s: s.rig.lose_steps(0.5), BETWEEN_S),
-        _without_cell(_pressing("motor loses 1 mm", lambda s: s.rig.lose_steps(1.0), BETWEEN_S)),
+        _pressing("motor loses 0.1 mm between two presses", lambda s: s.rig.lose_steps(0.1), REST_S),
+        _pressing("motor loses 0.15 mm between two presses", lambda s: s.rig.lose_steps(0.15), REST_S),
+        _pressing("motor loses 0.2 mm between two presses", lambda s: s.rig.lose_steps(0.2), REST_S),
+        _pressing("motor loses 0.5 mm between two presses", lambda s: s.rig.lose_steps(0.5), REST_S),
+        _without_cell(_pressing("motor loses 1 mm", lambda s: s.rig.lose_steps(1.0), REST_S)),
     ),
     # Of the streams.
     *_of_stream("load cell", "force_wire", "force"),
@@ -225,7 +225,7 @@ FAULTS: tuple[Fault, ...] = (
     _from_the_start("load cell pulls where it should press", _force(lambda x: -x)),
     _pressing("load cell zero jumps in a hold", _force(lambda x: x + 3.0), HOLD_S),
     _from_the_start("load cell not unloaded before the run", _force(lambda x: x + 3.0)),
-    *_seen_late(
+    *_detected_late(
         *(
             _from_the_start(f"load cell's line {s:g} s late", _add("force_wire", "delay_s", s))
             for s in (0.02, 0.05, 0.1, 0.2)
@@ -234,8 +234,8 @@ FAULTS: tuple[Fault, ...] = (
             _from_the_start(f"load cell behind a low pass of {s:g} s", partial(filter_cell, constant_s=s))
             for s in (0.03, 0.06, 0.1, 0.3)
         ),
-        _pressing("load cell's gain halves between two presses", _force(lambda x: 0.5 * x), BETWEEN_S),
-        _pressing("load cell's gain doubles between two presses", _force(lambda x: 2.0 * x), BETWEEN_S),
+        _pressing("load cell's gain halves between two presses", _force(lambda x: 0.5 * x), REST_S),
+        _pressing("load cell's gain doubles between two presses", _force(lambda x: 2.0 * x), REST_S),
         _pressing("load cell's gain halves while pressing", _force(lambda x: 0.5 * x)),
         _pressing("load cell stuck but noisy", _set("rig", "force_fault", _stuck_noisy)),
         _pressing("load cell hangs for 1 s while pressing", lambda station: hang(station, 1.0)),
@@ -268,10 +268,10 @@ FAULTS: tuple[Fault, ...] = (
     _without_cell(_pressing("readout unplugged", _unplug("readout_wire"))),
     _from_the_start("unit not connected", _output(lambda x: 5.0)),
     _from_the_start("unit's wires touch from the start", _output(lambda x: 0.0)),
-    _from_the_start("no unit in the fixture", _GONE),
+    _from_the_start("no unit in the fixture", _NO_UNIT),
     _from_the_start("something in the way of the approach", _set("rig", "clearance_mm", 2.6)),
     _from_the_start("hard object under the stage", lambda s: s.mount_rigid()),
-    *_seen_late(
+    *_detected_late(
         _pressing("readout stuck but noisy", _NOISY),
         _without_cell(_pressing("readout stuck but noisy", _NOISY)),
         _pressing("readout's input floats", _set("rig", "output_fault", _floating)),
@@ -281,15 +281,15 @@ FAULTS: tuple[Fault, ...] = (
         _from_the_start("readout's converter has bit 6 at 1", _output(_bit(5 / 1023, 6, True))),
         *(
             _pressing(
-                f"output's cable loose for {seconds:g} s {when}: {what}",
+                f"output's cable loose for {seconds:g} s {when}: {label}",
                 partial(loosen, seconds=seconds, change=change),
                 after_s,
             )
-            for what, change in (("0 V", lambda x: 0.0), ("halved", lambda x: 0.5 * x), ("rail", lambda x: 5.0))
+            for label, change in (("0 V", lambda x: 0.0), ("halved", lambda x: 0.5 * x), ("rail", lambda x: 5.0))
             for seconds, when, after_s in ((0.025, "in a hold", HOLD_S), (0.06, "while pressing", DOWN_S))
         ),
         _pressing("unit's wire breaks", _output(lambda x: 5.0)),
         _pressing("unit's wires touch", _output(lambda x: 0.0)),
-        _pressing("unit falls out between two presses", _GONE, BETWEEN_S),
+        _pressing("unit falls out between two presses", _NO_UNIT, REST_S),
     ),
 )

@@ -7,8 +7,8 @@ from functools import partial
 from softcal.core.errors import InputError
 from softcal.core.messages.reason import Reason, reason
 from softcal.core.twin.simulate import Twin
-from softcal.station.devices.bench import Bench, open_simulated_bench
-from softcal.station.devices.simulated_station import SimulatedStation
+from softcal.station.bench.bench import Bench, open_simulated_bench
+from softcal.station.bench.simulated_station import SimulatedStation
 from softcal.station.testing.faults import FAULTS, Fault
 
 NAMES = {f.name: f for f in FAULTS if (f.stage_kind, f.force_kind, f.has_cell) == ("grbl", "hx711", True)}

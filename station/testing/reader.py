@@ -11,7 +11,7 @@ RATE_SHARE = 0.05
 LATEST_S, EARLIEST_S = 0.25, 0.02
 """A reading may show what was so long before its line came, and never what came later."""
 
-GONE_S, FAULTY_SHARE = 1.0, 0.33
+DETECTION_S, FAULTY_SHARE = 1.0, 0.33
 SPAN_V = 5.0
 
 
@@ -38,7 +38,7 @@ def _check_true(rig: DriverRig, samples: Sequence[Sample], level: float, when: s
         require(off <= allowed, f"{when} it reads {sample.values}, {expected:g} give or take {allowed:g} is true")
 
 
-def _declares_what_it_is(rig: DriverRig) -> None:
+def _declares_identity(rig: DriverRig) -> None:
     reader = rig.reader()
     require(reader.name and reader.unit and reader.rate_Hz > 0, "name, unit and rate_Hz must say what it is")
     if rig.driver.role == "cell":
@@ -83,10 +83,10 @@ def _keeps_its_rate(rig: DriverRig) -> None:
     reader = rig.reader()
     seconds = 4.0
     samples = rig.collect(reader, seconds)
-    seen_Hz = len(samples) / seconds
+    rate_Hz = len(samples) / seconds
     require(
-        abs(seen_Hz / reader.rate_Hz - 1) < RATE_SHARE,
-        f"{seen_Hz:.1f} samples a second, {reader.rate_Hz:g} declared",
+        abs(rate_Hz / reader.rate_Hz - 1) < RATE_SHARE,
+        f"{rate_Hz:.1f} samples a second, {reader.rate_Hz:g} declared",
     )
     require(all(np.isfinite(sample.values).all() for sample in samples), "a sample that is no number")
     _check_times(samples)
@@ -147,15 +147,15 @@ def _is_deaf_to_noise(rig: DriverRig) -> None:
         require(not samples, f"of nothing but noise it made {len(samples)} samples, the first {samples[:1]}")
 
 
-def _notices_that_it_is_gone(rig: DriverRig) -> None:
+def _detects_lost_device(rig: DriverRig) -> None:
     reader = rig.reader()
     rig.wire.unplug()
-    _, error = rig.fault_within(GONE_S, reader.poll)
-    require(error is not None, f"its device is gone, and for {GONE_S:g} s nothing is said")
+    _, error = rig.fault_within(DETECTION_S, reader.poll)
+    require(error is not None, f"its device is gone, and for {DETECTION_S:g} s nothing is said")
 
 
 READER: dict[str, Callable[[DriverRig], None]] = {
-    "it declares name, unit, rate and range": _declares_what_it_is,
+    "it declares name, unit, rate and range": _declares_identity,
     "every level is read, in its unit": _reads_every_level,
     "a ramp is read in time": _reads_in_time,
     "it keeps its rate, and its times go forward": _keeps_its_rate,
@@ -165,6 +165,6 @@ READER: dict[str, Callable[[DriverRig], None]] = {
     "of a third noise it delivers nothing wrong": _invents_nothing("garbage"),
     "of lost lines it delivers nothing wrong": _invents_nothing("loss"),
     "of repeated lines it delivers nothing wrong": _invents_nothing("repeat"),
-    "a device that is gone is said at once": _notices_that_it_is_gone,
+    "a device that is gone is said at once": _detects_lost_device,
 }
 """Sentence -> what looks at it."""

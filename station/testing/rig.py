@@ -9,11 +9,11 @@ import numpy as np
 
 from softcal.core.errors import DeviceError
 from softcal.core.twin.parameters import ReadoutMetadata
+from softcal.station.bench.catalogue import driver_of
+from softcal.station.bench.simulated_station import wire_for
 from softcal.station.clock import HostClock
-from softcal.station.devices.catalogue import driver_of
 from softcal.station.devices.config import DeviceConfig
 from softcal.station.devices.driver import AnyDriver, Opening, Simulated, Surroundings
-from softcal.station.devices.simulated_station import wire_for
 from softcal.station.interfaces import Clock, Reader, Sample, Stage, StagePosition
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.wire import Wire
@@ -51,14 +51,14 @@ class DriverRig:
         self.axis.position_mm = 2.3  # Where somebody left it.
         self.truth: list[tuple[float, float]] = []
         self._stack = ExitStack()
-        self.beside: AnyDriver | None = None
+        self.shared_stage: AnyDriver | None = None
         self._stage: Stage | None = None
         if driver.config.shares_port and driver.role != "stage":
-            self.beside = driver_of("stage", driver.kind)
-        self.wire: Wire = wire_for(self.beside or driver, self._rng)
+            self.shared_stage = driver_of("stage", driver.kind)
+        self.wire: Wire = wire_for(self.shared_stage or driver, self._rng)
         self._stack.callback(self.wire.close)
-        if self.beside is not None:
-            self._beside_config: DeviceConfig = self._live(self.beside).config
+        if self.shared_stage is not None:
+            self._shared_stage_config: DeviceConfig = self._live(self.shared_stage).config
         self.simulated = self._live(driver)
         self.clock: Clock = HostClock() if driver.is_threaded else self.world
 
@@ -77,8 +77,8 @@ class DriverRig:
 
     def open(self, **changed: object) -> Any:
         """Open the device, which is closed with the rig."""
-        if self.beside is not None and self._stage is None:
-            self._stage = self.beside.open(self._beside_config, Opening(self.clock))
+        if self.shared_stage is not None and self._stage is None:
+            self._stage = self.shared_stage.open(self._shared_stage_config, Opening(self.clock))
             self._stack.callback(self._stage.close)
         device = self.driver.open(replace(self.config, **changed), Opening(self.clock, self._stage))
         self._stack.callback(device.close)
@@ -103,7 +103,9 @@ class DriverRig:
             raise error
         return samples
 
-    def watch(self, stage: Stage, seconds: float, is_over: Callable[[], bool] = lambda: False) -> list[StagePosition]:
+    def poll_stage(
+        self, stage: Stage, seconds: float, is_over: Callable[[], bool] = lambda: False
+    ) -> list[StagePosition]:
         """Return the reports of a stage over a time, with its true positions."""
         polls: list[StagePosition] = []
         end_s = self.clock.now_s() + seconds
@@ -115,21 +117,21 @@ class DriverRig:
 
     def fault_within(self, seconds: float, read: Callable[[], Sequence[T]]) -> tuple[list[T], DeviceError | None]:
         """Return the samples until a `DeviceError`, and the error, or None."""
-        found: list[T] = []
+        items: list[T] = []
         end_s = self.clock.now_s() + seconds
         while self.clock.now_s() < end_s:
             self.clock.sleep_s(TICK_S)
             try:
-                found += read()
+                items += read()
             except DeviceError as error:
-                return found, error
-        return found, None
+                return items, error
+        return items, None
 
     def position_mm(self) -> float:
         self.axis.advance(self.world.now_s())
         return self.axis.position_mm
 
-    def stands(self, within_s: float) -> bool:
+    def comes_to_rest(self, within_s: float) -> bool:
         """Return whether the stage comes to rest within a time, and stays there."""
         self.clock.sleep_s(within_s)
         before_mm = self.position_mm()

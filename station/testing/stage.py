@@ -13,7 +13,7 @@ POLL_S = 0.03
 """How far off its time a position may be."""
 
 STOP_S = 0.5
-GONE_S = 1.0
+DETECTION_S = 1.0
 TARGETS_MM = (5.0, 12.5, 12.5, 3.0, 3.2)
 
 
@@ -31,7 +31,7 @@ def _braking_s(stage: Stage) -> float:
 
 def _go(rig: DriverRig, stage: Stage, to_mm: float) -> None:
     stage.begin(Move(to_mm, _speed_mm_s(stage)))
-    rig.watch(stage, abs(to_mm - rig.position_mm()) / _speed_mm_s(stage) + 4.0, lambda: not stage.is_moving)
+    rig.poll_stage(stage, abs(to_mm - rig.position_mm()) / _speed_mm_s(stage) + 4.0, lambda: not stage.is_moving)
     require(not stage.is_moving, f"a move to {to_mm:g} mm does not end")
 
 
@@ -66,20 +66,20 @@ def _homes(rig: DriverRig) -> None:
     require(waits, "home() never called on_wait: nobody could break it off")
 
 
-def _goes_where_it_is_told(rig: DriverRig) -> None:
+def _reaches_targets(rig: DriverRig) -> None:
     stage = rig.homed()
     for to_mm in TARGETS_MM:
         _go(rig, stage, to_mm)
-        for what, at_mm in (("is", rig.position_mm()), ("says it is", stage.position_mm)):
-            require(abs(at_mm - to_mm) <= POSITION_MM, f"told to go to {to_mm:g} mm it {what} at {at_mm:.3f} mm")
+        for verb, at_mm in (("is", rig.position_mm()), ("says it is", stage.position_mm)):
+            require(abs(at_mm - to_mm) <= POSITION_MM, f"told to go to {to_mm:g} mm it {verb} at {at_mm:.3f} mm")
         require(stage.is_position_known, f"after a move to {to_mm:g} mm its position is unknown")
 
 
-def _says_where_it_is(rig: DriverRig) -> None:
+def _reports_position(rig: DriverRig) -> None:
     stage = rig.homed()
     stage.begin(Move(20.0, _speed_mm_s(stage)))
     rig.truth.clear()
-    polls = rig.watch(stage, 2.0)
+    polls = rig.poll_stage(stage, 2.0)
     require(len(polls) >= 8, f"{len(polls)} positions in 2 s; at least 8 were expected")
     times_s, true_mm = np.array(rig.truth).T
     for poll in polls[1:]:
@@ -98,7 +98,7 @@ def _refuses(rig: DriverRig) -> None:
         (Move(5.0, 0.0), "without a speed"),
     ):
         _expect_refusal(stage, move, when)
-    rig.watch(stage, 0.3)
+    rig.poll_stage(stage, 0.3)
     require(abs(rig.position_mm() - before_mm) <= POSITION_MM, "it moved although it refused")
     stage.begin(Move(20.0, fine))
     _expect_refusal(stage, Move(1.0, fine), "while it moves")
@@ -109,12 +109,12 @@ def _stops(rig: DriverRig) -> None:
         stage = rig.homed()
         _go(rig, stage, 2.0)
         stage.begin(Move(stage.travel_mm, _speed_mm_s(stage)))
-        rig.watch(stage, moving_s)
+        rig.poll_stage(stage, moving_s)
         began_s = rig.clock.now_s()
         stage.stop()
         took_s, allowed_s = rig.clock.now_s() - began_s, STOP_S + _braking_s(stage)
         require(took_s <= allowed_s, f"stop() took {took_s:.2f} s, {allowed_s:.2f} s were expected")
-        require(rig.stands(_braking_s(stage)), "after stop() it moves on")
+        require(rig.comes_to_rest(_braking_s(stage)), "after stop() it moves on")
         require(not stage.is_moving, "is_moving after stop()")
         rig.fault_within(0.3, stage.poll)  # It may say that the stop cost its position.
         off_mm = abs(stage.position_mm - rig.position_mm())
@@ -137,7 +137,7 @@ def _can_be_broken_off_while_homing(rig: DriverRig) -> None:
     else:
         require(False, "what on_wait raised did not come through")
     stage.stop()
-    require(rig.stands(STOP_S), "broken off while homing, then stopped, it moves on")
+    require(rig.comes_to_rest(STOP_S), "broken off while homing, then stopped, it moves on")
     require(not stage.is_position_known, "its position is called known although homing was broken off")
 
 
@@ -145,16 +145,16 @@ def _under_fault(break_it: Callable[[DriverRig], None], must_stand: bool = True)
     def examine(rig: DriverRig) -> None:
         stage = rig.homed()
         stage.begin(Move(stage.travel_mm, min(4.0, _speed_mm_s(stage))))
-        rig.watch(stage, 0.5)
+        rig.poll_stage(stage, 0.5)
         break_it(rig)
-        _, error = rig.fault_within(GONE_S, stage.poll)
-        require(error is not None, f"for {GONE_S:g} s in a move nothing is said of it")
+        _, error = rig.fault_within(DETECTION_S, stage.poll)
+        require(error is not None, f"for {DETECTION_S:g} s in a move nothing is said of it")
         try:
             stage.stop()
         except DeviceError:
             pass  # It was told, and says that nothing came back.
         if must_stand:
-            require(rig.stands(STOP_S), "stopped, it moves on")
+            require(rig.comes_to_rest(STOP_S), "stopped, it moves on")
 
     return examine
 
@@ -166,8 +166,8 @@ def _set(switch: str, value: object) -> Callable[[DriverRig], None]:
 STAGE: dict[str, Callable[[DriverRig], None]] = {
     "it moves only when it is homed": _moves_only_when_homed,
     "it homes, and lets itself be watched": _homes,
-    "it goes where it is told": _goes_where_it_is_told,
-    "it says where it is while it moves": _says_where_it_is,
+    "it goes where it is told": _reaches_targets,
+    "it says where it is while it moves": _reports_position,
     "it refuses what it cannot do, and sends nothing": _refuses,
     "it stops at once and stays": _stops,
     "homing can be broken off": _can_be_broken_off_while_homing,

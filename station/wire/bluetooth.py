@@ -7,10 +7,10 @@ from collections.abc import Coroutine
 from contextlib import suppress
 from typing import Any
 
-from softcal.station.wire.transport import Arriving
+from softcal.station.wire.transport import ReceiveBuffer
 
-NOTIFIES = "6e400003-b5a3-f393-e0a9-e50e24dcca9e"
-TAKES = "6e400002-b5a3-f393-e0a9-e50e24dcca9e"
+NOTIFY_UUID = "6e400003-b5a3-f393-e0a9-e50e24dcca9e"
+WRITE_UUID = "6e400002-b5a3-f393-e0a9-e50e24dcca9e"
 """Characteristics of the Nordic UART Service (Nordic Semiconductor, nRF Connect SDK, NUS): from and to the board."""
 
 PACKET_BYTES = 20
@@ -19,7 +19,7 @@ PACKET_BYTES = 20
 CONNECT_S, ANSWER_S = 15.0, 1.0
 
 
-class BleTransport(Arriving):
+class BleTransport(ReceiveBuffer):
     """Bytes to and from one Bluetooth board; a thread keeps the connection.
 
     Raises:
@@ -36,7 +36,7 @@ class BleTransport(Arriving):
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name=f"Bluetooth {address}", daemon=True)
         self._thread.start()
-        self._client = bleak.BleakClient(address, disconnected_callback=self._lose, timeout=CONNECT_S)
+        self._client = bleak.BleakClient(address, disconnected_callback=self._on_disconnect, timeout=CONNECT_S)
         try:
             self._wait(self._connect(), CONNECT_S + ANSWER_S)
         except Exception as error:  # Bleak raises its own kinds and those of the system below it.
@@ -55,7 +55,7 @@ class BleTransport(Arriving):
         if self._is_closed:
             return
         self._is_closed = True
-        self._lose(self._client)
+        self._on_disconnect(self._client)
         with suppress(Exception):  # It is gone already.
             self._wait(self._client.disconnect(), ANSWER_S)
         self._loop.call_soon_threadsafe(self._loop.stop)
@@ -65,16 +65,16 @@ class BleTransport(Arriving):
 
     async def _connect(self) -> None:
         await self._client.connect()
-        await self._client.start_notify(NOTIFIES, self._take)
+        await self._client.start_notify(NOTIFY_UUID, self._on_notify)
 
     async def _send(self, content: bytes) -> None:
         for begin in range(0, len(content), PACKET_BYTES):
-            await self._client.write_gatt_char(TAKES, content[begin : begin + PACKET_BYTES], response=False)
+            await self._client.write_gatt_char(WRITE_UUID, content[begin : begin + PACKET_BYTES], response=False)
 
-    def _take(self, characteristic: object, packet: bytearray) -> None:  # noqa: V107
-        self._arrived.append(bytes(packet))
+    def _on_notify(self, characteristic: object, packet: bytearray) -> None:  # noqa: V107
+        self._received.append(bytes(packet))
 
-    def _lose(self, client: object) -> None:
+    def _on_disconnect(self, client: object) -> None:
         self._fault = ConnectionResetError("the board ended the connection")
 
     def _wait(self, work: Coroutine[Any, Any, None], within_s: float) -> None:

@@ -11,7 +11,7 @@ from serial.tools import list_ports
 
 from softcal.core.errors import NoReply, reason_of
 from softcal.core.messages.reason import Reason, reason
-from softcal.station.device_names import named
+from softcal.station.device_names import device_label
 from softcal.station.interfaces import Clock
 from softcal.station.wire.transport import BLE, SerialTransport, TcpTransport, Transport, VisaTransport, wire_of
 
@@ -20,7 +20,7 @@ POLL_S = 0.002
 
 PSEUDO_TERMINALS = "/dev/pts/"
 
-LONGEST_LINE = 4096
+MAX_LINE_BYTES = 4096
 """More bytes than this without a line end is not a text device."""
 
 
@@ -47,7 +47,7 @@ class Link:
 
     def __init__(self, port: str, clock: Clock, baud_rate: int = 115200, name: str = "") -> None:
         self.port, self.clock = port, clock
-        self._label = named(name, port)
+        self._label = device_label(name, port)
         self._rest = b""
         self._lines: deque[Line] = deque()
         if is_device(port) and (owner := _owner(port)):
@@ -56,14 +56,14 @@ class Link:
         try:
             self._transport = open_transport(port, baud_rate)
         except (OSError, ValueError) as error:
-            raise NoReply(reason("rig.port", device=self._label, why=_why_closed(port, error))) from error
+            raise NoReply(reason("rig.port", device=self._label, why=_find_open_failure(port, error))) from error
 
     def write(self, content: bytes) -> None:
         """Write bytes; they go out before this returns. `NoReply` where the port is gone."""
         try:
             self._transport.write(content)
         except OSError as error:
-            raise self._gone() from error
+            raise self._close_lost_port() from error
 
     def read_lines(self) -> list[Line]:
         """Return the whole lines that came; `NoReply`: the port is gone, or there are no line ends."""
@@ -98,17 +98,17 @@ class Link:
         try:
             content = self._transport.read()
         except OSError as error:
-            raise self._gone() from error
+            raise self._close_lost_port() from error
         if not content:
             return
-        *whole, self._rest = (self._rest + content).split(b"\n")
+        *complete, self._rest = (self._rest + content).split(b"\n")
         now_s = self.clock.now_s()
-        self._lines.extend(Line(text.strip(b"\r"), now_s) for text in whole)
-        if len(self._rest) > LONGEST_LINE:
+        self._lines.extend(Line(text.strip(b"\r"), now_s) for text in complete)
+        if len(self._rest) > MAX_LINE_BYTES:
             self._rest = b""
-            raise NoReply(reason("rig.no_line_end", device=self._label, count=LONGEST_LINE))
+            raise NoReply(reason("rig.no_line_end", device=self._label, count=MAX_LINE_BYTES))
 
-    def _gone(self) -> NoReply:
+    def _close_lost_port(self) -> NoReply:
         # On Windows a port whose device was pulled stays dead until it is closed.
         self.close()
         return NoReply(reason("rig.gone", device=self._label))
@@ -135,7 +135,7 @@ def available_ports() -> list[str]:
     return [port.device for port in list_ports.comports() if port.vid is not None]
 
 
-def _why_closed(port: str, error: Exception) -> Reason:
+def _find_open_failure(port: str, error: Exception) -> Reason:
     match wire_of(port):
         case "tcp" | "ble":
             return reason("port.unreached", error=reason_of(error))
@@ -152,11 +152,11 @@ def _why_closed(port: str, error: Exception) -> Reason:
 def _owner(port: str) -> Reason | None:
     """Return the name of another process that has the port open, if the system shows it."""
     target = os.path.realpath(port)
-    for link in Path("/proc").glob("[0-9]*/fd/*"):
+    for descriptor in Path("/proc").glob("[0-9]*/fd/*"):
         try:
-            if os.readlink(link) == target and int(link.parts[2]) != os.getpid():
-                name = Path("/proc", link.parts[2], "comm").read_text().strip()
-                return reason("port.owner", name=name, process=link.parts[2])
+            if os.readlink(descriptor) == target and int(descriptor.parts[2]) != os.getpid():
+                name = Path("/proc", descriptor.parts[2], "comm").read_text().strip()
+                return reason("port.owner", name=name, process=descriptor.parts[2])
         except (OSError, ValueError):
             continue
     return None

@@ -39,18 +39,18 @@ class Transport(Protocol):
         """Close the transport; closing twice has no effect."""
 
 
-class Arriving:
+class ReceiveBuffer:
     """Bytes that a thread has received from a device, and the error that ended it."""
 
     def __init__(self) -> None:
-        self._arrived: deque[bytes] = deque()
+        self._received: deque[bytes] = deque()
         self._fault: Exception | None = None
 
     def read(self) -> bytes:
         """Return all received bytes; without any, raise the error that ended the thread."""
         content = b""
-        while self._arrived:
-            content += self._arrived.popleft()
+        while self._received:
+            content += self._received.popleft()
         if not content:
             self._raise_fault()
         return content
@@ -131,7 +131,7 @@ class TcpTransport:
         self._socket.close()
 
 
-class VisaTransport(Arriving):
+class VisaTransport(ReceiveBuffer):
     """A VISA resource through PyVISA: USB-TMC, GPIB, LXI.
 
     Such a device answers queries, and a query blocks: a separate thread sends it. A message with a `?` is a
@@ -160,7 +160,7 @@ class VisaTransport(Arriving):
         except self._errors as error:
             raise OSError(str(error)) from error
         self._to_send: Queue[bytes | None] = Queue()
-        self._thread = threading.Thread(target=self._talk, name=f"VISA {resource}", daemon=True)
+        self._thread = threading.Thread(target=self._exchange, name=f"VISA {resource}", daemon=True)
         self._thread.start()
 
     def write(self, content: bytes) -> None:
@@ -178,14 +178,14 @@ class VisaTransport(Arriving):
             self._manager.close()
         self._session = None
 
-    def _talk(self) -> None:
+    def _exchange(self) -> None:
         # Its own name for the session: `close` gives it up while a slow device still keeps this thread waiting.
         session = self._session
         while (content := self._to_send.get()) is not None:
             try:
                 session.write_raw(content)
                 if b"?" in content:
-                    self._arrived.append(session.read_raw().rstrip(b"\r\n") + b"\n")
+                    self._received.append(session.read_raw().rstrip(b"\r\n") + b"\n")
             except self._errors as error:
                 if getattr(error, "error_code", None) == self._timed_out and self._is_cleared(session):
                     continue  # Not answered: whoever asked sees that nothing comes.

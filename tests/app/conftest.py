@@ -33,11 +33,11 @@ from softcal.app.bootstrap import open_chosen_registry
 from softcal.app.cli.main import main
 from softcal.app.jobs import launch as job_launch
 from softcal.app.jobs.jobs import run_job
-from softcal.app.line.gate_facts import RIG_ONLY
 from softcal.app.line.serve import Serving
 from softcal.app.line.serve import serve as serve_here
+from softcal.app.line.station_gate import RIG_ONLY
 from softcal.app.ui import account as identity
-from softcal.app.ui import browser_memory, server_memory
+from softcal.app.ui import browser_memory, server_cache
 from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import Order, OrderKind, RunState, StationState
 from softcal.db.connection import open_registry
@@ -113,7 +113,7 @@ def open_page(monkeypatch: pytest.MonkeyPatch) -> Callable[..., AppTest]:
     def show(url: str, page: Callable[[], None] | None = None, role: str | None = None, **query: str) -> AppTest:
         monkeypatch.setenv("SOFTCAL_REGISTRY", url)
         monkeypatch.setattr(browser_memory, "_cookies", dict)
-        server_memory.registry.clear()
+        server_cache.registry.clear()
         make = partial(AppTest.from_file, str(MAIN)) if page is None else partial(AppTest.from_function, page)
         # A busy machine draws slowly; nobody waits here for a time.
         screen = make(default_timeout=120)
@@ -441,7 +441,9 @@ def show(open_page, monkeypatch: pytest.MonkeyPatch) -> Callable[..., AppTest]:
     """`show(url, page, role="engineer", **query)` draws one page alone."""
 
     def draw(url: str, page: str, role: str = "engineer", **query: str) -> AppTest:
-        imports = f"from softcal.app.ui.app_pages import {page}\nfrom softcal.app.ui.desk import errors_in_words\n"
+        imports = (
+            f"from softcal.app.ui.app_pages import {page}\nfrom softcal.app.ui.presentation import errors_in_words\n"
+        )
         source = f"{imports}with errors_in_words():\n    {page}.render()\n"
         monkeypatch.setattr(AppTest, "from_function", lambda _, **options: AppTest.from_string(source, **options))
         return open_page(url, lambda: None, role=role, **query)

@@ -8,8 +8,8 @@ from typing import Any
 from playwright.sync_api import Locator, Page
 from playwright.sync_api import TimeoutError as PlaywrightTimeout
 
-from softcal.app.line.facts import LineFacts, Screen, read_line
 from softcal.app.line.line import take_scan
+from softcal.app.line.status import LineStatus, Screen, read_line
 from softcal.core.orders import Order, OrderKind
 from tests.wait import wait_until
 
@@ -33,7 +33,7 @@ class Line:
         return order_id
 
     @property
-    def facts(self) -> LineFacts:
+    def facts(self) -> LineStatus:
         return read_line(self.registry, Screen(STATION))
 
     def until(self, is_so: Callable[[], bool], what: str) -> None:

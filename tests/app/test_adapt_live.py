@@ -19,7 +19,14 @@ import pytest
 from softcal.app.cli.main import main
 from softcal.app.operation.live import WIDTH, bar
 from softcal.app.operation.sink import open_sink
-from softcal.app.operation.source import AWAY_S, SILENCE_S, lines_of, on_one_clock, readings, replugged
+from softcal.app.operation.source import (
+    RECONNECT_TIMEOUT_S,
+    SILENCE_S,
+    lines_of,
+    on_one_clock,
+    readings,
+    reconnecting_samples,
+)
 from softcal.core.errors import BadReply, NoReply
 from softcal.core.lot import UnitKey
 from softcal.db.connection import open_registry
@@ -194,7 +201,7 @@ def test_readout_that_is_unplugged_is_listened_to_again_when_it_is_back() -> Non
         return found  # type: ignore[return-value]
 
     clock = Clock()
-    pieces = on_one_clock(replugged(plug, clock), clock)
+    pieces = on_one_clock(reconnecting_samples(plug, clock), clock)
 
     samples = [next(s for s in pieces if s) for _ in range(2)]
     assert samples[0] == [(7.0, 1.0)]
@@ -203,7 +210,7 @@ def test_readout_that_is_unplugged_is_listened_to_again_when_it_is_back() -> Non
     with pytest.raises(NoReply):
         for _ in pieces:
             plugs[:] = [NoReply("no such port")]
-    assert clock.now > AWAY_S
+    assert clock.now > RECONNECT_TIMEOUT_S
 
 
 @pytest.mark.long

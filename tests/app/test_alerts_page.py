@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import plotly.graph_objects as go
 import pytest
 
-from softcal.app.charts.style import whole_numbers
+from softcal.app.charts.style import integer_ticks
 from softcal.app.texts.catalogue import LANGUAGES, text
 from softcal.app.views.alerts import Alert, alerts
 from softcal.app.views.lot import ProcessView, RuleBroken, yield_drop
@@ -113,6 +113,6 @@ def test_the_lot_page_shows_its_alerts(calibrated: str, open_page) -> None:
 def test_counts_have_whole_numbers_at_their_axis() -> None:
     for most in (0, 1, 2, 3, 7, 40, 999):
         figure = go.Figure()
-        whole_numbers(figure, most)
+        integer_ticks(figure, most)
         step = figure.layout.yaxis.dtick
         assert step >= 1 and step == int(step)

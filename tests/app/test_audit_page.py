@@ -11,7 +11,7 @@ from softcal.app.calibration.audit import lot_audit
 from softcal.app.texts.catalogue import text
 from softcal.app.views.alerts import Alert
 from softcal.app.views.lot import lot_view
-from softcal.app.views.wall import MOST_ALERTS, wall_view
+from softcal.app.views.wall import MAX_ALERTS, wall_view
 from softcal.core.messages.reason import Reason
 from softcal.core.orders import Heartbeat, StationState
 from softcal.db.connection import open_registry
@@ -93,11 +93,11 @@ def test_the_wall_tells_a_station_that_is_silent_from_one_that_is_well(calibrate
 def test_the_wall_counts_what_the_lot_holds_and_leaves_no_alert_unsaid(calibrated: str) -> None:
     with open_registry(calibrated) as registry:
         view = lot_view(registry, "small")
-        many = [Alert("golden", {"station": "s", "serial": "G", "at": "now"}, True)] * (MOST_ALERTS + 2)
+        many = [Alert("golden", {"station": "s", "serial": "G", "at": "now"}, True)] * (MAX_ALERTS + 2)
         found = wall_view(registry, view, many, say)
     wanted = {word: count for word, count in view.counts.items() if word != "none"}
     assert {verdict: count for verdict, _, count in found.verdicts} == wanted
-    assert found.alerts[-1][0] == say("wall.more", count=2) and len(found.alerts) == MOST_ALERTS + 1
+    assert found.alerts[-1][0] == say("wall.more", count=2) and len(found.alerts) == MAX_ALERTS + 1
     assert {chip.serial for chip in found.chips} == {"A1", "A2", "A3", "A4"}
 
 
@@ -129,6 +129,6 @@ def test_every_audited_unit_is_listed_and_one_in_doubt_is_confirmed_with_a_reaso
     assert not screen.exception and not screen.error
     with open_registry(calibrated) as registry:
         assert len(registry.declarations.in_force("confirmed_audits", "small")) == 1
-        standing = registry.pages.standings("small", audited)[audited[0]]
+        standing = registry.pages.unit_statuses("small", audited)[audited[0]]
         assert standing.verdict == state.verdict and standing.calibration is not None
         assert standing.calibration.state.decision.is_audited

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from softcal.app.calibration.audit import audited_sample, draw_plan
-from softcal.app.calibration.release import lot_standing
+from softcal.app.calibration.release import read_lot_status
 from softcal.app.export.certificates.lot_statement import build_lot_statement
 from softcal.app.registry.lot_recordings import newest_audits
 from softcal.core.quality.audit_plan import AuditConfig
@@ -28,5 +28,5 @@ def test_only_what_was_measured_after_the_draw_was_drawn_before_it_was_measured(
         registry.recordings.add("small", registry.recordings.get(audits[plan.random[1]].sha256), "audit")
         sample = audited_sample(registry, "small")
         assert (sample.since, sample.before, sample.without_draw) == (1, 1, 1)
-        standing = lot_standing(registry, "small")
+        standing = read_lot_status(registry, "small")
         assert build_lot_statement(registry, standing, standing.decided).sample == sample

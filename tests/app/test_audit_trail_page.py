@@ -128,7 +128,7 @@ def test_every_row_of_a_busy_registry_is_a_sentence_without_tables_and_hashes(bu
         rows = registry.trail.rows()
     entries = trail(rows, partial(text, language))
     assert {f"trail.{e.row.action}.{e.row.entity}" for e in entries} <= set(catalogue()["en"])
-    told = " ".join(f"{e.what} {e.changed}" for e in entries)
+    told = " ".join(f"{e.action_text} {e.changes_text}" for e in entries)
     assert "sha256" not in told and "_id" not in told and not any(len(word) >= 32 for word in told.split())
     assert {e.section for e in entries} <= set(HEADINGS)
 
@@ -137,17 +137,17 @@ def test_a_change_says_what_was_before_and_after(busy: str) -> None:
     with open_registry(busy) as registry:
         entries = trail(registry.trail.newest(100), SAY)
     limit = next(e for e in entries if e.row.action == "set_limit")
-    assert limit.what == SAY("trail.set_limit.limits", lot="small") and "0.3 → 0.25" in limit.changed
+    assert limit.action_text == SAY("trail.set_limit.limits", lot="small") and "0.3 → 0.25" in limit.changes_text
     rules = next(e for e in entries if e.row.action == "set_rules")
-    assert SAY("trail.field.target") in rules.changed and "40" in rules.changed
-    assert SAY("trail.field.loads") in rules.changed and "0, 2 ± 0.002" in rules.changed
+    assert SAY("trail.field.target") in rules.changes_text and "40" in rules.changes_text
+    assert SAY("trail.field.loads") in rules.changes_text and "0, 2 ± 0.002" in rules.changes_text
     person = next(e for e in entries if e.row.action == "set_user")
-    assert "Engineer" in person.changed
+    assert "Engineer" in person.changes_text
 
 
 def test_a_row_that_nobody_foresaw_is_shown_and_not_lost() -> None:
     entry = entry_of(row("bake", "cakes", ["sponge"], {"eggs": 3}), SAY)
-    assert "bake" in entry.what and "sponge" in entry.what and entry.section == "registry"
+    assert "bake" in entry.action_text and "sponge" in entry.action_text and entry.section == "registry"
 
 
 def test_the_filter_takes_what_it_says() -> None:

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from softcal.app.batch import lot_work
-from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
+from softcal.app.batch.lot_work import BatchConfig, Callbacks, LotWork
 from softcal.app.batch.unit_work import ChunkOutcome, UnitOutcome
 from softcal.app.calibration.lot_context import StoredInputs
 from softcal.app.calibration.unit_calibration import Calibrated, ExistingCalibration, LotContext, Refusal
@@ -152,7 +152,7 @@ class OneAnswerMachine(RuleBasedStateMachine):
 
         undecided = [serial for serial in files if self.is_to_be_worked_on(side, serial)]
         with mock.patch.object(lot_work, "work_on", counting):
-            work = self.work(folder, side, BatchConfig(), Watch())
+            work = self.work(folder, side, BatchConfig(), Callbacks())
             work.run()
             told = work.told(list(paths))
         assert set(undecided) <= set(worked)
@@ -162,7 +162,7 @@ class OneAnswerMachine(RuleBasedStateMachine):
             self.answered(side, serial)
         assert {serial: result.verdict for serial, result in told.items()} == {s: self.verdict(side, s) for s in files}
 
-    def work(self, folder: LotFolder, side: str, config: BatchConfig, watch: Watch) -> LotWork:
+    def work(self, folder: LotFolder, side: str, config: BatchConfig, watch: Callbacks) -> LotWork:
         registry = self.registries[side]
         return LotWork(folder, registry, FACTS, StoredInputs(registry, LOT.id, list(folder.unit_paths)), config, watch)
 
@@ -206,7 +206,7 @@ class OneAnswerMachine(RuleBasedStateMachine):
         # What was asked for by the same file before is put into use before anything is queued.
         asked_before = [s for s in files if any(e.work == number and e.asked == number for e in self.seen[side][s])]
         with mock.patch.object(lot_work, "work_on", fake_work), contextlib.suppress(KeyboardInterrupt):
-            self.work(folder, side, BatchConfig(chunk=1), Watch(on_unit=end)).run()
+            self.work(folder, side, BatchConfig(chunk=1), Callbacks(on_unit=end)).run()
         for serial in (*asked_before, *kept):
             self.answered(side, serial)
 

@@ -18,7 +18,7 @@ from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.export.certificates.content import build_certificate
 from softcal.app.files.anchors import write_anchors
 from softcal.app.files.recording_file import write_columns
-from softcal.app.line.pressed_run import RunKeeper
+from softcal.app.line.pressed_run import RunStore
 from softcal.app.registry.known_loads import known_loads
 from softcal.app.registry.lot_files import write_lot_folder
 from softcal.app.registry.lot_recordings import source_model, unlabelled
@@ -51,8 +51,8 @@ def registry(registry_url: str) -> Iterator[Registry]:
 
 
 @pytest.fixture
-def keeper(registry: Registry) -> RunKeeper:
-    return RunKeeper(registry, "s1", NetworkConfig(hidden=(16, 8)))
+def run_store(registry: Registry) -> RunStore:
+    return RunStore(registry, "s1", NetworkConfig(hidden=(16, 8)))
 
 
 def pressed(folder: Path, serial: str) -> StationRecording:
@@ -64,12 +64,12 @@ def pressed(folder: Path, serial: str) -> StationRecording:
     return StationRecording(serial, "unit", t_s, output[:, None], stage_mm, None, 50.0, "V", 0.0, 0.0, 0.0, 0, aligned)
 
 
-def test_a_recording_says_by_which_method_a_station_proved_it(lot_folder, registry_url, tmp_path, registry, keeper):
+def test_a_recording_says_by_which_method_a_station_proved_it(lot_folder, registry_url, tmp_path, registry, run_store):
     shutil.rmtree(lot_folder / "audit")
     batched(lot_folder, registry_url, tmp_path / "brought.json")
     proven = replace(pressed(lot_folder, "A1"), proof_method=METHOD.id)
     proven = replace(proven, output=np.round(1.01 * proven.output, 7))
-    keeper.keep(Order("o1", "s1", OrderKind.UNIT, "A1", "small"), proven, say)
+    run_store.store(Order("o1", "s1", OrderKind.UNIT, "A1", "small"), proven, say)
     entries = registry.recordings.of_lot("small", kind="unit")
     assert {(e.serial, e.proof_method) for e in entries if e.proof_method} == {("A1", METHOD.id)}
     assert len(entries) > 1
@@ -91,12 +91,12 @@ def batched(folder: Path, url: str, out: Path, *more: str) -> dict[str, dict[str
 
 
 def test_a_unit_pressed_on_the_line_and_batched_anywhere_has_one_calibration(
-    lot_folder, registry_url, tmp_path, registry, keeper
+    lot_folder, registry_url, tmp_path, registry, run_store
 ):
     shutil.rmtree(lot_folder / "audit")
     runs = {serial: pressed(lot_folder, serial) for serial in ("A1", "A2", "A3")}
     for serial, run in runs.items():
-        keeper.keep(Order(f"o{serial}", "s1", OrderKind.UNIT, serial, "small"), run, say)
+        run_store.store(Order(f"o{serial}", "s1", OrderKind.UNIT, serial, "small"), run, say)
     made = {serial: registry.calibrations.get(serial) for serial in runs}
     for serial, run in runs.items():
         unit = run.output_recording()
@@ -145,7 +145,7 @@ def let_be_known(what: str, folder: Path, press_unit) -> None:
 
 @pytest.mark.parametrize("what", KNOWN)
 def test_whoever_calibrates_a_recording_starts_from_the_same(
-    what, lot_folder, registry_url, registry, keeper, press_unit, tmp_path
+    what, lot_folder, registry_url, registry, run_store, press_unit, tmp_path
 ):
     let_be_known(what, lot_folder, press_unit)
     run = pressed(lot_folder, "A1")
@@ -154,7 +154,7 @@ def test_whoever_calibrates_a_recording_starts_from_the_same(
     write_columns(lot_folder / "units/A1.csv", columns)  # type: ignore[arg-type]
     batched(lot_folder, registry_url, tmp_path / "batch.json")
     (made,) = (one for one in registry.calibrations.history("A1") if one.revision == 1)
-    keeper.keep(Order("o", "s1", OrderKind.UNIT, "A1", "small"), run, say)
+    run_store.store(Order("o", "s1", OrderKind.UNIT, "A1", "small"), run, say)
     assert [one.input_sha256 for one in registry.calibrations.history("A1")] == [made.input_sha256]
     asked = {"lot": "small", "networks": [made.state.fit.network_id], "families": [MapConfig().family], "units": 1}
     (row,) = compare_on_lot(registry, asked, lambda *_: None)
@@ -215,17 +215,17 @@ def levels(folder: Path, serial: str) -> tuple[float, float]:
 
 
 def test_known_loads_of_the_line_are_those_of_every_later_calibration(
-    lot_folder, registry_url, tmp_path, registry, keeper
+    lot_folder, registry_url, tmp_path, registry, run_store
 ):
     shutil.rmtree(lot_folder / "audit")
     rest, pressed_level = levels(lot_folder, "A1")
     registry.lots.set_line_rules("small", LOADS, reason="two weights")
-    run = keeper.keep(Order("o", "s1", OrderKind.UNIT, "A1", "small"), pressed(lot_folder, "A1"), say)
+    run = run_store.store(Order("o", "s1", OrderKind.UNIT, "A1", "small"), pressed(lot_folder, "A1"), say)
     assert run.message[0].code == "load.wanted" and not run.verdict
     assert registry.lots.units(serial="A1")[0].revision is None, "judged before its loads were read"
-    first = keeper.keep(*reading("A1", 1, 0.0, rest), say)
+    first = run_store.store(*reading("A1", 1, 0.0, rest), say)
     assert first.message[0].code == "load.read" and not first.verdict
-    done = keeper.keep(*reading("A1", 2, 2.0, pressed_level), say)
+    done = run_store.store(*reading("A1", 2, 2.0, pressed_level), say)
     assert done.verdict
     (stored,) = registry.calibrations.history("A1")
     (kept,) = known_loads(registry, "small").values()
@@ -255,27 +255,27 @@ def test_known_loads_of_the_line_are_those_of_every_later_calibration(
     ],
     ids=["the second weight was not put on", "good", "against the direction of the source"],
 )
-def test_loads_that_cannot_be_calibrate_nothing(levels_read, codes, lot_folder, registry, keeper):
+def test_loads_that_cannot_be_calibrate_nothing(levels_read, codes, lot_folder, registry, run_store):
     rest, full = levels(lot_folder, "A1")
     registry.lots.set_line_rules("small", LOADS, reason="two weights")
-    keeper.keep(Order("o", "s1", OrderKind.UNIT, "A1", "small"), pressed(lot_folder, "A1"), say)
+    run_store.store(Order("o", "s1", OrderKind.UNIT, "A1", "small"), pressed(lot_folder, "A1"), say)
     for step, (load, share, code) in enumerate(zip((0.0, 2.0), levels_read, codes, strict=True), 1):
-        said = keeper.keep(*reading("A1", step, load, rest + share * (full - rest)), say)
+        said = run_store.store(*reading("A1", step, load, rest + share * (full - rest)), say)
         assert (said.message[0].code == code and not said.verdict) if code else said.verdict
     is_good = not codes[-1]
     assert (registry.lots.units(serial="A1")[0].revision is not None) == is_good
     assert bool(known_loads(registry, "small")) == is_good
 
 
-def test_a_reading_that_is_not_due_is_refused_before_it_begins(lot_folder, registry, keeper):
+def test_a_reading_that_is_not_due_is_refused_before_it_begins(lot_folder, registry, run_store):
     due = Order("x", "s1", OrderKind.LOAD, "A1", "small", reason="1: 0.0")
     registry.lots.set_line_rules("small", LOADS, reason="two weights")
-    keeper.keep(Order("o", "s1", OrderKind.UNIT, "A1", "small"), pressed(lot_folder, "A1"), say)
+    run_store.store(Order("o", "s1", OrderKind.UNIT, "A1", "small"), pressed(lot_folder, "A1"), say)
     reasons = ({"reason": told} for told in ("2: 2.0", "1: 2.0", "the second"))
     for changes in ({"serial": "A2"}, {"lot_id": "other"}, *reasons):
         with pytest.raises(InputError):
-            keeper.check(replace(due, **changes))
-    keeper.check(due)
+            run_store.check(replace(due, **changes))
+    run_store.check(due)
 
 
 @pytest.mark.parametrize(
@@ -283,7 +283,7 @@ def test_a_reading_that_is_not_due_is_refused_before_it_begins(lot_folder, regis
     [((0.0, 0.0), (4000.0, 0.0)), ((0.0, 0.0), (2.0, 1.0))],
     ids=["in the wrong unit", "not known well enough"],
 )
-def test_loads_that_no_calibration_can_use_stop_the_unit_before_anything_moves(loads, registry, keeper):
+def test_loads_that_no_calibration_can_use_stop_the_unit_before_anything_moves(loads, registry, run_store):
     registry.lots.set_line_rules("small", LineRules(loads=loads), reason="weights")  # type: ignore[arg-type]
     with pytest.raises(InputError):
-        keeper.check(Order("o", "s1", OrderKind.UNIT, "A1", "small"))
+        run_store.check(Order("o", "s1", OrderKind.UNIT, "A1", "small"))

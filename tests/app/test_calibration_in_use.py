@@ -251,7 +251,7 @@ def test_an_end_in_time_is_never_broken_off_later():
         with guard.time_limit(60.0):
             pass
     for _ in range(200):
-        with suppress(guard.TooLong), guard.time_limit(1e-4):
+        with suppress(guard.UnitTimeout), guard.time_limit(1e-4):
             sum(range(2000))
         # A limit that fired at the end of the block must not reach this line.
         sum(range(500))
@@ -259,13 +259,13 @@ def test_an_end_in_time_is_never_broken_off_later():
 
 def test_a_limit_that_was_not_reached_hangs_under_no_profiler():
     code = (
-        "import cProfile\nfrom softcal.app.batch.guard import TooLong, time_limit\n"
+        "import cProfile\nfrom softcal.app.batch.guard import UnitTimeout, time_limit\n"
         "def under(limit_s):\n"
         "    with time_limit(limit_s):\n"
         "        return sum(len(str(k)) for k in range(200_000))\n"
         "profile = cProfile.Profile()\n"
         "print(profile.runcall(under, 60.0))\n"
-        "try:\n    profile.runcall(under, 1e-3)\nexcept TooLong:\n    print('broken off')\n"
+        "try:\n    profile.runcall(under, 1e-3)\nexcept UnitTimeout:\n    print('broken off')\n"
         "print(profile.runcall(under, 60.0))\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)

@@ -13,7 +13,7 @@ def page_with_a_button(is_whole: bool) -> None:
     import streamlit as st
     from streamlit.runtime.scriptrunner import RerunData, get_script_run_ctx
 
-    from softcal.app.ui.callbacks import in_one_piece
+    from softcal.app.ui.callbacks import run_uninterrupted
 
     def press() -> None:
         # The browser asks for the whole page while the callback runs, as it does when a page has been drawn.
@@ -21,7 +21,7 @@ def page_with_a_button(is_whole: bool) -> None:
         st.session_state["begun"] = True
         st.session_state["done"] = st.session_state["begun"]
 
-    st.button("press", on_click=in_one_piece(press) if is_whole else press)
+    st.button("press", on_click=run_uninterrupted(press) if is_whole else press)
     st.text(f"done: {st.session_state.get('done', False)}")
 
 
@@ -37,12 +37,12 @@ def test_an_error_in_a_callback_is_the_pages_error() -> None:
     def page() -> None:
         import streamlit as st
 
-        from softcal.app.ui.callbacks import in_one_piece
+        from softcal.app.ui.callbacks import run_uninterrupted
 
         def press() -> None:
             raise ValueError("no such unit")
 
-        st.button("press", on_click=in_one_piece(press))
+        st.button("press", on_click=run_uninterrupted(press))
 
     screen = AppTest.from_function(page).run()
     screen.button[0].click().run()

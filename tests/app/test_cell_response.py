@@ -5,11 +5,11 @@ from dataclasses import replace
 import pytest
 
 from softcal.app.files.lot_folder import open_lot_folder
-from softcal.app.files.lot_toml import restate_limit
+from softcal.app.files.lot_toml import update_limit
 from softcal.app.line.rig import record_to_files
 from softcal.core.errors import BadReply
 from softcal.core.profiles import moves
-from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.bench.bench import open_simulated_bench
 from softcal.station.devices.config import UNKNOWN_S
 from softcal.station.testing.faults import filter_cell
 
@@ -38,7 +38,7 @@ def test_labels_that_a_low_pass_makes_too_wrong_for_the_limit_of_the_lot_are_not
     first = press_source(tmp_path, 0.03)
     before = first.files[0].read_bytes()
     for share, is_refused in ((5.0, False), (3.0, True)):
-        restate_limit(tmp_path, share * first.recording.alignment.force_response_N)
+        update_limit(tmp_path, share * first.recording.alignment.force_response_N)
         if is_refused:
             with pytest.raises(BadReply) as bad:
                 press_source(tmp_path, 0.03)

@@ -4,14 +4,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from softcal.app.line.pressed_run import RunKeeper
+from softcal.app.line.pressed_run import RunStore
 from softcal.app.line.recover import recover
 from softcal.core.lot import Lot
 from softcal.core.orders import Order, OrderKind, RunState
 from softcal.core.profiles import ramps
 from softcal.core.simulated_lot import draw_lot
 from softcal.db.connection import open_registry
-from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.bench.bench import open_simulated_bench
 from softcal.station.record.spool import Spool
 from softcal.station.tasks.acquisition import record
 
@@ -20,7 +20,7 @@ from softcal.station.tasks.acquisition import record
 def pressed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("spool")
     units = draw_lot(np.random.default_rng(1), 3)
-    with open_simulated_bench(units[0], seed=1, beside=units[1:]) as (bench, _):
+    with open_simulated_bench(units[0], seed=1, other_units=units[1:]) as (bench, _):
         with Spool(folder / "run.spool", {"serial": "A1", "serials": "A1,A2,A3"}) as spool:
             return record(bench, "A1", ramps([2.0], 3.0, rest_s=0.5), with_reference=False, spool=spool), folder
 
@@ -38,6 +38,6 @@ def test_each_unit_of_a_substrate_is_kept_with_a_serial_of_its_own(pressed, tmp_
     with open_registry(f"sqlite:///{tmp_path / 'r.db'}") as registry:
         registry.lots.add(Lot("L1", "A0", 50.0))
         order = Order("o1", "s1", OrderKind.UNIT, "SUB1", "L1")
-        done = RunKeeper(registry, "s1").keep(order, recording, lambda progress: None)
+        done = RunStore(registry, "s1").store(order, recording, lambda progress: None)
         assert done.state is RunState.DONE
         assert [unit.serial for unit in registry.lots.units("L1")] == ["A0", "SUB1-1", "SUB1-2", "SUB1-3"]

@@ -13,10 +13,10 @@ import pytest
 from softcal.app.charts.palette import LIGHT
 from softcal.app.charts.station import profile_figure
 from softcal.app.connect.stations import station_json
-from softcal.app.gap.desk import practise
-from softcal.app.line.facts import Screen, read_line
+from softcal.app.gap.page_cases import practise
+from softcal.app.line.status import Screen, read_line
 from softcal.app.texts.catalogue import text
-from softcal.app.ui.panels import told
+from softcal.app.ui.panels import drop_empty_columns
 from softcal.app.views.line import line_view
 from softcal.app.views.lot import lot_view
 from softcal.app.views.station import bounds
@@ -395,7 +395,9 @@ def test_what_no_cause_explains_is_described_on_the_page(calibrated: str, show, 
 
 def test_a_column_that_says_nothing_takes_no_room() -> None:
     rows = [{"a": 0, "why": "", "remark": ""}, {"a": 1, "why": "", "remark": "old"}]
-    assert told(rows) == [{"a": 0, "remark": ""}, {"a": 1, "remark": "old"}] and told([]) == []
+    assert (
+        drop_empty_columns(rows) == [{"a": 0, "remark": ""}, {"a": 1, "remark": "old"}] and drop_empty_columns([]) == []
+    )
 
 
 def test_a_profile_is_drawn_where_its_bound_counts_from() -> None:

@@ -9,8 +9,8 @@ import numpy as np
 import plotly.graph_objects as go
 import pytest
 
+from softcal.app.charts.explanation import explanation_figure
 from softcal.app.charts.palette import palette
-from softcal.app.charts.why import why_figure
 from softcal.app.cli.main import main
 from softcal.app.texts.catalogue import catalogue, text
 from softcal.app.views.unit import UnitView, unit_view
@@ -52,7 +52,7 @@ def figure_of(url: str, has_audit: bool) -> tuple[UnitView, go.Figure]:
     with open_registry(url) as registry:
         view = unit_view(registry, UnitKey("small", "A1"))
     view = view if has_audit else replace(view, audit=None)
-    return view, why_figure(view, palette("light"), partial(text, "en"))
+    return view, explanation_figure(view, palette("light"), partial(text, "en"))
 
 
 def test_what_was_measured_is_shown_where_it_decided(url: str) -> None:

@@ -19,7 +19,9 @@ from pypdf import PdfReader
 
 from softcal.app.export.certificates.content import Certificate, Uncertainty
 from softcal.app.export.certificates.dcc import certificate_xml
-from softcal.app.export.certificates.laboratory import (
+from softcal.app.export.certificates.pdf import certificate_pdf
+from softcal.app.export.certificates.statements import METHODS, WITHHOLDING_REASONS
+from softcal.app.export.laboratory import (
     NOT_STATED,
     Conditions,
     Laboratory,
@@ -29,8 +31,6 @@ from softcal.app.export.certificates.laboratory import (
     Person,
     read_laboratory,
 )
-from softcal.app.export.certificates.pdf import certificate_pdf
-from softcal.app.export.certificates.statements import METHODS, WITHHELD
 from softcal.app.paper.fonts import KOREAN as KOREAN_FONT
 from softcal.app.paper.fonts import PLAIN, has_all, register_file, writable
 from softcal.app.texts.catalogue import catalogue
@@ -92,7 +92,7 @@ def facts() -> Certificate:
         blocking_reasons=(),
         budget=measured_budget(0.22, CELL, 2.0),
         map_family="affine",
-        by_loads="",
+        load_correction="",
         revision_reason="calibrated",
         map_sha256="34" * 32,
         provenance=Provenance(
@@ -136,7 +136,7 @@ def _variants(facts: Certificate) -> list[Certificate]:
         of_lot(facts, sensor_model=" "),
         replace(facts, reference=SIMULATED),
         replace(facts, limit=default_limit("N", 0.1, 3.0, DecisionConfig())),
-        replace(facts, by_loads="trimmed", measured=None),
+        replace(facts, load_correction="trimmed", measured=None),
         replace(facts, measured=ErrorForecast(0.22, 0.0, np.inf)),
         expired(facts),
     ]
@@ -200,16 +200,16 @@ def test_why_nothing_is_stated_is_said_by_its_code(facts: Certificate) -> None:
         "no_limit": replace(facts, limit=derived),
         "no_reference": replace(facts, reference=None),
         "reference": expired(facts),
-        "known_loads": replace(facts, by_loads="trimmed", measured=None),
+        "known_loads": replace(facts, load_correction="trimmed", measured=None),
         "no_interval": replace(facts, measured=ErrorForecast(0.22, 0.0, np.inf)),
         "retest": replace(facts, verdict="retest"),
     }
-    assert set(cases) == set(WITHHELD) and not facts.withheld
+    assert set(cases) == set(WITHHOLDING_REASONS) and not facts.withholding_codes
     for code, case in cases.items():
-        assert case.withheld == (code,) and not case.conformity
-        assert escape(WITHHELD[code]) in certificate_xml(case).decode()
-    assert replace(facts, by_loads="trimmed").conformity == "pass", "an audit since the trim decides"
-    assert replace(facts, by_loads="trimmed", is_trimmed=True).withheld == ("known_loads",)
+        assert case.withholding_codes == (code,) and not case.conformity
+        assert escape(WITHHOLDING_REASONS[code]) in certificate_xml(case).decode()
+    assert replace(facts, load_correction="trimmed").conformity == "pass", "an audit since the trim decides"
+    assert replace(facts, load_correction="trimmed", is_trimmed=True).withholding_codes == ("known_loads",)
     assert str(derived.origin) in certificate_xml(cases["no_limit"]).decode()
 
 
@@ -279,7 +279,7 @@ def test_days_are_those_that_somebody_stated_else_the_registrys(facts: Certifica
     def days(began: date | None, ended: date | None) -> tuple[date, date]:
         performance = replace(facts.laboratory.performance, began_on=began, ended_on=ended)
         found = replace(facts, laboratory=replace(facts.laboratory, performance=performance))
-        assert found.performed.count(NOT_STATED) == (began is None) + (ended is None)
+        assert found.performance_days.count(NOT_STATED) == (began is None) + (ended is None)
         return found.began_on, found.ended_on
 
     early, late = date(2026, 1, 5), date(2026, 5, 5)

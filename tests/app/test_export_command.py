@@ -20,11 +20,11 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from softcal.app.cli.main import main
 from softcal.app.export import names as export_names
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
-from softcal.app.export.check import NOT_CHECKED, NOT_SIGNED, WRONG, FolderCheck, check_folder
+from softcal.app.export.check import INVALID, NOT_CHECKED, NOT_SIGNED, FolderCheck, check_folder
 from softcal.app.export.export import export_units
 from softcal.app.export.formats import WRITERS
 from softcal.app.export.names import AUDIT
-from softcal.app.export.signature import open_signing_key, trusted_keys
+from softcal.app.export.signature import open_signing_key, read_trusted_keys
 from softcal.core.errors import InputError
 from softcal.core.export.json_text import network_from_values, unit_from_values
 from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE
@@ -222,7 +222,7 @@ def test_check_answers_three_questions_apart(run: Run, tmp_path: Path, capsys: p
 
     def check(key: str | None, code: int) -> FolderCheck:
         """The answers; the command's exit code is that, and it names every problem."""
-        found = check_folder(out, trusted_keys([Path(key)]) if key else ())
+        found = check_folder(out, read_trusted_keys([Path(key)]) if key else ())
         capsys.readouterr()
         assert run("--check", *(("--public-key", key) if key else ())) == code
         error = " ".join(capsys.readouterr().err.split())
@@ -244,10 +244,10 @@ def test_check_answers_three_questions_apart(run: Run, tmp_path: Path, capsys: p
     (tmp_path / "other").mkdir()
     other = _keys(tmp_path / "other")[1]
     found = check(other, 2)
-    assert found.signed_by == WRONG and not found.incomplete and not found.changed
+    assert found.signed_by == INVALID and not found.incomplete and not found.changed
     manifest = (out / "manifest.json").read_text()
     (out / "manifest.json").write_text(manifest.replace('"pass"', '"fail"').replace("conditional", "pass"))
-    assert check(public, 2).signed_by == WRONG
+    assert check(public, 2).signed_by == INVALID
     (out / "manifest.json").write_text(manifest)
     assert run("--serial", "A2", "--format", "blob") == 0
     assert not (out / "manifest.sig").exists()
@@ -290,7 +290,9 @@ def test_keys_change_and_the_check_says_whose_the_signature_is(run: Run, tmp_pat
             f'[[key]]\nname = "Works 2025"\nfile = "old/key.pub"\nvalid_until = {old_until}\n'
             f'[[key]]\nname = "Works 2026"\nfile = "new/key.pub"\nvalid_from = {new_from}\n'
         )
-        return run("--check", "--public-key", str(ring)), check_folder(tmp_path / "out", trusted_keys([ring])).signed_by
+        return run("--check", "--public-key", str(ring)), check_folder(
+            tmp_path / "out", read_trusted_keys([ring])
+        ).signed_by
 
     run("--serial", "A1", "--format", "blob", "--sign", keys[1][0])
     code, answer = check("2020-01-01", "2020-01-01")

@@ -6,8 +6,8 @@ from zoneinfo import ZoneInfo
 import pytest
 import streamlit as st
 
-from softcal.app.texts.catalogue import LANGUAGES, instant, text, words_in
-from softcal.app.texts.reasons import said
+from softcal.app.texts.catalogue import LANGUAGES, format_instant, make_translator, text
+from softcal.app.texts.reasons import render_reason
 from softcal.core.messages.reason import reason
 from softcal.core.orders import Heartbeat, StationState
 from softcal.db.connection import open_registry
@@ -56,9 +56,9 @@ def test_what_a_person_chose_stays_whatever_the_browser_speaks(tmp_path, browser
 
 @pytest.mark.parametrize(("zone", "hours"), [(SEOUL, 9), ("America/St_Johns", -3.5), ("UTC", 0)])
 def test_an_instant_says_its_zone_and_is_the_same_instant(zone, hours) -> None:
-    shown = instant(MADE.astimezone(ZoneInfo(zone)))
+    shown = format_instant(MADE.astimezone(ZoneInfo(zone)))
     assert read(shown) == MADE and read(shown).utcoffset() == timedelta(hours=hours)
-    assert shown in words_in("en", ZoneInfo(zone))("wall.drawn", at=MADE)
+    assert shown in make_translator("en", ZoneInfo(zone))("wall.drawn", at=MADE)
 
 
 @pytest.mark.parametrize(("timezone", "hours"), [(SEOUL, 9), ("Nowhere/Else", None), (None, None)])
@@ -79,9 +79,13 @@ def test_sentences_on_pages_show_times_in_the_zone_of_the_browser(calibrated, br
     with open_registry(calibrated) as registry:
         registry.order_queue.beat(Heartbeat("line-1", StationState.READY, at, process="a:1"))
     screen = show(calibrated, "lot", lot="small")
-    assert any(instant(at.astimezone(ZoneInfo(SEOUL))) in alert.value for alert in (*screen.warning, *screen.error))
+    assert any(
+        format_instant(at.astimezone(ZoneInfo(SEOUL))) in alert.value for alert in (*screen.warning, *screen.error)
+    )
 
 
 def test_a_reason_that_names_an_instant_is_said_in_the_zone_of_its_reader() -> None:
     why = reason("gate.golden", serial="G1", at=MADE.isoformat())
-    assert instant(MADE.astimezone(ZoneInfo(SEOUL))) in said(why, words_in("ko", ZoneInfo(SEOUL)))
+    assert format_instant(MADE.astimezone(ZoneInfo(SEOUL))) in render_reason(
+        why, make_translator("ko", ZoneInfo(SEOUL))
+    )

@@ -10,7 +10,7 @@ from playwright.sync_api import Page
 
 from softcal.app.charts.gap import FONTS as OF_GAP
 from softcal.app.charts.palette import FONTS, LIGHT
-from softcal.app.charts.style import coloured
+from softcal.app.charts.style import apply_theme
 from softcal.app.ui import account
 
 UI = Path(account.__file__).parent
@@ -19,7 +19,7 @@ MOST_BYTES = 1_000_000
 
 
 def test_plots_are_written_like_the_page() -> None:
-    assert coloured(go.Figure(), LIGHT).layout.font.family == THEME["font"] == FONTS == OF_GAP
+    assert apply_theme(go.Figure(), LIGHT).layout.font.family == THEME["font"] == FONTS == OF_GAP
 
 
 def test_the_fonts_of_the_page_lie_in_the_package_with_their_licence() -> None:

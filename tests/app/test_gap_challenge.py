@@ -12,13 +12,13 @@ from softcal.app.cli.main import command_parser
 from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.gap.challenge import (
     ask_rig,
-    asked_run,
     make_challenge,
     open_challenge,
     press_rig_lot,
+    record_experiment,
     score_challenge,
 )
-from softcal.app.gap.sealed_file import Examiner, ask_examiner, key_beside, read_sealed
+from softcal.app.gap.sealed_file import Examiner, ask_examiner, default_key_path, read_sealed
 from softcal.core.errors import InputError
 
 
@@ -82,7 +82,7 @@ def test_labels_cannot_be_read_without_the_key(made: tuple[Path, Path], tmp_path
     effects = {cause.effect for label in open_challenge(folder, seal) for cause in label.case.causes}
     for path in (seal, *folder.rglob("*.*")):
         assert effects and not any(effect in path.read_text() for effect in effects)
-    key = key_beside(seal)
+    key = default_key_path(seal)
     assert not key.is_relative_to(folder)
     moved = key.rename(tmp_path / "examiner.key")
     with pytest.raises(InputError, match="cannot be read"):
@@ -122,7 +122,7 @@ def test_an_examiner_answers_where_the_examinee_has_neither_seal_nor_key(
     folder, seal = made
     handed = tmp_path / "handed"
     shutil.copytree(folder, handed)
-    with Examiner(partial(asked_run, folder, seal)) as examiner:
+    with Examiner(partial(record_experiment, folder, seal)) as examiner:
         Thread(target=examiner.serve_forever, daemon=True).start()
         assert run("ask", handed, "case-001", "--experiment", "rate_sweep", "--examiner", examiner.address) == 0
         asked = Path(capsys.readouterr().out.strip())
@@ -131,7 +131,7 @@ def test_an_examiner_answers_where_the_examinee_has_neither_seal_nor_key(
         with pytest.raises(InputError, match="does not know"):
             ask_examiner(f"{examiner.address}x", "case-001", "rest", 1)
         examiner.shutdown()
-    mine = ask_rig(folder, partial(asked_run, folder, seal), "case-001", "rate_sweep")
+    mine = ask_rig(folder, partial(record_experiment, folder, seal), "case-001", "rate_sweep")
     for name in ("recording.csv", "recording.json"):
         assert (asked / name).read_bytes() == (mine / name).read_bytes()
     with pytest.raises(InputError, match="no answer"):
@@ -159,8 +159,8 @@ def test_a_changed_recording_is_noticed(made: tuple[Path, Path]) -> None:
 
 def test_an_experiment_is_added_and_the_case_stays_sealed(made: tuple[Path, Path]) -> None:
     folder, seal = made
-    asked = ask_rig(folder, partial(asked_run, folder, seal), "case-001", "rate_sweep")
-    again = ask_rig(folder, partial(asked_run, folder, seal), "case-001", "dummy_resistor")
+    asked = ask_rig(folder, partial(record_experiment, folder, seal), "case-001", "rate_sweep")
+    again = ask_rig(folder, partial(record_experiment, folder, seal), "case-001", "dummy_resistor")
     assert asked.name == "asked-1" and again.name == "asked-2"
     assert json.loads((again / "recording.json").read_text())["dummy_ohm"] > 0
     assert len(open_challenge(folder, seal)) == 3
@@ -192,9 +192,9 @@ def test_reports_that_are_not_there_are_named(made: tuple[Path, Path]) -> None:
 def test_unknown_names_are_answered_with_the_known_ones(made: tuple[Path, Path], tmp_path: Path) -> None:
     folder, seal = made
     with pytest.raises(InputError, match="rate_sweep"):
-        ask_rig(folder, partial(asked_run, folder, seal), "case-001", "dance")
+        ask_rig(folder, partial(record_experiment, folder, seal), "case-001", "dance")
     with pytest.raises(InputError, match="case-003"):
-        ask_rig(folder, partial(asked_run, folder, seal), "case-9", "rest")
+        ask_rig(folder, partial(record_experiment, folder, seal), "case-9", "rest")
     with pytest.raises(InputError, match="usual"):
         make_challenge(tmp_path / "x", tmp_path / "x.json", 1, line="odd")
 

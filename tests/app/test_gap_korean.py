@@ -14,22 +14,22 @@ import pytest
 
 from softcal.app.charts.gap import chain_figure
 from softcal.app.charts.gap_page import gap_page
-from softcal.app.gap.desk import kept_of
 from softcal.app.gap.diagnose import run_views
+from softcal.app.gap.page_cases import pack_diagnosis
 from softcal.app.paper.drawing import svg
 from softcal.app.texts.catalogue import text
-from softcal.app.texts.reasons import said
+from softcal.app.texts.reasons import render_reason
 from softcal.app.views.gap import (
     ambiguous_groups,
+    cause_names,
     cause_rows,
     effect_name,
     hidden_effects,
+    location_rows,
     mistake_rows,
-    named_causes,
-    place_rows,
-    pressed_name,
+    next_run_reason,
+    profile_name,
     residual_rows,
-    why_next,
 )
 from softcal.core import profiles
 from softcal.core.challenge.protocols import PROTOCOLS
@@ -147,13 +147,13 @@ def test_the_figures_of_the_page_are_korean(report: dict[str, Any], page: str, e
 def test_the_chain_and_the_tables_are_korean(report: dict[str, Any], english_in: English) -> None:
     labels = shown(svg(chain_figure(report, KOREAN)))
     assert labels and english_in(" ".join(labels)) == []
-    tables = (cause_rows, place_rows, residual_rows, mistake_rows)
+    tables = (cause_rows, location_rows, residual_rows, mistake_rows)
     cells = [cell for rows in tables for row in rows(report, KOREAN) for cell in row.values()]
-    lines = [line for lines in (named_causes, hidden_effects, ambiguous_groups) for line in lines(report, KOREAN)]
+    lines = [line for lines in (cause_names, hidden_effects, ambiguous_groups) for line in lines(report, KOREAN)]
     proposed = report["next_experiment"]
-    lines.append(why_next(proposed, KOREAN))
+    lines.append(next_run_reason(proposed, KOREAN))
     if proposed["profile"] != "none":
-        lines.append(pressed_name(proposed["profile"], KOREAN))
+        lines.append(profile_name(proposed["profile"], KOREAN))
     assert [cell for cell in [*cells, *lines] if english_in(cell)] == []
 
 
@@ -168,7 +168,7 @@ def test_the_desk_is_korean_and_hands_out_the_page(
     case, offered = tmp_path / "rig-7", []
     (case / "runs").mkdir(parents=True)
     monkeypatch.setattr("streamlit.download_button", lambda *args, **options: offered.append((*args, options)))
-    result, arrays = kept_of(diagnosis)
+    result, arrays = pack_diagnosis(diagnosis)
     with open_registry(calibrated) as registry:
         board = registry.job_board
         job = board.place("diagnose", {"case": str(case)}, "Erin")
@@ -196,19 +196,19 @@ def test_the_english_sentences_of_a_report_stay_beside_their_codes(report: dict[
 
 def test_a_report_of_an_older_version_is_shown_as_it_stands() -> None:
     place = {"stage": "mechanics", "channel": "force", "regime": "hold", "share": 0.5, "detail": "maps: stage→force"}
-    (row,) = place_rows({"where": [place]}, KOREAN)
+    (row,) = location_rows({"where": [place]}, KOREAN)
     said_of = (KOREAN("gap.stage.mechanics"), KOREAN("gap.channel.force"), "hold", "maps: stage→force")
     assert (row["stage"], row["channel"], row["regime"], row["detail"]) == said_of
-    assert why_next({"profile": "rest", "why": "it rests"}, KOREAN) == "it rests"
-    assert why_next({}, KOREAN) == ""
+    assert next_run_reason({"profile": "rest", "why": "it rests"}, KOREAN) == "it rests"
+    assert next_run_reason({}, KOREAN) == ""
 
 
 def test_what_a_plug_in_brings_is_shown_as_it_is_written() -> None:
     assert effect_name("cable_drag", KOREAN) == "cable drag"
     alias = Alias("electronics", "a loose plug", 0.5, "rest", "temperature_C", 1.0, "press the plug home")
     told = {"alias": Reason.parse(alias.detail), "advice": Reason.parse(alias.advice)}
-    assert "a loose plug" in said(Reason("gap.next.alias", {"effect": "cable_drag", **told}), KOREAN)
-    assert pressed_name("my own dance", KOREAN) == "my own dance"
+    assert "a loose plug" in render_reason(Reason("gap.next.alias", {"effect": "cable_drag", **told}), KOREAN)
+    assert profile_name("my own dance", KOREAN) == "my own dance"
 
 
 def test_every_effect_has_its_names(english_in: English) -> None:
@@ -228,7 +228,7 @@ def test_everything_softcal_names_has_a_korean_name(english_in: English) -> None
     assert english_in(" ".join(text("ko", f"gap.mistake.{kind}") for kind in kinds)) == []
     rng = np.random.default_rng(1)
     made = [make(rng, 3.0).name for make in (*profiles.BUILT_IN.values(), *PROTOCOLS.values())]
-    names = [pressed_name(name, KOREAN) for name in (*made, *(SET_UP_min.keys() - {"press"}), "fast_ramps")]
+    names = [profile_name(name, KOREAN) for name in (*made, *(SET_UP_min.keys() - {"press"}), "fast_ramps")]
     assert [name for name in names if english_in(name)] == []
 
 

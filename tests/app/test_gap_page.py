@@ -19,7 +19,7 @@ from softcal.app.charts.gap import (
 )
 from softcal.app.charts.gap_page import gap_page
 from softcal.app.charts.palette import palette
-from softcal.app.charts.style import coloured
+from softcal.app.charts.style import apply_theme
 from softcal.app.paper.drawing import svg
 from softcal.app.texts.catalogue import text
 
@@ -164,6 +164,6 @@ def test_the_legend_of_the_traces_stays_in_the_figure_on_the_desk(run: RunView) 
     figure = trace_figure([run], "output_V", ENGLISH)
     assert figure is not None
     own = figure.layout.legend.to_plotly_json()
-    shown = coloured(figure, palette("light")).update_layout(legend=own)
+    shown = apply_theme(figure, palette("light")).update_layout(legend=own)
     # A place below the axes is counted from the axes: counted from the figure it lies outside.
     assert shown.layout.legend.y < 0 and shown.layout.legend.yref == "paper"

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from playwright.sync_api import Page
 
-from softcal.app.ui.guard import is_own, own_names
+from softcal.app.ui.guard import is_server_name, server_names
 
 pytestmark = pytest.mark.long
 
@@ -70,11 +70,11 @@ def test_metrics_are_closed_and_no_page_may_be_framed_or_fetch_elsewhere(address
 
 
 def test_own_names_are_names_and_no_parts_of_names():
-    own = own_names(["line.example"])
+    own = server_names(["line.example"])
     for host in ("[::1]:8501", "192.168.0.7", "LOCALHOST.", "line.example:80"):
-        assert is_own(host, own) is True, host
+        assert is_server_name(host, own) is True, host
     for host in ("x.line.example", "127.0.0.1.evil.example", "localhost:1@evil.example", ""):
-        assert is_own(host, own) is False, host
+        assert is_server_name(host, own) is False, host
 
 
 def test_the_policy_lets_every_page_of_softcal_be_drawn(address, page: Page):

@@ -13,8 +13,8 @@ from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.line import rig
 from softcal.core.errors import InputError
 from softcal.core.messages.reason import plain, reason
-from softcal.station.devices.catalogue import SECTIONS, offers
-from softcal.station.devices.station_file import read_station_file, station_from_table, station_toml
+from softcal.station.bench.catalogue import SECTIONS, offers
+from softcal.station.bench.station_file import read_station_file, station_from_table, station_toml
 from softcal.station.tasks.identify import DeviceIdentity
 
 

@@ -6,14 +6,14 @@ from functools import partial
 import numpy as np
 import pytest
 
-from softcal.app.gap.desk import cases, has_sealed_rig, practise, run_views_of, store_upload, truth
+from softcal.app.gap.page_cases import cases, has_sealed_rig, practise, run_views_of, store_upload, truth
 from softcal.app.jobs import launch as job_launch
 from softcal.app.jobs.jobs import run_job
 from softcal.app.texts.catalogue import text
-from softcal.app.views.gap import cause_rows, hidden_effects, named_causes, next_experiment, place_rows
+from softcal.app.views.gap import cause_names, cause_rows, hidden_effects, location_rows, next_experiment
 from softcal.app.views.network import hidden_widths, loss_spec
 from softcal.core.errors import InputError
-from softcal.core.messages.reason import joined, unpacked
+from softcal.core.messages.reason import to_line, unpack_reasons
 from softcal.core.orders import RunState
 from softcal.db.connection import open_registry
 from tests.wait import wait_until
@@ -56,7 +56,7 @@ def test_a_job_that_cannot_be_done_ends_with_one_line(calibrated: str) -> None:
         ):
             job_id = registry.job_board.place(kind, request, "Erin")
             assert run_job(registry, job_id, lambda: None) is RunState.ERROR
-            assert said in joined(unpacked(registry.job_board.job(job_id).message))
+            assert said in to_line(unpack_reasons(registry.job_board.job(job_id).message))
 
 
 def test_a_defect_in_a_job_is_logged_and_said(calibrated: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -79,7 +79,7 @@ def test_a_job_somebody_wants_stopped_ends_cancelled(calibrated: str, monkeypatc
         raise InputError("the process would be gone by now")
 
     monkeypatch.setattr("softcal.app.jobs.jobs.check", endless)
-    monkeypatch.setattr("softcal.app.jobs.jobs.BEAT_S", 0.05)
+    monkeypatch.setattr("softcal.app.jobs.jobs.HEARTBEAT_S", 0.05)
     with open_registry(calibrated) as registry:
         job_id = registry.job_board.place("station_check", {}, "Erin")
         assert run_job(registry, job_id, lambda: told.append("gone")) is RunState.CANCELLED
@@ -139,10 +139,10 @@ REPORT = {
 
 
 def test_a_report_is_read_in_words_with_its_intervals() -> None:
-    assert named_causes(REPORT, ENGLISH) == ["thermal drift (97.0 %)"]
+    assert cause_names(REPORT, ENGLISH) == ["thermal drift (97.0 %)"]
     (cause,) = cause_rows(REPORT, ENGLISH)
     assert cause["values"] == "alpha = 0.001 (0.0009 to 0.0011) 1/K"
-    assert [row["stage"] for row in place_rows(REPORT, ENGLISH)] == [
+    assert [row["stage"] for row in location_rows(REPORT, ENGLISH)] == [
         ENGLISH(f"gap.stage.{stage}") for stage in ("transduction", "load_cell")
     ]
     assert hidden_effects(REPORT, ENGLISH) == ["thermal drift (90.0 %)"] and next_experiment(REPORT) is None

@@ -15,8 +15,8 @@ from softcal.app.calibration.audit_evidence import AuditReader
 from softcal.app.calibration.comparison import compare_on_lot
 from softcal.app.cli.main import main
 from softcal.app.files.recording_file import write_columns
-from softcal.app.line.pressed_run import RunKeeper
-from softcal.app.registry.golden import golden_of
+from softcal.app.line.pressed_run import RunStore
+from softcal.app.registry.golden import find_golden_runs
 from softcal.app.registry.lot_files import write_lot_folder
 from softcal.core.errors import InputError
 from softcal.core.maps.config import MapConfig
@@ -46,8 +46,8 @@ def registry(registry_url: str) -> Iterator[Registry]:
 
 
 @pytest.fixture
-def keeper(registry: Registry) -> RunKeeper:
-    return RunKeeper(registry, "s1", NetworkConfig(hidden=(16, 8)))
+def run_store(registry: Registry) -> RunStore:
+    return RunStore(registry, "s1", NetworkConfig(hidden=(16, 8)))
 
 
 def pressed(press_unit, serial, gain=1.0, offset_V=0.5, seed=70, is_golden=False):
@@ -61,15 +61,15 @@ def pressed(press_unit, serial, gain=1.0, offset_V=0.5, seed=70, is_golden=False
     return StationRecording(serial, "unit", *measured, 50.0, "V", 0.0, 0.0, 0.0, 0, aligned)
 
 
-def press_golden(keeper, press_unit, run=None):
+def press_golden(run_store, press_unit, run=None):
     order = Order("g", "s1", OrderKind.GOLDEN, "A0")
-    keeper.check(order)
-    return keeper.keep(order, run or pressed(press_unit, "A0", is_golden=True), quiet)
+    run_store.check(order)
+    return run_store.store(order, run or pressed(press_unit, "A0", is_golden=True), quiet)
 
 
-def press_product(keeper, press_unit, serial="B1"):
+def press_product(run_store, press_unit, serial="B1"):
     run = pressed(press_unit, serial, gain=1.2, offset_V=0.6)
-    return keeper.keep(Order(f"o{serial}", "s1", OrderKind.UNIT, serial, "small"), run, quiet)
+    return run_store.store(Order(f"o{serial}", "s1", OrderKind.UNIT, serial, "small"), run, quiet)
 
 
 def bridges(stored: StoredCalibration) -> set[str]:
@@ -81,23 +81,23 @@ def batched(folder: Path, url: str, out: Path) -> dict[str, dict[str, object]]:
     return {unit["serial"]: unit for unit in json.loads(out.read_text())["units"]}
 
 
-def test_a_unit_is_calibrated_over_the_golden_run_of_its_sitting(registry, keeper, press_unit):
-    press_product(keeper, press_unit, "B0")
+def test_a_unit_is_calibrated_over_the_golden_run_of_its_sitting(registry, run_store, press_unit):
+    press_product(run_store, press_unit, "B0")
     assert not bridges(registry.calibrations.get("B0"))
-    assert press_golden(keeper, press_unit).verdict == "pass"
-    press_product(keeper, press_unit)
+    assert press_golden(run_store, press_unit).verdict == "pass"
+    press_product(run_store, press_unit)
     made = registry.calibrations.get("B1")
     assert bridges(made) == {"bridge.measured"}
     (golden,) = registry.recordings.of_lot("small", "A0", "audit")
-    assert golden_of(registry, "small", ["B0", "B1"]) == {made.state.fit.recording_sha256: ("B1", golden.sha256)}
+    assert find_golden_runs(registry, "small", ["B0", "B1"]) == {made.state.fit.recording_sha256: ("B1", golden.sha256)}
     assert registry.stations.golden_runs()[-1].recording_sha256 == golden.sha256
 
 
 def test_whoever_calibrates_that_recording_again_crosses_the_same_bridge(
-    registry, registry_url, keeper, press_unit, tmp_path
+    registry, registry_url, run_store, press_unit, tmp_path
 ):
-    press_golden(keeper, press_unit)
-    press_product(keeper, press_unit)
+    press_golden(run_store, press_unit)
+    press_product(run_store, press_unit)
     made = registry.calibrations.get("B1").state
     with lot_files(registry, "small", lambda done, of: None) as folder:
         again = batched(folder.root, registry_url, tmp_path / "again.json")
@@ -106,9 +106,9 @@ def test_whoever_calibrates_that_recording_again_crosses_the_same_bridge(
 
 
 @pytest.mark.long
-def test_a_lot_that_is_laid_out_takes_its_golden_run_along(registry, keeper, press_unit, tmp_path):
-    press_golden(keeper, press_unit)
-    press_product(keeper, press_unit)
+def test_a_lot_that_is_laid_out_takes_its_golden_run_along(registry, run_store, press_unit, tmp_path):
+    press_golden(run_store, press_unit)
+    press_product(run_store, press_unit)
     made = registry.calibrations.get("B1").state
     written = write_lot_folder(registry, "small", tmp_path / "one")
     assert written["golden"] == ["A0"] and written["audit"] == []
@@ -118,43 +118,43 @@ def test_a_lot_that_is_laid_out_takes_its_golden_run_along(registry, keeper, pre
     with open_registry(elsewhere) as other:
         assert bridges(other.calibrations.get("B1")) == {"bridge.measured"}
         # The folder told it, and the registry knows it from now on.
-        assert {serial for serial, _ in golden_of(other, "small", ["B1"]).values()} == {"B1"}
+        assert {serial for serial, _ in find_golden_runs(other, "small", ["B1"]).values()} == {"B1"}
     # A unit of another sitting: one folder cannot say which belongs to which.
-    press_product(RunKeeper(registry, "s2", NetworkConfig(hidden=(16, 8))), press_unit, "B2")
+    press_product(RunStore(registry, "s2", NetworkConfig(hidden=(16, 8))), press_unit, "B2")
     assert "golden" not in write_lot_folder(registry, "small", tmp_path / "two")
 
 
 @pytest.mark.parametrize("why", ["another station", "an earlier sitting", "it failed"])
-def test_a_golden_run_of_elsewhere_or_that_failed_carries_no_unit(why, registry, keeper, press_unit):
+def test_a_golden_run_of_elsewhere_or_that_failed_carries_no_unit(why, registry, run_store, press_unit):
     run = pressed(press_unit, "A0", is_golden=True)
     if why == "it failed":
         run = replace(run, force_N=1.5 * run.force_N)
-    done = press_golden(keeper, press_unit, run)
+    done = press_golden(run_store, press_unit, run)
     assert done.verdict == ("fail" if why == "it failed" else "pass")
     station = "s2" if why == "another station" else "s1"
     sitting = timedelta(0) if why == "an earlier sitting" else timedelta(hours=8)
-    other = RunKeeper(registry, station, NetworkConfig(hidden=(16, 8)), sitting=sitting)
+    other = RunStore(registry, station, NetworkConfig(hidden=(16, 8)), sitting=sitting)
     press_product(other, press_unit)
-    assert golden_of(registry, "small", ["B1"]) == {}
+    assert find_golden_runs(registry, "small", ["B1"]) == {}
     assert not bridges(registry.calibrations.get("B1"))
 
 
-def test_a_golden_run_that_no_day_explains_fails_and_says_so(registry, keeper, press_unit):
+def test_a_golden_run_that_no_day_explains_fails_and_says_so(registry, run_store, press_unit):
     run = pressed(press_unit, "A0", is_golden=True)
-    done = press_golden(keeper, press_unit, replace(run, force_N=9.81 * run.force_N))
+    done = press_golden(run_store, press_unit, replace(run, force_N=9.81 * run.force_N))
     golden, bridge, held = done.message
     assert (done.verdict, golden.code, held.code) == ("fail", "golden.error", "golden.held") and str(bridge)
 
 
-def test_golden_runs_of_the_source_show_how_days_differ(registry, keeper, press_unit):
-    press_golden(keeper, press_unit)
+def test_golden_runs_of_the_source_show_how_days_differ(registry, run_store, press_unit):
+    press_golden(run_store, press_unit)
     gains = AuditReader(registry, Method())._gains_by_day("small", "A0", datetime.now(UTC))
     assert gains == [pytest.approx(DAY_GAIN, abs=0.04)]
 
 
-def test_a_serial_that_is_neither_source_nor_calibrated_is_no_golden_unit(keeper):
+def test_a_serial_that_is_neither_source_nor_calibrated_is_no_golden_unit(run_store):
     with pytest.raises(InputError):
-        keeper.check(Order("g", "s1", OrderKind.GOLDEN, "Z9"))
+        run_store.check(Order("g", "s1", OrderKind.GOLDEN, "Z9"))
 
 
 def test_a_golden_run_that_lay_in_a_lot_folder_is_known_when_the_registry_lays_it_out(
@@ -175,7 +175,7 @@ def test_a_golden_run_that_lay_in_a_lot_folder_is_known_when_the_registry_lays_i
 )
 @pytest.mark.parametrize("is_pressed_first", [True, False])
 def test_line_batch_and_comparison_calibrate_a_recording_over_one_golden_run(
-    beside, is_pressed_first, registry, registry_url, keeper, lot_folder, press_unit, tmp_path
+    beside, is_pressed_first, registry, registry_url, run_store, lot_folder, press_unit, tmp_path
 ):
     """Whatever lies in the folder, whoever was first: what the batch decided with is what everybody has after it."""
     run = pressed(press_unit, "B1", gain=1.2, offset_V=0.6)
@@ -191,15 +191,15 @@ def test_line_batch_and_comparison_calibrate_a_recording_over_one_golden_run(
         golden = golden if beside == "under the load cell" else golden.drop(columns="reference")
         (lot_folder / "golden").mkdir()
         golden.to_csv(lot_folder / "golden/A0.csv", index=False)
-    press_golden(keeper, press_unit)
+    press_golden(run_store, press_unit)
     if is_pressed_first or beside != "under the load cell":
-        keeper.keep(order, run, quiet)
+        run_store.store(order, run, quiet)
     batched(lot_folder, registry_url, tmp_path / "batch.json")
     made = registry.calibrations.get("B1")
     # The sitting goes on: a newer golden run is none of this recording's.
     newer = pressed(press_unit, "A0", seed=71, is_golden=True)
-    keeper.keep(Order("g2", "s1", OrderKind.GOLDEN, "A0"), newer, quiet)
-    keeper.keep(order, run, quiet)
+    run_store.store(Order("g2", "s1", OrderKind.GOLDEN, "A0"), newer, quiet)
+    run_store.store(order, run, quiet)
     again = batched(lot_folder, registry_url, tmp_path / "again.json")
     with lot_files(registry, "small", lambda done, of: None) as folder:
         laid_out = batched(folder.root, registry_url, tmp_path / "laid_out.json")

@@ -18,8 +18,8 @@ from typing import Any
 import pytest
 
 from softcal.app.line import line as use_cases
-from softcal.app.line.facts import LineFacts, Place, Screen, read_line, read_place
 from softcal.app.line.line import Step, take_scan
+from softcal.app.line.status import LineSession, LineStatus, Screen, read_line, read_session
 from softcal.app.texts import catalogue as texts
 from softcal.app.views.line import LineView, line_view
 from softcal.app.views.line_states import STATES
@@ -52,7 +52,7 @@ class World:
     """Registry, station and two screens at one moment.
 
     Args:
-        place: values of the line's row, as the registry keeps them.
+        session: values of the line's row, as the registry keeps them.
         orders: runs, newest first, as (id, kind, serial, state, verdict, what it said, its step); the newest two
             matter.
         results: (serial, verdict) in the lot, at most two of a serial.
@@ -62,7 +62,7 @@ class World:
         loads: that the lot asks for.
     """
 
-    place: tuple[int, Any] = (0, None)
+    session: tuple[int, Any] = (0, None)
     orders: tuple[tuple[str, OrderKind, str, RunState, str, str, int], ...] = ()
     results: tuple[tuple[str, str], ...] = ()
     station: StationState = StationState.READY
@@ -116,13 +116,13 @@ class Played:
         return True
 
     def read(self, station: str) -> Any:
-        version, values = self.world.place
+        version, values = self.world.session
         return version, dict(values) if values else {}
 
     def write(self, station: str, seen_version: int, place: Any) -> bool:
-        assert seen_version == self.world.place[0]
+        assert seen_version == self.world.session[0]
         frozen = tuple((key, place[key]) for key in sorted(place))
-        self.world = replace(self.world, place=(seen_version + 1, frozen))
+        self.world = replace(self.world, session=(seen_version + 1, frozen))
         return True
 
     @property
@@ -143,7 +143,7 @@ class Played:
     def pages(self) -> Any:
         return SimpleNamespace(
             verdict_counts=lambda lot_id: {},
-            standings=self._standings,
+            unit_statuses=self._standings,
             unit_page=lambda *_, **__: SimpleNamespace(units=()),
         )
 
@@ -228,18 +228,18 @@ def offered(view: LineView) -> str:
 
 def plain(world: World) -> tuple[Any, ...]:
     """Return what tells worlds apart by what can follow: notes and badges lead nowhere."""
-    version, values = world.place
+    version, values = world.session
     place = dict(values or ())
     newest = world.orders[0] if world.orders else ("", None, "", None, "", "", 0)
-    is_in_doubt = place.get("after_run") == newest[0]
-    serial = place.get("serial", "") if is_in_doubt else ""
+    is_unit_uncertain = place.get("after_run") == newest[0]
+    serial = place.get("serial", "") if is_unit_uncertain else ""
     waits = (serial, place["process"] == f"elsewhere:{world.process}") if serial else ()
     is_same = place.get("process") == f"elsewhere:{world.process}" if newest[5] else True
     asked = (place["is_new"], place["is_confirmed"], place["tab"]) if serial else ()
     screens = tuple((seen == version, shown) for seen, shown in world.shown)
     return (
         place.get("lot_id", ""),
-        is_in_doubt,
+        is_unit_uncertain,
         waits,
         asked,
         is_same,
@@ -277,7 +277,7 @@ def after(world: World, who: str, event: str, trail: tuple[str, ...]) -> World |
     if event != "look":
         before = drawn(registry, who)
         seen, serial = world.shown[at]
-        take_scan(registry, Screen(tab=who, seen=seen), event)
+        take_scan(registry, Screen(tab=who, version=seen), event)
         moved = [order for order in registry.ordered if order.kind.presses]
         read = [order for order in registry.ordered if order.kind is OrderKind.LOAD]
         if (moved or read) and event != "CMD:START":
@@ -288,12 +288,12 @@ def after(world: World, who: str, event: str, trail: tuple[str, ...]) -> World |
             raise Broken(f"a load was read at a screen that showed {serial or 'none'}", trail)
         if moved and offered(before) != moved[0].serial:
             raise Broken(f"{moved[0].serial} was pressed under a card of {before.state} {before.serial}", trail)
-        scanned_here = dict(world.place[1] or ()).get("tab") == who
+        scanned_here = dict(world.session[1] or ()).get("tab") == who
         if moved and moved[0].serial != serial and not scanned_here:
             raise Broken(f"{moved[0].serial} was pressed at a screen that showed {serial or 'no unit'}", trail)
     view = drawn(registry, who)
     shown = list(registry.world.shown)
-    shown[at] = (view.seen, offered(view))
+    shown[at] = (view.start_version, offered(view))
     return replace(registry.world, shown=tuple(shown))
 
 
@@ -305,7 +305,7 @@ def check_card(world: World, who: str, event: str, before: LineView, trail: tupl
     newest = world.orders[0] if world.orders else None
     if view.state in RESULTS and (newest is None or newest[3] is not RunState.DONE or newest[2] != view.serial):
         raise Broken(f"{view.state} of {view.serial} though the newest run is {newest}", trail)
-    place = read_place(Played(world), "line-1")  # type: ignore[arg-type]
+    place = read_session(Played(world), "line-1")  # type: ignore[arg-type]
     if view.state in RESULTS and newest is not None and place.after_run == newest[0]:
         raise Broken(f"{view.state} of {view.serial} though another unit may be in the hand", trail)
     if STATES[view.state].is_before_run and view.serial and view.serial != place.serial:
@@ -414,20 +414,20 @@ def test_all_events_in_all_states_keep_the_properties(
 
 
 REAL = SimpleNamespace(
-    told=use_cases._told,
+    told=use_cases._with_note,
     start=use_cases._start,
     refusal=use_cases._start_refusal,
     step=use_cases._step,
-    emptied=Place.emptied,
-    serial=LineFacts.serial.fget,
-    in_doubt=LineFacts.is_in_doubt.fget,
+    emptied=LineSession.emptied,
+    serial=LineStatus.serial.fget,
+    in_doubt=LineStatus.is_unit_uncertain.fget,
 )
 
 
 def _pressed_at_once(registry: Any, facts: Any, screen: Any, scan: Any, who: str) -> Step:
     found = REAL.step(registry, facts, screen, scan, who)
-    is_unit = scan.kind == "serial" and found.place.serial and not facts.active
-    return Step(found.place, Order("at-once", "line-1", OrderKind.UNIT, found.place.serial)) if is_unit else found
+    is_unit = scan.kind == "serial" and found.session.serial and not facts.active
+    return Step(found.session, Order("at-once", "line-1", OrderKind.UNIT, found.session.serial)) if is_unit else found
 
 
 def _press_for_reading(facts: Any, screen: Any, who: str) -> Step:
@@ -437,11 +437,11 @@ def _press_for_reading(facts: Any, screen: Any, who: str) -> Step:
 
 
 def _same_service(facts: Any) -> int:
-    seen = replace(facts.place, process=facts.heartbeat.process) if facts.heartbeat else facts.place
-    return REAL.load_step(replace(facts, place=seen))
+    seen = replace(facts.session, process=facts.heartbeat.process) if facts.heartbeat else facts.session
+    return REAL.load_step(replace(facts, session=seen))
 
 
-REAL.load_step = LineFacts.load_step.fget
+REAL.load_step = LineStatus.load_step.fget
 HAZARDS: dict[str, tuple[Any, str, Any, bool]] = {
     "F4 starts": (use_cases._COMMANDS, "OK", REAL.start, False),
     "F6 starts": (use_cases._COMMANDS, "CANCEL", REAL.start, False),
@@ -449,12 +449,12 @@ HAZARDS: dict[str, tuple[Any, str, Any, bool]] = {
     "a scan starts": (use_cases, "_step", _pressed_at_once, False),
     "a refused scan leaves READY under the old serial": (
         use_cases,
-        "_told",
+        "_with_note",
         lambda facts, note, place=None: REAL.told(facts, note, None if note.is_refusal else place),
         False,
     ),
     "a unit that nobody knows in the hand stays the old one": (
-        Place,
+        LineSession,
         "emptied",
         lambda place, newest: replace(REAL.emptied(place, newest), serial=place.serial),
         False,
@@ -468,23 +468,23 @@ HAZARDS: dict[str, tuple[Any, str, Any, bool]] = {
     "F2 at a screen that showed another unit": (
         use_cases,
         "_start_refusal",
-        lambda facts, screen: REAL.refusal(facts, replace(screen, seen=None)),
+        lambda facts, screen: REAL.refusal(facts, replace(screen, version=None)),
         False,
     ),
     "a result stands there though another unit may be in the hand": (
-        LineFacts,
-        "is_in_doubt",
-        property(lambda facts: REAL.in_doubt(facts) and bool(facts.place.serial)),
+        LineStatus,
+        "is_unit_uncertain",
+        property(lambda facts: REAL.in_doubt(facts) and bool(facts.session.serial)),
         False,
     ),
     "F2 presses where a load is asked for": (use_cases._COMMANDS, "START", _press_for_reading, True),
     "F2 reads a load that its screen had not shown": (
         use_cases,
         "_start_refusal",
-        lambda facts, screen: REAL.refusal(facts, replace(screen, seen=None) if facts.load else screen),
+        lambda facts, screen: REAL.refusal(facts, replace(screen, version=None) if facts.load else screen),
         True,
     ),
-    "a load is asked for after a restart": (LineFacts, "load_step", property(_same_service), True),
+    "a load is asked for after a restart": (LineStatus, "load_step", property(_same_service), True),
     "F4 reads a load": (
         use_cases._COMMANDS,
         "OK",
@@ -492,8 +492,8 @@ HAZARDS: dict[str, tuple[Any, str, Any, bool]] = {
         True,
     ),
     "a load is asked for though another unit was scanned": (
-        LineFacts,
-        "is_in_doubt",
+        LineStatus,
+        "is_unit_uncertain",
         property(lambda facts: REAL.in_doubt(facts) and not _was_load(facts)),
         True,
     ),

@@ -4,10 +4,10 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from softcal.app.line.facts import Screen
 from softcal.app.line.line import take_scan
+from softcal.app.line.status import Screen
 from softcal.app.texts.catalogue import LANGUAGES, text
-from softcal.app.ui import server_memory
+from softcal.app.ui import server_cache
 from softcal.core.errors import RegistryError
 from softcal.core.orders import Heartbeat, OrderKind, StationState
 from softcal.db.connection import open_registry
@@ -81,6 +81,6 @@ def test_a_lost_registry_is_no_stack_trace(station, show, monkeypatch):
     def away(*arguments):
         raise RegistryError("the registry does not answer")
 
-    monkeypatch.setattr(type(server_memory.registry()), "order_queue", property(away))
+    monkeypatch.setattr(type(server_cache.registry()), "order_queue", property(away))
     screen.run()
     assert 'data-state="away"' in html_of(screen) and not screen.exception

@@ -10,9 +10,9 @@ import pytest
 
 from softcal.app.charts import palette
 from softcal.app.charts.live import live_signal
-from softcal.app.line.facts import LineFacts, LotAtLine, Note, Place
+from softcal.app.line.status import LineSession, LineStatus, LotAtLine, Note
 from softcal.app.texts import catalogue as texts
-from softcal.app.texts.reasons import plainly, said
+from softcal.app.texts.reasons import render_plain_reason, render_reason
 from softcal.app.ui.components import line_card
 from softcal.app.views import line as views_line
 from softcal.app.views.line import KEYS, away_view, line_view
@@ -42,8 +42,8 @@ def run(progress: Progress = UNIT_DONE, kind: OrderKind = OrderKind.UNIT, serial
     return Order("o1", "line-1", kind, serial, "L1", "kim", created=NOW - timedelta(minutes=1)), progress
 
 
-def facts(**changes) -> LineFacts:
-    return replace(LineFacts(NOW, ("line-1",), heartbeat(), lots=("L1",), lot=LOT), **changes)
+def facts(**changes) -> LineStatus:
+    return replace(LineStatus(NOW, ("line-1",), heartbeat(), lots=("L1",), lot=LOT), **changes)
 
 
 def test_the_figure_of_a_run_has_units_on_its_axes() -> None:
@@ -52,9 +52,9 @@ def test_the_figure_of_a_run_has_units_on_its_axes() -> None:
     assert [name[name.index("[") :] for name in named] == ["[s]", "[V]", "[mm]"]
 
 
-def waits(serial: str = "A1", run: str = "", **more) -> Place:
+def waits(serial: str = "A1", run: str = "", **more) -> LineSession:
     """A unit that was scanned after a run and waits."""
-    return Place(3, run, serial, **more)
+    return LineSession(3, run, serial, **more)
 
 
 def result(verdict: str, times: int = 1) -> tuple[RunEntry, ...]:
@@ -68,19 +68,19 @@ def shown(**changes):
 ERROR = Progress("o1", RunState.ERROR, code="E-SILENT", message="the load cell does not answer; the stage stands")
 ASKED = {"loads": loads_text((KnownLoad(0.0), KnownLoad(2.0, 0.002))), "of": 2, "unit": "N"}
 WANTED = replace(UNIT_DONE, verdict="", message=(reason("load.wanted", step=0, **ASKED),))
-SCANNED = Place(3, "an older run", process="")
+SCANNED = LineSession(3, "an older run", process="")
 SITUATIONS = {
     "no_station": {"heartbeat": None},
     "silent": {"heartbeat": replace(heartbeat(), at=NOW - timedelta(seconds=4))},
     "silent, ended in good order": {"heartbeat": heartbeat(StationState.OFF)},
     "no_lot": {"lot": None},
     "ready": {},
-    "hand": {"place": Place(3, "o1"), "runs": (run(),)},
-    "armed": {"place": waits()},
-    "armed_golden": {"place": waits("G1", is_golden=True)},
-    "ask": {"place": waits(), "results": result("pass")},
-    "ask_new": {"place": waits("A123", is_new=True)},
-    "used_up": {"place": waits(), "results": result("fail", 2)},
+    "hand": {"session": LineSession(3, "o1"), "runs": (run(),)},
+    "armed": {"session": waits()},
+    "armed_golden": {"session": waits("G1", is_golden=True)},
+    "ask": {"session": waits(), "results": result("pass")},
+    "ask_new": {"session": waits("A123", is_new=True)},
+    "used_up": {"session": waits(), "results": result("fail", 2)},
     "closed": {"heartbeat": heartbeat(StationState.CLOSED, reasons=("no golden unit",))},
     "running": {"active": run(Progress("o1", RunState.RUNNING, "pressing", 0.4, 12.0))},
     "stopped": {"heartbeat": heartbeat(StationState.STOPPED, reasons=(ERROR.text,)), "runs": (run(ERROR),)},
@@ -90,7 +90,7 @@ SITUATIONS = {
     "fail": {"runs": (run(replace(UNIT_DONE, verdict="fail")),)},
     "retest": {"runs": (run(replace(UNIT_DONE, verdict="retest")),), "results": result("retest")},
     "retest_used_up": {"runs": (run(replace(UNIT_DONE, verdict="retest")),), "results": result("retest", 4)},
-    "load": {"runs": (run(WANTED),), "place": SCANNED},
+    "load": {"runs": (run(WANTED),), "session": SCANNED},
     "reading": {"active": run(Progress("o1", RunState.RUNNING, "reading at rest", 0.4, 3.0), OrderKind.LOAD)},
     "recorded": {"runs": (run(replace(UNIT_DONE, verdict="")),)},
     "golden_pass": {"runs": (run(kind=OrderKind.GOLDEN),)},
@@ -133,43 +133,43 @@ def test_the_card_names_the_load_to_put_on_and_what_was_wrong_with_the_last(code
     say, why = partial(texts.text, language), reason(code, **facts_of_it, **ASKED)
     kind = OrderKind.UNIT if code == "load.wanted" else OrderKind.LOAD
     done = replace(UNIT_DONE, verdict="", message=(why,))
-    view = line_view(facts(runs=(run(done, kind),), place=SCANNED), "Kim", say)
+    view = line_view(facts(runs=(run(done, kind),), session=SCANNED), "Kim", say)
     assert (view.state, view.serial, view.actions) == ("load", "A1", ("START", "CANCEL"))
     wanted = {"step": step, "of": 2, "load": "2 ± 0.002 N"}
     assert view.instruction == say("line.load.do.nothing" if step == 1 else "line.load.do", **wanted)
-    assert view.details == (() if code == "load.wanted" else (plainly(why, say),))
+    assert view.details == (() if code == "load.wanted" else (render_plain_reason(why, say),))
 
 
 def test_a_load_is_not_asked_for_by_another_service_or_with_another_unit_in_the_hand():
-    assert shown(runs=(run(WANTED),), place=replace(SCANNED, process="before:1")).state == "recorded"
-    assert shown(runs=(run(WANTED),), place=Place(3, "o1")).state == "hand"
-    assert shown(runs=(run(WANTED),), place=waits("A2", "o1")).state == "armed"
+    assert shown(runs=(run(WANTED),), session=replace(SCANNED, process="before:1")).state == "recorded"
+    assert shown(runs=(run(WANTED),), session=LineSession(3, "o1")).state == "hand"
+    assert shown(runs=(run(WANTED),), session=waits("A2", "o1")).state == "armed"
 
 
 def test_a_weight_that_lies_on_the_unit_is_named_before_what_comes_next():
     view = shown(runs=(run(UNIT_DONE, OrderKind.LOAD),))
     assert view.state == "pass" and view.details[0] == SAY("line.weight_off")
     asks = replace(LOT, rules=LineRules(loads=(KnownLoad(0.0), KnownLoad(2.0))))
-    armed = shown(place=waits(), lot=asks)
+    armed = shown(session=waits(), lot=asks)
     assert SAY("line.no_weights") in armed.details
 
 
 def test_a_run_goes_before_a_scan_and_a_stop_before_both():
     running = SITUATIONS["running"]
-    assert shown(**running, place=waits("A2", "o1")).state == "running"
-    assert shown(**SITUATIONS["stopped"], place=waits("A2", "o1")).state == "stopped"
+    assert shown(**running, session=waits("A2", "o1")).state == "running"
+    assert shown(**SITUATIONS["stopped"], session=waits("A2", "o1")).state == "stopped"
 
 
 def test_a_golden_unit_may_be_pressed_while_the_gate_is_closed():
     closed = heartbeat(StationState.CLOSED)
-    golden = shown(heartbeat=closed, place=waits("G1", is_golden=True))
-    assert golden.state == "armed_golden" and golden.tone != shown(place=waits()).tone
-    assert shown(heartbeat=closed, place=waits()).state == "closed"
+    golden = shown(heartbeat=closed, session=waits("G1", is_golden=True))
+    assert golden.state == "armed_golden" and golden.tone != shown(session=waits()).tone
+    assert shown(heartbeat=closed, session=waits()).state == "closed"
 
 
 def test_a_unit_that_waits_stands_there_and_not_the_result_of_the_one_before():
-    assert shown(runs=(run(),), place=waits("A2", "o1")).serial == "A2"
-    assert shown(runs=(run(),), place=waits("A2", "an older run")).state == "pass"
+    assert shown(runs=(run(),), session=waits("A2", "o1")).serial == "A2"
+    assert shown(runs=(run(),), session=waits("A2", "an older run")).state == "pass"
 
 
 def test_no_unit_in_the_fixture_is_said_so():
@@ -215,7 +215,7 @@ def test_the_moment_and_the_count_that_help_at_the_line_are_in_its_few_words(why
     say = partial(texts.text, language)
     view = line_view(facts(runs=(run(replace(UNIT_DONE, verdict="retest", message=(why,))),)), "", say)
     assert number in view.details[0] and len(view.details[0]) < 80
-    assert view.why == (said(why, say),)
+    assert view.reason_details == (render_reason(why, say),)
 
 
 @pytest.mark.parametrize(("language", "who"), [("en", "engineer"), ("ko", "엔지니어")])
@@ -232,22 +232,22 @@ NEAR = reason("stuck", seconds=2.5)
 
 def test_a_card_and_its_chip_say_what_every_page_says_of_the_unit_now():
     audited = UnitResult("A1", "fail", (NEAR,), NOW)
-    view = shown(runs=(run(),), standings={"A1": audited})
+    view = shown(runs=(run(),), unit_statuses={"A1": audited})
     assert (view.state, view.word, view.chips[0].word) == ("fail", "FAIL", "FAIL")
     assert view.details[0] == SAY("plainly.stuck") and SAY("verdict.pass") in view.details[1]
-    assert view.why == (str(NEAR),)
+    assert view.reason_details == (str(NEAR),)
 
 
 def test_a_run_that_judged_nothing_shows_no_older_verdict():
     old = UnitResult("A1", "pass", (), NOW - timedelta(days=1))
     unjudged = run(replace(UNIT_DONE, verdict=""))
-    assert shown(runs=(unjudged,), standings={"A1": old}).state == "recorded"
-    assert shown(runs=(unjudged,), standings={"A1": replace(old, made_at=NOW)}).state == "pass"
+    assert shown(runs=(unjudged,), unit_statuses={"A1": old}).state == "recorded"
+    assert shown(runs=(unjudged,), unit_statuses={"A1": replace(old, made_at=NOW)}).state == "pass"
 
 
 def test_of_several_units_of_one_run_the_worst_is_shown():
     stands = {f"A1-{k}": UnitResult(f"A1-{k}", word, (), NOW) for k, word in ((1, "pass"), (2, "conditional"))}
-    assert shown(runs=(run(),), standings=stands).state == "conditional"
+    assert shown(runs=(run(),), unit_statuses=stands).state == "conditional"
 
 
 @pytest.mark.parametrize("language", texts.LANGUAGES)
@@ -268,8 +268,8 @@ def test_another_network_is_told_until_a_unit_was_pressed_with_it():
 
 
 def test_a_badge_is_marked_as_one_and_says_when_it_has_ended():
-    badged = Place(1, operator="Lee", badged_at=NOW)
-    here = facts(place=badged)
+    badged = LineSession(1, operator="Lee", badged_at=NOW)
+    here = facts(session=badged)
     assert dict(line_view(here, "", SAY).cells)[SAY("role.operator")] == SAY("line.badge", name="Lee")
     assert dict(line_view(here, "Quinn", SAY).cells)[SAY("role.operator")] == "Quinn"
     ended = replace(here, now=NOW + timedelta(hours=11), heartbeat=None)
@@ -277,11 +277,13 @@ def test_a_badge_is_marked_as_one_and_says_when_it_has_ended():
 
 
 def test_every_sentence_about_a_scan_ends_with_the_next_run():
-    said = Place(3, None, note=Note("scan_first", run="o1"))
-    assert views_line.note_said(facts(runs=(run(),), place=said), SAY) == (SAY("note.scan_first"), True)
-    assert views_line.note_said(facts(active=run(replace(UNIT_DONE, state=RunState.RUNNING)), place=said), SAY)
+    render_reason = LineSession(3, None, note=Note("scan_first", run="o1"))
+    assert views_line.render_note(facts(runs=(run(),), session=render_reason), SAY) == (SAY("note.scan_first"), True)
+    assert views_line.render_note(
+        facts(active=run(replace(UNIT_DONE, state=RunState.RUNNING)), session=render_reason), SAY
+    )
     later = replace(run()[0], order_id="o2"), UNIT_DONE
-    assert views_line.note_said(facts(runs=(later, run()), place=said), SAY) is None
+    assert views_line.render_note(facts(runs=(later, run()), session=render_reason), SAY) is None
 
 
 def test_a_stop_names_what_happened_what_to_do_and_its_code():
@@ -344,7 +346,7 @@ def test_what_comes_from_outside_is_shown_as_text():
         shown(runs=(run(serial="A1"),)),
         serial=evil,
         details=(evil,),
-        why=(evil,),
+        reason_details=(evil,),
         cells=((evil, evil),),
         conditions=(Condition(evil, False, evil),),
         chips=(views_line.Chip(evil, "pass", evil),),

@@ -12,8 +12,8 @@ import pytest
 
 from softcal.app.bootstrap import is_alive
 from softcal.app.line import line as line_module
-from softcal.app.line.facts import Screen, read_line
 from softcal.app.line.line import order_stop, take_scan
+from softcal.app.line.status import Screen, read_line
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.messages.reason import plain
@@ -189,7 +189,7 @@ def test_after_a_stop_nothing_goes_on_until_it_was_read_and_then_the_unit_is_sca
     assert line.scan("CMD:OK") == "acknowledged"
     assert line.end().kind is OrderKind.ACKNOWLEDGE
     line.beat()
-    assert line.facts.serial == "" and line.facts.is_in_doubt
+    assert line.facts.serial == "" and line.facts.is_unit_uncertain
     assert line.scan("CMD:START") == "scan_first"
     line.start("A1")
     assert line.queue.active("line-1")[0].serial == "A1"
@@ -224,11 +224,11 @@ def test_a_unit_is_scanned_again_after_the_station_s_service_was_started_again(l
 
 
 def test_a_key_at_a_screen_that_showed_something_else_presses_nothing(line):
-    seen = replace(OTHER_TAB, seen=line.facts.place.version)
+    seen = replace(OTHER_TAB, version=line.facts.session.version)
     line.scan("A2")
     assert line.scan("CMD:START", seen) == "look_again"
     assert line.orders() == []
-    assert line.scan("CMD:START", replace(OTHER_TAB, seen=line.facts.place.version)) is None
+    assert line.scan("CMD:START", replace(OTHER_TAB, version=line.facts.session.version)) is None
     assert line.orders() == [(OrderKind.UNIT, "A2", "")]
 
 
@@ -238,7 +238,7 @@ def test_a_unit_with_a_result_is_only_pressed_once_that_was_read_and_as_often_as
     line.end(verdict="fail")
     assert line.scan("CMD:OK") == "nothing_to_confirm"
     line.scan("A1")
-    assert line.facts.retests_left == 1
+    assert line.facts.remaining_retests == 1
     assert line.scan("CMD:START") == "ask_first"
     assert line.scan("CMD:OK") is None and line.scan("CMD:OK") == "nothing_to_confirm"
     assert line.scan("CMD:START") is None
@@ -320,7 +320,7 @@ def test_a_badge_names_the_operator_at_every_screen_and_orders_say_that_it_was_a
 def test_a_badge_ends_with_the_shift_and_that_is_seen(line):
     facts = take_scan(line.registry, HERE, "BADGE:Kim")
     later = replace(facts, now=facts.now + timedelta(hours=11))
-    assert later.operator == "" and later.place.operator == "Kim"
+    assert later.operator == "" and later.session.operator == "Kim"
 
 
 def test_a_name_that_opens_more_than_the_line_is_not_taken_from_a_badge(line):

@@ -11,10 +11,10 @@ import pytest
 import tomlkit
 
 import softcal
-from softcal.app.calibration.audit_files import look_at_audits
+from softcal.app.calibration.audit_files import read_audit_files
 from softcal.app.cli.main import main
 from softcal.app.files.import_plan import Columns, ImportPlan
-from softcal.app.files.importing import look_through
+from softcal.app.files.importing import preview_import
 from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.files.recording_file import ColumnNames, inspect_recording
 from softcal.app.files.stream_file import Stream
@@ -100,7 +100,7 @@ def by_audit(path, stated, folder):
     folder.mkdir()
     shutil.copy(path, named)
     chosen = Columns(columns["output"], columns["reference"], columns.get("time"))
-    audit = look_at_audits(lot_of(stated), [SERIAL], [named], chosen, options_of(stated))[0]
+    audit = read_audit_files(lot_of(stated), [SERIAL], [named], chosen, options_of(stated))[0]
     if audit.recording is None:
         raise InputError(audit.refusal)
     return audit.recording.unlabelled.t_s, audit.recording.unlabelled.output
@@ -110,7 +110,7 @@ def by_upload(path, stated, _):
     columns = stated["columns"]
     chosen = Columns(columns["output"], columns.get("reference"), columns.get("time"))
     plan = ImportPlan([path], chosen, lot_of(stated), table=options_of(stated), serials=[SERIAL])
-    look = look_through(plan)[0]
+    look = preview_import(plan)[0]
     if look.unit is None:
         raise InputError(look.problem)
     return look.unit.recording.t_s, look.unit.recording.output

@@ -6,7 +6,7 @@ from itertools import count
 import pytest
 
 from softcal.app.batch import watch
-from softcal.app.batch.lot_work import BatchConfig, Watch
+from softcal.app.batch.lot_work import BatchConfig, Callbacks
 from softcal.app.batch.watch import watch_lot
 from softcal.app.cli.main import main
 from softcal.core.lot import Lot
@@ -51,7 +51,7 @@ def test_a_recording_is_taken(folder, monkeypatch, written, batches):
             (folder / "units" / f"{serial}.csv").write_text(rows)
 
     act(0.0)
-    list(watch_lot(folder, None, BatchConfig(), Watch(), 1.0, idle_s=3.0, sleep=act))
+    list(watch_lot(folder, None, BatchConfig(), Callbacks(), 1.0, idle_s=3.0, sleep=act))
     assert taken == batches
 
 

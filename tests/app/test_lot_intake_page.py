@@ -11,8 +11,8 @@ import pytest
 from softcal.app.batch import lot_intake
 from softcal.app.batch.lot_intake import lot_files, lots_folder, network_of
 from softcal.app.calibration.changes import Changes, VerdictChange, change_limit
-from softcal.app.export.certificates.laboratory import Laboratory, registry_laboratory
 from softcal.app.export.check import check_folder
+from softcal.app.export.laboratory import Laboratory, registry_laboratory
 from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.jobs.jobs import archive_path, run_job
 from softcal.app.texts.catalogue import text
@@ -201,8 +201,8 @@ def test_a_lot_out_of_the_registry_has_the_recordings_bit_by_bit(calibrated: str
 def test_the_archive_of_a_lot_is_whole_and_says_what_is_not_in_it(calibrated: str, tmp_path: Path) -> None:
     request = {"lot": "small", "serials": None, "formats": ["json", "pdf", "blob"], "release": "pass"}
     job = done(calibrated, "archive", request)
-    with zipfile.ZipFile(io.BytesIO(archive_path(job).read_bytes())) as packed:
-        packed.extractall(tmp_path / "files")
+    with zipfile.ZipFile(io.BytesIO(archive_path(job).read_bytes())) as pack_reasons:
+        pack_reasons.extractall(tmp_path / "files")
     found = check_folder(tmp_path / "files", None)
     assert not found.problems
     with open_registry(calibrated) as registry:
@@ -244,9 +244,9 @@ def test_what_the_form_of_the_laboratory_says_stands_on_the_certificate(calibrat
         stated = registry_laboratory(registry)
     assert (stated.laboratory.name, stated.load_cell.due_on) == ("Haptics Lab", date(2027, 1, 2))
     job = done(calibrated, "archive", {"lot": "small", "serials": ["A1"], "formats": ["pdf"], "release": "pass"})
-    with zipfile.ZipFile(archive_path(job)) as packed:
-        pdf = next(name for name in packed.namelist() if name.endswith(".pdf"))
-        read = read_text(packed.read(pdf))
+    with zipfile.ZipFile(archive_path(job)) as pack_reasons:
+        pdf = next(name for name in pack_reasons.namelist() if name.endswith(".pdf"))
+        read = read_text(pack_reasons.read(pdf))
     assert all(word in read for word in ("Haptics Lab", "Beispiel GmbH", "Kim Ji-woo", "LC-9"))
 
 
@@ -261,7 +261,7 @@ def test_a_country_that_is_none_is_refused_and_nothing_is_kept(calibrated: str, 
 
 def test_a_lot_is_released_from_its_page_and_the_trail_says_so(calibrated: str, show, monkeypatch) -> None:
     change = VerdictChange("small", "A1", "conditional", "pass", Reason("reversed"))
-    monkeypatch.setattr(lot_release, "remembered_release_changes", lambda _: Changes((change,), {"pass": 1}))
+    monkeypatch.setattr(lot_release, "cached_release_changes", lambda _: Changes((change,), {"pass": 1}))
     decided: list[str] = []
     monkeypatch.setattr(lot_release, "decide_lot", lambda _, lot_id, name: decided.append(f"{lot_id} {name}"))
     screen = show(calibrated, "lot", tab="release", lot="small")

@@ -14,7 +14,7 @@ from softcal.app.ui.lot_report_pdf import lot_report_pdf
 from softcal.app.views.audited import BANDS, AuditedView, AuditTrace, audited_view
 from softcal.app.views.lot import lot_view
 from softcal.app.views.lot_report import lot_rows
-from softcal.app.views.lot_runs import DESK, LotFilter, placed, yield_over
+from softcal.app.views.lot_runs import FROM_FILE, LotFilter, attribute_runs, yield_over
 from softcal.core.lot import Lot
 from softcal.core.orders import Order, OrderKind, Progress, RunState
 from softcal.core.unit.verdict import Verdict
@@ -46,19 +46,19 @@ def test_a_result_stands_where_its_unit_was_pressed_last_before_it() -> None:
     ]
     late = timedelta(minutes=1)
     runs = [run("U1", MONDAY + late), run("U1", MONDAY + DAY), run("U1", MONDAY + 2 * DAY + late), run("U3", MONDAY)]
-    found = [(one.station, one.operator) for one in placed(runs, presses)]
-    assert found == [("line-1", "Kim"), ("line-1", "Kim"), ("line-2", "Oh"), (DESK, DESK)]
+    found = [(one.station, one.operator) for one in attribute_runs(runs, presses)]
+    assert found == [("line-1", "Kim"), ("line-1", "Kim"), ("line-2", "Oh"), (FROM_FILE, FROM_FILE)]
 
 
 def test_a_unit_counts_once_on_the_day_and_at_the_station_of_its_first_run() -> None:
-    runs = placed(
+    runs = attribute_runs(
         [run("U1", MONDAY, "fail"), run("U1", MONDAY + DAY), run("U2", MONDAY + DAY), run("U3", MONDAY + DAY, "fail")],
         [press("U1", "line-1", "Kim", MONDAY - DAY), press("U3", "line-1", "Kim", MONDAY)],
     )
     by_day = [(at.name, at.share.count, at.share.of) for at in yield_over(runs, lambda one: one.day(UTC).isoformat())]
     assert by_day == [("2026-05-04", 0, 1), ("2026-05-05", 1, 2)]
     by_station = {at.name: (at.share.count, at.share.of) for at in yield_over(runs, lambda one: one.station)}
-    assert by_station == {DESK: (1, 1), "line-1": (0, 2)}
+    assert by_station == {FROM_FILE: (1, 1), "line-1": (0, 2)}
 
 
 @pytest.mark.parametrize(
@@ -78,7 +78,7 @@ def test_a_unit_counts_once_on_the_day_and_at_the_station_of_its_first_run() -> 
     ],
 )
 def test_a_filter_takes_what_it_says(wanted: LotFilter, takes: bool) -> None:
-    (one,) = placed([run("U1", MONDAY)], [press("U1", "line-1", "Kim", MONDAY - DAY)])
+    (one,) = attribute_runs([run("U1", MONDAY)], [press("U1", "line-1", "Kim", MONDAY - DAY)])
     assert wanted.takes(one) is takes
 
 
@@ -99,9 +99,9 @@ def test_a_filtered_lot_holds_only_the_units_that_the_filter_leaves(two_stations
     with open_registry(two_stations) as registry:
         whole = lot_view(registry, "small")
         line = lot_view(registry, "small", LotFilter(stations=("line-1",)))
-        files = lot_view(registry, "small", LotFilter(operators=(DESK,)))
-    assert whole.every_station == (DESK, "line-1") and whole.chosen is None
-    assert line.total == 1 and files.total == whole.judged - 1
+        files = lot_view(registry, "small", LotFilter(operators=(FROM_FILE,)))
+    assert whole.every_station == (FROM_FILE, "line-1") and whole.chosen is None
+    assert line.total == 1 and files.total == whole.decided - 1
     assert not set(line.chosen or ()) & set(files.chosen or ())
     for word in Verdict:
         assert line.counts[word] + files.counts[word] == whole.counts[word]
@@ -161,7 +161,7 @@ def test_audited_units_are_scored_on_the_stretch_their_error_is_stated_on(calibr
 
 
 def test_the_axis_of_a_yield_says_of_how_many_units_it_is() -> None:
-    runs = placed([run("U1", MONDAY), run("U2", MONDAY, "fail")], [])
+    runs = attribute_runs([run("U1", MONDAY), run("U2", MONDAY, "fail")], [])
     figure = yield_figure(yield_over(runs, lambda one: one.station), "station", LIGHT, say)
     assert "1 of 2" in figure.layout.xaxis.ticktext[0]
     assert figure.data[0].y[0] == pytest.approx(50.0)
@@ -175,7 +175,7 @@ def test_the_report_holds_what_the_page_says(calibrated: str, language: str) -> 
         assert pdf == lot_report_pdf(registry, view, language, MONDAY)
     told = read_text(pdf)
     assert text(language, "lot.first_pass").replace(" ", "") in told.replace(" ", "")
-    assert f"{view.judged}/{view.total}" in told.replace(" ", "")
+    assert f"{view.decided}/{view.total}" in told.replace(" ", "")
     assert "A4" in told
 
 

@@ -10,9 +10,9 @@ import pytest
 
 from softcal.app.cli.main import main
 from softcal.app.files.lot_folder import open_lot_folder
-from softcal.app.line.pressed_run import RunKeeper
+from softcal.app.line.pressed_run import RunStore
 from softcal.app.line.rig import station_reference
-from softcal.app.registry.reference import lot_reference, reference_expanded, state_reference
+from softcal.app.registry.reference import declare_reference, lot_reference, reference_expanded
 from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import Order, OrderKind
 from softcal.core.unit.budget import SIMULATED, Reference, Standing
@@ -61,16 +61,16 @@ def test_a_reference_without_a_certificate_that_held_lets_no_unit_pass(lot_folde
 def test_what_is_stated_is_kept_and_completed_from_the_registry(lot_folder: Path, registry_url: str) -> None:
     recording = open_lot_folder(lot_folder).read_source()
     with open_registry(registry_url) as registry:
-        assert lot_reference(registry, "small") == SIMULATED == state_reference(registry, "small", None, recording)
+        assert lot_reference(registry, "small") == SIMULATED == declare_reference(registry, "small", None, recording)
         assert reference_expanded(registry, "small") == 0.0
-        named = state_reference(registry, "small", Reference(cell="LC-7"), recording)
+        named = declare_reference(registry, "small", Reference(cell="LC-7"), recording)
         (source,) = registry.recordings.of_lot("small", kind="source")
         assert named is not None and named.standing is Standing.MISSING
         assert named.used_on == source.added_at.date()
         registry.stations.add_certificate(replace(CELL, issued_on=date(2020, 1, 1), due_on=date(2021, 1, 1)))
-        late = state_reference(registry, "small", Reference(cell="LC-7"), recording)
+        late = declare_reference(registry, "small", Reference(cell="LC-7"), recording)
         assert late is not None and late.standing is Standing.EXPIRED
-        state_reference(registry, "small", Reference(cell="LC-7"), recording)
+        declare_reference(registry, "small", Reference(cell="LC-7"), recording)
         load = float(np.sqrt(np.mean(recording.reference**2)))
         assert reference_expanded(registry, "small") == pytest.approx(late.expanded(load))
         assert len(registry.trail.of_kind("lot_references")) == 3
@@ -87,8 +87,8 @@ def test_a_source_pressed_on_a_station_is_traced_to_its_load_cell(lot_folder: Pa
     with open_registry(f"sqlite:///{tmp_path / 'line.db'}") as registry:
         registry.stations.add_certificate(replace(CELL, due_on=date(2099, 1, 1)))
         small = NetworkConfig(hidden=(4,), max_epochs=2)
-        keeper = RunKeeper(registry, "s1", small, reference=Reference(cell="LC-7"))
-        keeper.keep(Order("o1", "s1", OrderKind.SOURCE, "A0", "L1"), run, lambda progress: None)
+        run_store = RunStore(registry, "s1", small, reference=Reference(cell="LC-7"))
+        run_store.store(Order("o1", "s1", OrderKind.SOURCE, "A0", "L1"), run, lambda progress: None)
         found = lot_reference(registry, "L1")
     assert found is not None and (found.standing, found.certificate, found.capacity) == (Standing.VALID, "D-K-1", 10.0)
     assert found.used_on == datetime.now(UTC).date()

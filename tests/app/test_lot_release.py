@@ -21,16 +21,16 @@ from softcal.app.calibration.audit_evidence import AuditReader
 from softcal.app.calibration.lot_context import declared_line_spread
 from softcal.app.calibration.lot_decision import decision_in_force
 from softcal.app.calibration.redecision import redecide
-from softcal.app.calibration.release import decide_lot, decide_unit, lot_standing, statement_provenance
+from softcal.app.calibration.release import decide_lot, decide_unit, read_lot_status, statement_provenance
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.export.certificates.content import build_certificate
 from softcal.app.export.certificates.lot_statement import build_lot_statement
 from softcal.app.registry.lot_recordings import newest_audits
 from softcal.app.texts.catalogue import text
-from softcal.app.texts.reasons import said
+from softcal.app.texts.reasons import render_reason
 from softcal.core.messages.reason import Reason, reason
-from softcal.core.quality.widening import AuditedSamples, fit_widening
+from softcal.core.quality.interval_inflation import AuditedSamples, fit_interval_inflation
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.line_spread import LineSpread
 from softcal.core.unit.method import Method
@@ -201,8 +201,8 @@ def test_units_nobody_measured_pass_on_the_audits_of_the_others(make_lot, batch,
     scaled = widened.scale * second.measured_interval.half_width
     assert np.allclose(second.interval.half_width, np.hypot(scaled, widened.added))
     audited = [unit["serial"] for unit in report["units"] if unit["audited"]]
-    read = [unit.calibration.state.audit for unit in registry.pages.standings("large", audited).values()]
-    asked = fit_widening(
+    read = [unit.calibration.state.audit for unit in registry.pages.unit_statuses("large", audited).values()]
+    asked = fit_interval_inflation(
         [AuditedSamples(np.array(one.residual), np.array(one.half)) for one in read], 0.9, Method().release
     )
     assert (widened.scale, widened.added) == pytest.approx((asked.scale, asked.added)) and asked != Widening()
@@ -241,7 +241,7 @@ def test_without_audits_no_calibration_is_read_whole(make_lot, batch, monkeypatc
     batch(make_lot(audits=0))
     monkeypatch.setattr(registry.calibrations, "get", lambda *_, **__: pytest.fail("a calibration was read whole"))
     decided = decide_lot(registry, "large")
-    assert decided is not None and decided.forecasts and decided.found is None
+    assert decided is not None and decided.forecasts and decided.decision is None
 
 
 def test_without_audits_nothing_passes_and_the_report_says_how_many_to_audit(make_lot, batch, tmp_path, registry):
@@ -272,7 +272,10 @@ def test_what_the_audits_of_a_lot_read_on_another_day_misread_alike_is_taken_off
     audited = [serial for serial, unit in units.items() if unit["audited"]]
     assert np.median([units[s]["after_rmse"] for s in audited]) < 0.7 * np.median([fitted[s] for s in audited])
     unit = UnitLoader(registry, ExportOptions(lot_id="large")).load(_released(report)[0])
-    assert build_certificate(unit).by_audits and build_certificate(unit).by_audits in build_certificate(unit).deviations
+    assert (
+        build_certificate(unit).audit_correction
+        and build_certificate(unit).audit_correction in build_certificate(unit).deviations
+    )
     counts = [len(registry.calibrations.history(serial)) for serial in units]
     assert batch(folder)["release"] == report["release"]
     assert counts == [len(registry.calibrations.history(serial)) for serial in units]
@@ -360,9 +363,11 @@ def test_a_person_can_confirm_a_doubted_audit_and_a_new_one_ends_the_doubt(make_
     assert main(confirm) == 2, "without a reason"
     confirm += ["--reason", "the cell was read by hand"]
     assert main(confirm) == 2, "it withdraws released units, and nobody was asked"
-    assert registry.pages.standings("large", ["large-03"])["large-03"].verdict == "retest"
+    assert registry.pages.unit_statuses("large", ["large-03"])["large-03"].verdict == "retest"
     assert main([*confirm, "--yes"]) == 1
-    assert registry.pages.standings("large", ["large-03"])["large-03"].verdict == "fail", "it counts as it stands now"
+    assert registry.pages.unit_statuses("large", ["large-03"])["large-03"].verdict == "fail", (
+        "it counts as it stands now"
+    )
     assert batch(folder)["release"]["audited"] == 12
     (folder / "audit/large-03.csv").write_bytes(right)
     report = batch(folder)
@@ -383,7 +388,7 @@ def test_a_golden_unit_of_another_sensor_model_withdraws_nothing(make_lot, batch
     batch(make_lot("other", audits=0, model="XX"))
     batch(make_lot("fourteenth", audits=0))
     now = datetime.now(UTC)
-    method = registry.pages.standings("one", ["one-00"])["one-00"].calibration.state.fit.method
+    method = registry.pages.unit_statuses("one", ["one-00"])["one-00"].calibration.state.fit.method
     registry.stations.add_golden_run(GoldenRun("line", "other", "other-00", now, 9.0, "N", False))
     assert AuditReader(registry, method).evidence("fourteenth", now).qualification.is_given
     registry.stations.add_golden_run(GoldenRun("line", "seventh", "seventh-05", now, 9.0, "N", False))
@@ -481,7 +486,7 @@ def test_the_statement_says_who_made_it_when_and_from_what_and_not_who_reads_it(
     assert told["actor"] != "a reader" and abs(datetime.fromisoformat(told["made_at"]) - made) < timedelta(seconds=2)
     assert audits.items() <= told["inputs"].items()
     # The page and the programs read the same record.
-    standing = lot_standing(registry, "large")
+    standing = read_lot_status(registry, "large")
     assert statement_provenance(registry, standing).to_json() == told
     assert build_lot_statement(registry, standing, standing.decided).provenance.to_json() == told
 
@@ -504,7 +509,7 @@ def test_a_lot_of_three_is_told_to_measure_all_or_to_bring_earlier_lots(make_lot
         path.unlink()
     release = batch(folder)["release"]
     assert release["wanted"] == 3 and release["released"] == []
-    decided = lot_standing(registry, "large").decided
+    decided = read_lot_status(registry, "large").decided
     assert decided is not None
     why = decided.statement.values["why"]
     assert isinstance(why, Reason) and why.values["small"] == reason("part.small_lot", units=3, wanted=9, least=3)
@@ -525,11 +530,11 @@ def test_the_statement_is_said_in_the_language_of_the_reader(make_lot, batch, re
         assert main([*command, "--language", language]) == 0
         assert len(re.findall(rb"/Type /Page\b", pdf.read_bytes())) == 1
     assert pages["en"].read_bytes() != pages["ko"].read_bytes()
-    decided = lot_standing(registry, "large").decided
+    decided = read_lot_status(registry, "large").decided
     assert decided is not None
-    stated = said(decided.statement, korean)
+    stated = render_reason(decided.statement, korean)
     assert not re.findall(r"[a-z]{3,}", stated), "words of another language"
-    assert said(decision_in_force(registry, "large").statement, korean) == stated
+    assert render_reason(decision_in_force(registry, "large").statement, korean) == stated
 
 
 def test_a_lot_with_a_golden_run_is_fitted_to_it_and_a_wrong_one_stops_the_batch(
@@ -566,8 +571,8 @@ def test_another_limit_judges_every_unit_at_once_and_a_verdict_against_an_old_on
     # The limit alone, as another registry would bring it: nothing that was judged against the old one stands.
     registry.lots.set_limit("large", limit, reason="drawing C")
     stale = {unit.serial: unit for unit in registry.lots.units("large") if unit.role == "target"}
-    standings = registry.pages.standings("large", list(stale))
-    assert {unit.verdict for unit in stale.values()} == {one.verdict for one in standings.values()} == {"retest"}
+    unit_statuses = registry.pages.unit_statuses("large", list(stale))
+    assert {unit.verdict for unit in stale.values()} == {one.verdict for one in unit_statuses.values()} == {"retest"}
     assert registry.pages.verdict_counts("large")["retest"] == len(before)
     export = ["export", "--registry", registry_url, "--serial", next(iter(before)), "--format", "json"]
     assert main([*export, "--out", str(tmp_path / "files")]) != 0
@@ -582,7 +587,7 @@ def test_another_limit_judges_every_unit_at_once_and_a_verdict_against_an_old_on
     assert counts == {**dict.fromkeys(counts, 0), **pd.Series([u.verdict for u in after.values()]).value_counts()}
     # Back to the old limit, everything is as it was.
     assert main([*command[:4], "0.8", *command[5:], "--yes"]) == 0
-    assert {serial: registry.pages.standings("large", [serial])[serial].verdict for serial in before} == {
+    assert {serial: registry.pages.unit_statuses("large", [serial])[serial].verdict for serial in before} == {
         serial: unit.verdict for serial, unit in before.items()
     }
 
@@ -631,8 +636,8 @@ def test_an_audit_that_fails_takes_back_what_other_lots_released_on_it(make_lot,
     golden = GoldenRun("line", "one", "A0", datetime.now(UTC), 9.0, "N", False)
     registry.stations.add_golden_run(golden)
     redecide(registry, ["one"])
-    standings = registry.pages.standings("fourteenth", sorted(released))
-    assert {one.verdict for one in standings.values()} == {"conditional"}
+    unit_statuses = registry.pages.unit_statuses("fourteenth", sorted(released))
+    assert {one.verdict for one in unit_statuses.values()} == {"conditional"}
     assert not {unit["serial"] for unit in batch(late)["units"] if unit["released"]}
 
 
@@ -642,26 +647,26 @@ def test_a_measured_fail_is_lifted_by_no_trim_no_rollback_and_no_older_revision(
     folder = make_lot(audits=0, limit_N=0.2)
     batch(folder)
     serial = "large-00"
-    assert registry.pages.standings("large", [serial])[serial].verdict != "fail"
+    assert registry.pages.unit_statuses("large", [serial])[serial].verdict != "fail"
     measured = tmp_path / f"{serial}.csv"
     table = pd.read_csv(make_lot("twin", audits=1).joinpath("audit/twin-00.csv"))
     table.assign(reference=2.0 * table["reference"]).to_csv(measured, index=False)
     at = ["--registry", registry_url]
     assert main(["lot", "audit", "large", str(measured), *at]) == 0
-    failed = registry.pages.standings("large", [serial])[serial]
+    failed = registry.pages.unit_statuses("large", [serial])[serial]
     assert failed.verdict == "fail" and failed.calibration is not None and failed.calibration.state.decision.is_audited
     loads = tmp_path / "loads.csv"
     pd.DataFrame({"output": [0.5, 0.75], "reference": [0.0, 4.0]}).to_csv(loads, index=False)
     trimmed = main(["trim", "--serial", serial, "--lot", "large", "--loads", str(loads), *at])
-    assert registry.pages.standings("large", [serial])[serial].verdict == "fail"
+    assert registry.pages.unit_statuses("large", [serial])[serial].verdict == "fail"
     back = ["registry", "rollback", "--serial", serial, "--lot", "large", "--to", "1", "--reason", "drawn", *at]
     assert main(back) in ((0,) if trimmed == 0 else (0, 2))
-    assert registry.pages.standings("large", [serial])[serial].verdict == "fail"
+    assert registry.pages.unit_statuses("large", [serial])[serial].verdict == "fail"
     export = ["export", "--serial", serial, "--lot", "large", "--revision", "1", "--release", "conditional", *at]
     assert main([*export, "--format", "blob", "--out", str(tmp_path / "out")]) == 2
     assert not list((tmp_path / "out").glob("unit-*"))
     # A new audit decides: of the map that the unit has now.
     pd.read_csv(measured).assign(reference=pd.read_csv(measured)["reference"] / 2.0).to_csv(measured, index=False)
     assert main(["lot", "audit", "large", str(measured), *at]) == 0
-    measured_now = registry.pages.standings("large", [serial])[serial].calibration.state.scores
+    measured_now = registry.pages.unit_statuses("large", [serial])[serial].calibration.state.scores
     assert measured_now.after != failed.calibration.state.scores.after

@@ -9,11 +9,11 @@ import pytest
 from softcal.app.calibration.audit import Sample
 from softcal.app.export.certificates.lot_statement import LotStatement, lot_statement_pdf
 from softcal.app.texts.catalogue import text as text_of
-from softcal.app.texts.reasons import said
+from softcal.app.texts.reasons import render_reason
 from softcal.core.lot import Lot
 from softcal.core.messages.reason import plain, reason
 from softcal.core.quality.lot_release import release_lot
-from softcal.core.quality.lot_standing import LotStanding, UnitInLot
+from softcal.core.quality.lot_status import LotStatus, UnitInLot
 from softcal.core.quality.qualification import Qualification
 from softcal.core.quality.release import AuditedUnit
 from softcal.core.unit.method import ReleaseConfig
@@ -39,7 +39,7 @@ def facts_of(audits: list[AuditedUnit], units: int, waiting: int = 0, withdrawn:
         *(UnitInLot(f"WAITS-{k:05d}", "retest", open_) for k in range(waiting)),
         *(UnitInLot(f"GONE-{k:05d}", "fail", failed, had_passed=True) for k in range(withdrawn)),
     ]
-    standing = LotStanding("lot-1", in_lot, LIMIT, decided)
+    standing = LotStatus("lot-1", in_lot, LIMIT, decided)
     made = Provenance(
         version="1.0",
         build="ef" * 20,
@@ -86,8 +86,8 @@ def test_without_a_promise_the_page_says_so_in_the_language_of_the_reader(langua
     say, facts = partial(text_of, language), facts_of([], 5)
     text, pages = _read(lot_statement_pdf(facts, say))
     assert pages == 1
-    title, origin = say("paper.title", lot="lot-1"), said(LIMIT.origin, say)
-    statement = said(facts.decided.statement, say).partition(":")[0]
+    title, origin = say("paper.title", lot="lot-1"), render_reason(LIMIT.origin, say)
+    statement = render_reason(facts.decided.statement, say).partition(":")[0]
     for one in (title, say("paper.not_given"), say("paper.none"), origin, statement):
         assert one in text, one
 

@@ -12,13 +12,13 @@ import pytest
 
 from softcal.app.calibration.audit import confirmed_audits
 from softcal.app.calibration.lot_decision import decision_in_force
-from softcal.app.calibration.release import lot_standing
+from softcal.app.calibration.release import read_lot_status
 from softcal.app.calibration.results import lot_results
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions
 from softcal.app.export.certificates.lot_statement import build_lot_statement
 from softcal.app.export.export import lot_serials
-from softcal.app.line.facts import Screen, read_line
+from softcal.app.line.status import Screen, read_line
 from softcal.app.registry.limit import lot_limit
 from softcal.app.registry.quality import lot_yields
 from softcal.app.texts.catalogue import text
@@ -26,7 +26,7 @@ from softcal.app.views.alerts import lot_alerts
 from softcal.app.views.lot import lot_view
 from softcal.app.views.wall import wall_view
 from softcal.core.errors import InputError
-from softcal.core.quality.lot_standing import Way
+from softcal.core.quality.lot_status import Disposition
 from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
 from softcal.db.registry import Registry
@@ -108,7 +108,7 @@ class History:
 
     def confirm(self) -> None:
         with open_registry(self.url) as registry:
-            doubted = [row.serial for row in lot_standing(registry, LOT).audited if row.doubt is not None]
+            doubted = [row.serial for row in read_lot_status(registry, LOT).audited if row.suspect_reason is not None]
         for serial in doubted[:1]:
             self.run("lot", "audit", LOT, "--confirm", serial, "--reason", "drawn", "--yes")
             with open_registry(self.url) as registry:
@@ -135,11 +135,11 @@ class History:
 def words_of(registry: Registry) -> dict[str, dict[str, str | None]]:
     """Return the verdict of every unit as each surface reads it."""
     serials = [unit.serial for unit in registry.lots.units(LOT) if unit.role == "target"]
-    standings = registry.pages.standings(LOT, serials)
+    unit_statuses = registry.pages.unit_statuses(LOT, serials)
     page = registry.pages.unit_page(LOT, UnitFilter(), size=1000).units
     results = lot_results(registry, LOT).to_pylist()
     return {
-        "standings": {serial: one.verdict for serial, one in standings.items()},
+        "standings": {serial: one.verdict for serial, one in unit_statuses.items()},
         "units": {unit.serial: unit.verdict for unit in registry.lots.units(LOT) if unit.role == "target"},
         "page": {unit.serial: unit.verdict for unit in page},
         "results": {row["serial"]: row["verdict"] for row in results},
@@ -162,8 +162,8 @@ def check(history: History, tmp_path: Path) -> None:
         assert all(chip.word == say(f"verdict.{truth[chip.serial]}") for chip in wall.chips)
         assert lot_yields(registry, LOT).last_pass.count == view.yields.last_pass.count == counted["pass"]
         # Nothing passes beyond the limit in force, and nothing is judged by another one.
-        limit, standings = lot_limit(registry, LOT), registry.pages.standings(LOT, list(truth))
-        states = {serial: one.calibration.state for serial, one in standings.items() if one.calibration is not None}
+        limit, unit_statuses = lot_limit(registry, LOT), registry.pages.unit_statuses(LOT, list(truth))
+        states = {serial: one.calibration.state for serial, one in unit_statuses.items() if one.calibration is not None}
         assert view.limit_rmse == limit.maximum_rmse
         for serial, one in states.items():
             if truth[serial] in ("pass", "conditional") and one.decision.is_audited:
@@ -171,23 +171,25 @@ def check(history: History, tmp_path: Path) -> None:
         # Audits are the same number everywhere; one that is set aside counts nowhere.
         audited = {serial for serial, one in states.items() if one.decision.is_audited}
         assert {row.serial for row in view.audited} >= audited
-        listed = {row.serial: row.doubt for row in lot_standing(registry, LOT).audited}
+        listed = {row.serial: row.suspect_reason for row in read_lot_status(registry, LOT).audited}
         assert audited <= {serial for serial, doubt in listed.items() if doubt is None}
-        standing = lot_standing(registry, LOT)
+        standing = read_lot_status(registry, LOT)
         assert standing.counts == registry.pages.verdict_counts(LOT) and standing.limit == limit
-        ways = {way: {unit.serial for unit in standing.on(way)} for way in Way}
-        assert ways[Way.MEASURED] | ways[Way.SAMPLED] == {serial for serial, word in truth.items() if word == "pass"}
-        assert ways[Way.MEASURED] <= audited and sum(map(len, ways.values())) == len(words["units"])
+        ways = {way: {unit.serial for unit in standing.on(way)} for way in Disposition}
+        assert ways[Disposition.MEASURED] | ways[Disposition.SAMPLED] == {
+            serial for serial, word in truth.items() if word == "pass"
+        }
+        assert ways[Disposition.MEASURED] <= audited and sum(map(len, ways.values())) == len(words["units"])
         # What was released once and is no more is named, whatever took it back.
-        history.passed |= ways[Way.MEASURED] | ways[Way.SAMPLED]
+        history.passed |= ways[Disposition.MEASURED] | ways[Disposition.SAMPLED]
         assert {unit.serial for unit in standing.withdrawn} >= {s for s in history.passed if truth[s] != "pass"}
         alerts = [alert.values["count"] for alert in lot_alerts(view) if alert.kind == "withdrawn"]
         assert alerts == [len(standing.withdrawn)] * bool(standing.withdrawn)
-        assert all(unit.reasons for unit in (*standing.on(Way.WAITING), *standing.withdrawn))
+        assert all(unit.reasons for unit in (*standing.on(Disposition.WAITING), *standing.withdrawn))
         decided = standing.decided
         if decided is not None:
             build_lot_statement(registry, standing, decided)
-            assert {audit.serial for audit in decided.qualification.here} <= audited
+            assert {audit.serial for audit in decided.qualification.lot_audits} <= audited
             assert set(decided.doubts) == {serial for serial, doubt in listed.items() if doubt is not None}
             sampled = {s for s, one in states.items() if truth[s] == "pass" and not one.decision.is_audited}
             assert sampled <= set(decision_in_force(registry, LOT).released)

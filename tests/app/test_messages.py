@@ -14,10 +14,10 @@ import pytest
 
 import softcal.core.errors
 from softcal.app.texts.catalogue import LANGUAGES, catalogue, text
-from softcal.app.texts.reasons import PREFIX, said
+from softcal.app.texts.reasons import PREFIX, render_reason
 from softcal.core.errors import NoReply, SoftcalError
 from softcal.core.messages import rig_sentences
-from softcal.core.messages.reason import ENGLISH, PLAIN, Reason, packed, plain, reason, root_of
+from softcal.core.messages.reason import ENGLISH, PLAIN, Reason, pack_reasons, plain, reason, root_of
 from softcal.core.operation.observation import FOLLOWED, HELD, JUMPED, TRIED, UNWATCHED
 from softcal.core.operation.uncertainty import (
     JUMP,
@@ -29,18 +29,21 @@ from softcal.core.operation.uncertainty import (
     with_remedy,
 )
 from softcal.core.orders import Condition, Heartbeat, OrderKind, Progress, RunState, StationState
-from softcal.core.quality.gate import CellAtGate, GoldenCheck, RigFacts, StationFacts, may_run
+from softcal.core.quality.gate import CellAtGate, GoldenCheck, RigStatus, StationStatus, may_run
 from softcal.db.connection import open_registry
-from softcal.station.device_names import named
+from softcal.station.device_names import device_label
 from softcal.station.messages import PAGES as DRIVER_PAGES
 from softcal.station.wire.frames import gcl2, grbl, zaber
 
 KOREAN, ENGLISH_WORDS = partial(text, "ko"), partial(text, "en")
-SENTENCES = {**rig_sentences.SENTENCES, **{code: said for page in DRIVER_PAGES.values() for code, said in page.items()}}
+SENTENCES = {
+    **rig_sentences.SENTENCES,
+    **{code: render_reason for page in DRIVER_PAGES.values() for code, render_reason in page.items()},
+}
 CODES_OF_DEVICES = (grbl.ALARMS, grbl.ERRORS, zaber.WARNINGS, gcl2.ERRORS)
 ROOT = Path(softcal.core.errors.__file__).parents[1]
 FILES = sorted(path for room in ("station", "app", "db", "core") for path in (ROOT / room).rglob("*.py"))
-ERRORS = {"Held", "Cancelled", "StoppedByHand", "ZeroMoved"} | {
+ERRORS = {"StageOnHold", "Cancelled", "StoppedByHand", "ZeroMoved"} | {
     name
     for name in dir(softcal.core.errors)
     if name[0].isupper() and name.endswith(("Error", "Refused", "Reply", "Stop"))
@@ -148,62 +151,62 @@ def test_no_text_is_taken_apart_to_be_said() -> None:
 
 
 def test_every_code_of_a_device_is_explained_in_korean(english_in: Callable[[str], list[str]]) -> None:
-    assert [why for table in CODES_OF_DEVICES for why in table.values() if english_in(said(why, KOREAN))] == []
+    assert [why for table in CODES_OF_DEVICES for why in table.values() if english_in(render_reason(why, KOREAN))] == []
 
 
 NOW = datetime(2026, 3, 2, 9, 0, tzinfo=UTC)
-GOOD = StationFacts(
+GOOD = StationStatus(
     NOW, CellAtGate("K-17", date(2027, 1, 1), 20.0, 0.02), 12.0, NOW, GoldenCheck(NOW, "G1", True),
-    rig=RigFacts(timedelta(hours=2), is_homed=True),
+    rig=RigStatus(timedelta(hours=2), is_homed=True),
 )  # fmt: skip
 HOMING = reason("grbl.homing_failed", why=grbl.Alarm(9).reason)
-BAD = StationFacts(
+BAD = StationStatus(
     NOW, CellAtGate("K-17", date(2026, 1, 1), 9.0, 0.02), 12.0, NOW, GoldenCheck(NOW, "G1", False),
-    rig=RigFacts(homing_fault=HOMING, zero_return_N=1.0),
+    rig=RigStatus(homing_fault=HOMING, zero_return_N=1.0),
 )  # fmt: skip
 FAULT = reason("rig.not_zero", zero_N=3.0, allowed_N=0.5)
 GATES = {
     "good": GOOD,
     "bad": BAD,
-    "nothing known": replace(GOOD, certificate=None, golden=None, rig=RigFacts()),
-    "zero": replace(GOOD, rig=RigFacts(zero_fault=FAULT)),
+    "nothing known": replace(GOOD, certificate=None, golden=None, rig=RigStatus()),
+    "zero": replace(GOOD, rig=RigStatus(zero_fault=FAULT)),
 }
 
 
 @pytest.mark.parametrize("facts", GATES.values(), ids=GATES)
 def test_every_condition_of_the_gate_is_said_in_korean(
-    facts: StationFacts, english_in: Callable[[str], list[str]]
+    facts: StationStatus, english_in: Callable[[str], list[str]]
 ) -> None:
     conditions = may_run(facts, OrderKind.UNIT).conditions
     assert len(conditions) >= 5
     for condition in conditions:
-        assert english_in(said(condition.name, KOREAN) + " " + said(condition.says, KOREAN)) == []
-        assert said(condition.name, KOREAN) != str(condition.name)
+        assert english_in(render_reason(condition.name, KOREAN) + " " + render_reason(condition.says, KOREAN)) == []
+        assert render_reason(condition.name, KOREAN) != str(condition.name)
 
 
 def test_an_error_is_english_as_text_and_korean_on_a_screen() -> None:
-    error = NoReply(reason("rig.no_answer", device=named("stage", "/dev/ttyACM0"), within_s=0.5))
+    error = NoReply(reason("rig.no_answer", device=device_label("stage", "/dev/ttyACM0"), within_s=0.5))
     assert str(error) == "stage (/dev/ttyACM0): no answer within 0.5 s; check cable, power and baud rate"
-    korean = said(error.reason, KOREAN)
+    korean = render_reason(error.reason, KOREAN)
     assert korean == "스테이지 (/dev/ttyACM0): 0.5초 안에 응답 없음; 케이블, 전원, 통신 속도를 확인하십시오"
 
 
 def test_a_cause_within_a_message_is_said_too(english_in: Callable[[str], list[str]]) -> None:
     stopped = reason("rig.aborted", why=FAULT, state=Reason("left.lifted"))
-    korean = said(reason("rig.stopped", why=stopped), KOREAN)
+    korean = render_reason(reason("rig.stopped", why=stopped), KOREAN)
     assert english_in(korean) == [] and "무부하 값 3 N" in korean and "작업 중단" in korean
     assert root_of(stopped) == FAULT and root_of(FAULT) == FAULT
 
 
 def test_a_device_of_another_maker_keeps_its_name() -> None:
-    assert said(named("spectrometer"), KOREAN) == "spectrometer"
+    assert render_reason(device_label("spectrometer"), KOREAN) == "spectrometer"
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
 def test_a_number_that_is_none_never_keeps_a_stop_from_being_said(value: float) -> None:
     why = reason("rig.force", force_N=value, coming_N=1.0, limit_N=5.0)
     assert f"force {value} N, 1.00 N by the time" in str(why)
-    assert str(value) in said(Reason.parse(json.loads(json.dumps(why.to_json(), allow_nan=False))), KOREAN)
+    assert str(value) in render_reason(Reason.parse(json.loads(json.dumps(why.to_json(), allow_nan=False))), KOREAN)
 
 
 def test_what_a_station_says_crosses_the_registry_with_its_values(tmp_path: Path) -> None:
@@ -213,22 +216,22 @@ def test_what_a_station_says_crosses_the_registry_with_its_values(tmp_path: Path
     with open_registry(f"sqlite:///{tmp_path / 'registry.db'}") as registry:
         registry.order_queue.beat(beat)
         assert registry.order_queue.heartbeat("s1") == beat
-    message = Progress("o1", RunState.ERROR, message=packed([stopped])).message  # type: ignore[arg-type]
-    assert message == (stopped,) and "무부하 값 3 N" in said(message[0], KOREAN)
+    message = Progress("o1", RunState.ERROR, message=pack_reasons([stopped])).message  # type: ignore[arg-type]
+    assert message == (stopped,) and "무부하 값 3 N" in render_reason(message[0], KOREAN)
 
 
 def test_a_row_of_an_older_version_is_shown_as_it_stands() -> None:
     old = "stage: no answer within 0.5 s; check cable, power and baud rate"
     assert Progress("o1", RunState.ERROR, message=old).message == (plain(old),)  # type: ignore[arg-type]
     beat = Heartbeat("s1", StationState.STOPPED, NOW, (old,), gate=(Condition("homing", True, "homed"),))  # type: ignore[arg-type]
-    assert said(beat.reasons[0], KOREAN) == old and beat.gate[0].says.code == PLAIN
+    assert render_reason(beat.reasons[0], KOREAN) == old and beat.gate[0].says.code == PLAIN
 
 
 def test_every_order_every_end_of_a_run_and_every_step_in_use_has_a_name() -> None:
     steps = ("start", FOLLOWED, HELD, TRIED, JUMPED, UNWATCHED)
-    named = [f"order.{kind}" for kind in OrderKind] + [f"run.{state}" for state in RunState]
-    named += [f"event.{step}" for step in steps]
-    assert [(language, name) for language in LANGUAGES for name in named if name not in catalogue()[language]] == []
+    codes = [f"order.{kind}" for kind in OrderKind] + [f"run.{state}" for state in RunState]
+    codes += [f"event.{step}" for step in steps]
+    assert [(language, name) for language in LANGUAGES for name in codes if name not in catalogue()[language]] == []
 
 
 @pytest.mark.parametrize("module", ["tracker", "stream_estimator"])

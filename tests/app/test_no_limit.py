@@ -43,7 +43,7 @@ def test_no_unit_passes_and_no_file_is_written_whatever_was_measured(unlimited, 
     assert not [file for file in out.rglob("*") if any(unit["serial"] in file.name for unit in report["units"])]
     with open_registry(url) as registry:
         facts = build_certificate(UnitLoader(registry, ExportOptions()).load("A1"))
-        assert facts.withheld[0] in ("simulated", "no_limit") and "no_limit" in facts.withheld
+        assert facts.withholding_codes[0] in ("simulated", "no_limit") and "no_limit" in facts.withholding_codes
         assert facts.verdict == "conditional" and not facts.conformity
         assert ET.fromstring(certificate_xml(facts)).find(".//{https://ptb.de/dcc}conformity") is None
         assert softcal.Unit.from_registry(registry, "A1").verdict == "conditional"

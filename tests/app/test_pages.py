@@ -6,9 +6,9 @@ from datetime import UTC, date, datetime
 import pytest
 
 from softcal.app.calibration.audit import draw_plan, lot_audit
-from softcal.app.calibration.release import lot_standing, outline_lot
+from softcal.app.calibration.release import outline_lot, read_lot_status
 from softcal.app.texts.catalogue import catalogue, text
-from softcal.app.ui.pages import MOVED, PAGES, moved, page_of
+from softcal.app.ui.pages import PAGES, REDIRECTS, page_of, redirect
 from softcal.app.views.common import number
 from softcal.app.views.lot import lot_view
 from softcal.app.views.lots import lot_list, proposed_lot_id
@@ -35,15 +35,15 @@ def test_every_page_and_tab_has_a_title() -> None:
     assert not wanted - catalogue()["en"].keys()
 
 
-@pytest.mark.parametrize("address", MOVED)
+@pytest.mark.parametrize("address", REDIRECTS)
 def test_an_address_that_was_leads_to_a_page_and_a_tab_that_are(address: str) -> None:
-    page, query = moved(address, {"lot": ["small"]})
+    page, query = redirect(address, {"lot": ["small"]})
     assert not {"tab"} & query.keys() or query["tab"][0] in {tab.name for tab in page_of(page).tabs}
     assert query["lot"] == ["small"]
 
 
 def test_a_comparison_of_two_units_keeps_both() -> None:
-    page, query = moved("compare", {"a": ["small/A1"], "b": ["small/A2"]})
+    page, query = redirect("compare", {"a": ["small/A1"], "b": ["small/A2"]})
     assert (page, query) == ("unit", {"unit": ["small/A1"], "with": ["small/A2"], "tab": ["compare"]})
 
 
@@ -92,7 +92,7 @@ def step_of(url: str):
     with open_registry(url) as registry:
         audit = lot_audit(registry, "small")
         missing = None if audit is None else audit.missing
-        steps = [next_step(registry, read(registry, "small"), missing) for read in (outline_lot, lot_standing)]
+        steps = [next_step(registry, read(registry, "small"), missing) for read in (outline_lot, read_lot_status)]
     # What is read of every unit of a large lot suffices for the same sentence.
     assert steps[0] == steps[1]
     return steps[0]
@@ -101,7 +101,7 @@ def step_of(url: str):
 def test_the_next_step_follows_from_where_the_lot_stands(calibrated: str) -> None:
     with open_registry(calibrated) as registry:
         registry.lots.add(Lot("new", "S1", 50.0))
-        assert next_step(registry, lot_standing(registry, "new"), None).kind == "source"
+        assert next_step(registry, read_lot_status(registry, "new"), None).kind == "source"
         lot = registry.lots.get("small")
         has_limit = lot.limit_rmse is not None
     first = step_of(calibrated)

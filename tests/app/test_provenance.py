@@ -19,7 +19,7 @@ from softcal.app.views.next_step import release_record
 from softcal.core import profiles
 from softcal.core.gap.method import METHOD as GAP_METHOD
 from softcal.core.lot import Lot
-from softcal.core.quality.lot_standing import LotStanding, UnitInLot
+from softcal.core.quality.lot_status import LotStatus, UnitInLot
 from softcal.db.connection import open_registry
 from softcal.db.provenance import Provenance, build_id
 from tests.app.pdf_text import read_text
@@ -135,7 +135,7 @@ def test_whoever_fits_a_lot_after_its_release_did_not_release_it() -> None:
         registry.lots.add(Lot("L1", "S0", 50.0))
         registry.decisions.add("L1", msgspec.to_builtins(decision), action="release", actor="kim")
         registry.decisions.add("L1", msgspec.to_builtins(decision), action="fit", actor="lee")
-        record = release_record(registry, LotStanding("L1", [UnitInLot("A1", "pass")], None, None))
+        record = release_record(registry, LotStatus("L1", [UnitInLot("A1", "pass")], None, None))
     assert record is not None
     assert (record.actor, record.at) == ("kim", datetime(2026, 5, 1, 9, tzinfo=UTC))
 

@@ -11,11 +11,11 @@ from string import Formatter
 import pytest
 
 from softcal.app.texts.catalogue import LANGUAGES, catalogue, text
-from softcal.app.texts.reasons import PLAINLY, PREFIX, plainly, said
+from softcal.app.texts.reasons import PLAIN_PREFIX, PREFIX, render_plain_reason, render_reason
 from softcal.core.maps import affine_map, ends, monotone, paired
 from softcal.core.messages import reason as reasons
 from softcal.core.messages import rig_sentences
-from softcal.core.messages.reason import ENGLISH, PLAIN, Reason, packed, plain, reason, to_kept, unpacked
+from softcal.core.messages.reason import ENGLISH, PLAIN, Reason, pack_reasons, plain, reason, to_stored, unpack_reasons
 from softcal.core.unit import findings, health, verdict
 from softcal.core.unit.evidence import DAY, LINE
 from softcal.core.unit.knowledge import KnowledgeConfig
@@ -47,7 +47,7 @@ def test_every_reason_is_said_in_every_language_with_the_same_values() -> None:
         sentence = catalogue()[language][f"{PREFIX}{one.code}"]
         named = {name for _, name, _, _ in Formatter().parse(sentence) if name}
         assert named == set(one.values) or one.code == PLAIN
-        assert said(one, partial(text, language)) == one.said({one.code: sentence} | {PLAIN: "{text}"})
+        assert render_reason(one, partial(text, language)) == one.render({one.code: sentence} | {PLAIN: "{text}"})
 
 
 def whole(one: Reason) -> list[Reason]:
@@ -69,14 +69,16 @@ NOT_AT_THE_LINE = ("part.", "inspect.", "data.", "audit.", "gap.", *LOT, PLAIN)
 def test_every_reason_is_said_plainly_to_the_line_without_numbers() -> None:
     at_the_line = [one for e in EXAMPLES if not e.code.startswith(NOT_AT_THE_LINE) for one in whole(e)]
     for one, language in product(at_the_line, LANGUAGES):
-        sentence = plainly(one, partial(text, language))
-        assert sentence in [said for key, said in catalogue()[language].items() if key.startswith(PLAINLY)], one
+        sentence = render_plain_reason(one, partial(text, language))
+        assert sentence in [
+            render_reason for key, render_reason in catalogue()[language].items() if key.startswith(PLAIN_PREFIX)
+        ], one
         assert sentence.endswith(".") and not any(c.isdigit() or c in "{};`" for c in sentence), one
-        assert language == "en" or sentence != plainly(one, ENGLISH_WORDS), one
+        assert language == "en" or sentence != render_plain_reason(one, ENGLISH_WORDS), one
 
 
 def test_a_reason_kept_as_a_sentence_is_shown_as_it_is() -> None:
-    assert plainly(plain("two maps"), KOREAN) == said(plain("two maps"), KOREAN) == "two maps"
+    assert render_plain_reason(plain("two maps"), KOREAN) == render_reason(plain("two maps"), KOREAN) == "two maps"
 
 
 def test_the_numerics_give_codes_that_exist_and_no_prose() -> None:
@@ -107,13 +109,13 @@ def test_every_code_is_given_somewhere() -> None:
 def test_a_reason_survives_being_kept() -> None:
     for one in EXAMPLES:
         assert Reason.parse(json.loads(json.dumps(one.to_json()))) == one
-        assert Reason.parse(json.loads(json.dumps(to_kept(one)))) == one
-        assert unpacked(packed([one, one])) == (one, one) or one.code == PLAIN
+        assert Reason.parse(json.loads(json.dumps(to_stored(one)))) == one
+        assert unpack_reasons(pack_reasons([one, one])) == (one, one) or one.code == PLAIN
 
 
 def test_the_sentence_an_older_version_kept_stays_as_it_is() -> None:
     old = Reason.parse("drift inside the recording: estimates at rest move by +0.2 N; warm up, record again")
-    assert said(old, KOREAN) == str(old) and str(old).startswith("drift inside")
+    assert render_reason(old, KOREAN) == str(old) and str(old).startswith("drift inside")
 
 
 def test_a_code_of_a_later_version_stays_readable() -> None:
@@ -125,27 +127,27 @@ def test_the_statement_of_a_verdict_is_said_in_korean_with_its_values(error: flo
     forecast = ErrorForecast(error, error - 0.03, error + 0.03)
     for limit in (Limit("N", 0.12), default_limit("N", 0.04, 3.0, DecisionConfig())):
         (one,) = compare_with_limit(forecast, limit).reasons
-        korean = said(one, KOREAN)
+        korean = render_reason(one, KOREAN)
         assert f"{error:.3g}" in korean and "예측" in korean
         assert one.code == "no_limit" or "0.12" in korean
         assert not any(word in korean for word in (" is ", "limit", "stated"))
-        assert said(one, ENGLISH_WORDS) == str(one)
+        assert render_reason(one, ENGLISH_WORDS) == str(one)
 
 
 def test_an_audited_verdict_is_said_in_korean() -> None:
     harmful = Scores(MeasuredError(0.1, 900), MeasuredError(0.2, 900))
-    korean = [said(one, KOREAN) for one in compare_with_audit(harmful, Limit("N", 0.12)).reasons]
+    korean = [render_reason(one, KOREAN) for one in compare_with_audit(harmful, Limit("N", 0.12)).reasons]
     assert any("측정" in one for one in korean) and any("보정하지 않는 것보다 나쁨" in one for one in korean)
 
 
 def test_the_cause_within_a_reason_is_said_too() -> None:
     one = reason("unfamiliar", share=0.12, cause=Reason("part.fast"))
-    assert "빠른 움직임" in said(one, KOREAN) and "12%" in said(one, KOREAN)
+    assert "빠른 움직임" in render_reason(one, KOREAN) and "12%" in render_reason(one, KOREAN)
 
 
 def test_a_message_that_was_kept_as_a_sentence_is_that_sentence() -> None:
-    assert unpacked("") == () and packed(()) == ""
-    assert unpacked("the moon was full; so was the glass") == (plain("the moon was full; so was the glass"),)
+    assert unpack_reasons("") == () and pack_reasons(()) == ""
+    assert unpack_reasons("the moon was full; so was the glass") == (plain("the moon was full; so was the glass"),)
 
 
 @pytest.mark.parametrize("language", ["en", "ko"])
@@ -159,5 +161,5 @@ def test_every_part_of_a_predicted_error_has_its_name_on_the_figure(language: st
 
 def test_a_verdict_within_a_reason_is_said_in_korean() -> None:
     why = reason("predicted_otherwise", verdict="fail", why=reason("dead.noise", spread=0.1, unit="V", cure="c"))
-    assert "불합격" in said(why, partial(text, "ko")) and "fail" not in said(why, partial(text, "ko"))
-    assert "predicted fail:" in said(why, partial(text, "en"))
+    assert "불합격" in render_reason(why, partial(text, "ko")) and "fail" not in render_reason(why, partial(text, "ko"))
+    assert "predicted fail:" in render_reason(why, partial(text, "en"))

@@ -8,7 +8,7 @@ import pytest
 
 from softcal.app.line.recover import recover
 from softcal.core.profiles import ramps
-from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.bench.bench import open_simulated_bench
 from softcal.station.interfaces import Sample, StagePosition
 from softcal.station.record.spool import Spool
 from softcal.station.tasks.acquisition import record

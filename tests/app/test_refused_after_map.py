@@ -9,7 +9,7 @@ import pytest
 
 from softcal.app.cli.main import main
 from softcal.app.jobs import jobs
-from softcal.app.jobs.jobs import Teller
+from softcal.app.jobs.jobs import JobProgress
 from softcal.app.texts.catalogue import text
 from softcal.core.messages.reason import plain
 from softcal.core.unit.verdict import Finding, Verdict
@@ -83,9 +83,9 @@ def test_an_archive_of_the_lot_has_no_file_of_it(refused, monkeypatch, tmp_path)
         request = {"lot": "small", "serials": None, "formats": ["json", "pdf"], "release": "pass"}
         registry.job_board.place("archive", request, "Erin")
         (job,) = registry.job_board.jobs()
-        told = jobs.archive(registry, job, Teller(registry.job_board, job.job_id)).result
-    with zipfile.ZipFile(jobs.archive_path(job)) as packed:
-        assert not [name for name in packed.namelist() if "A1" in name]
+        told = jobs.archive(registry, job, JobProgress(registry.job_board, job.job_id)).result
+    with zipfile.ZipFile(jobs.archive_path(job)) as pack_reasons:
+        assert not [name for name in pack_reasons.namelist() if "A1" in name]
     assert [serial for serial, why in told["refused"] if WHY in why] == ["A1"]
 
 

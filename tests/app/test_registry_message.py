@@ -55,9 +55,9 @@ def test_both_sides_of_a_synchronisation_are_named(calibrated, tmp_path, capsys)
 
 @pytest.mark.parametrize("url", ["postgresql://kim:s3cret@db/softcal", "postgresql://kim@db/softcal?password=s3cret"])
 def test_no_password_is_said(url: str, capsys) -> None:
-    from softcal.app.cli.options import say_written
+    from softcal.app.cli.options import echo_written_url
 
-    say_written(url)
+    echo_written_url(url)
     assert "db/softcal" in (said := capsys.readouterr().err) and "s3cret" not in said
 
 

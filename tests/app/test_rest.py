@@ -19,7 +19,7 @@ from softcal.app.calibration.results import RESULTS
 from softcal.app.cli.main import main
 from softcal.app.connect.alert_monitor import store_alert
 from softcal.app.registry.listing import unit_json
-from softcal.app.rest.routes import MOST
+from softcal.app.rest.routes import MAX_ROWS
 from softcal.app.rest.server import openapi_document, rest_app
 from softcal.app.rest.v1 import UnitAnswer
 from softcal.core.lot import Lot
@@ -96,7 +96,7 @@ def test_every_list_comes_a_page_at_a_time_by_the_same_cursor(client, registry, 
         store_alert(registry, ("station", "", f"line-{number}"), told, is_open=True)
     for path in ("lots", "units?serial=A1", "jobs", "orders", "stations", "alerts", "lots/small/units"):
         name = path.rpartition("/")[2].partition("?")[0]
-        (whole, end), found, after = page_of(client, path, name, "", MOST), [], ""
+        (whole, end), found, after = page_of(client, path, name, "", MAX_ROWS), [], ""
         while after is not None:
             rows, after = page_of(client, path, name, after, limit)
             assert len(rows) <= limit
@@ -178,7 +178,7 @@ def test_a_key_belongs_to_one_request_and_one_account(client, client_of, registr
 
 
 def test_events_are_read_on_from_where_the_last_answer_ended(client, registry):
-    whole = client.get("/v1/events", params={"limit": MOST}).json()
+    whole = client.get("/v1/events", params={"limit": MAX_ROWS}).json()
     assert whole["is_end"] and {event["type"] for event in whole["events"]} == {"softcal.verdict"}
     found, after = [], ""
     while True:

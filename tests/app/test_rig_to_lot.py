@@ -12,8 +12,8 @@ import pytest
 
 from softcal.app.cli.main import main
 from softcal.app.files.lot_folder import open_lot_folder
-from softcal.app.line.gate_facts import RIG_ONLY
 from softcal.app.line.serve import Serving, serve
+from softcal.app.line.station_gate import RIG_ONLY
 from softcal.core.messages.reason import Reason
 from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import Order, OrderKind, RunState, StationState
@@ -167,9 +167,9 @@ import sys
 from dataclasses import replace
 import numpy as np
 from softcal.core.simulated_lot import draw_lot
-from softcal.station.devices.bench import simulated_config
-from softcal.station.devices.station_file import station_toml
-from softcal.station.devices.simulated_station import SimulatedStation
+from softcal.station.bench.bench import simulated_config
+from softcal.station.bench.station_file import station_toml
+from softcal.station.bench.simulated_station import SimulatedStation
 
 units = draw_lot(np.random.default_rng(5), 4)
 rig = SimulatedStation(units[0], np.random.default_rng(5))

@@ -9,7 +9,7 @@ from softcal.app.ui import account as identity
 from softcal.app.ui import browser_memory
 from softcal.app.ui.pages import PAGES
 from softcal.core.orders import Heartbeat, StationState
-from softcal.db.access.tries import MOST_FAILURES
+from softcal.db.access.tries import MAX_FAILURES
 from softcal.db.connection import open_registry
 from softcal.db.entries import User
 
@@ -83,14 +83,14 @@ def test_the_first_person_may_open_every_page_and_has_the_rights_of_the_role_aft
 
 
 def test_nobody_becomes_the_first_person_without_the_code(new_registry, show) -> None:
-    identity._wrong_codes.clear()
+    identity._failed_codes.clear()
     screen = show(new_registry, "settings", tab="account", role=None)
-    for _ in range(MOST_FAILURES):
+    for _ in range(MAX_FAILURES):
         assert first_person(screen, "0000-000").error
     # Even the right code has to wait now.
     assert first_person(screen, identity.first_code()).error
     assert people_of(new_registry) == []
-    identity._wrong_codes.clear()
+    identity._failed_codes.clear()
 
 
 @pytest.mark.parametrize(

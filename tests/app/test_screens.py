@@ -9,7 +9,7 @@ import pytest
 
 from softcal.app.cli.main import main
 from softcal.app.texts import catalogue as texts
-from softcal.app.texts.reasons import said
+from softcal.app.texts.reasons import render_reason
 from softcal.app.views.lot import lot_view
 from softcal.core.messages.reason import plain
 from softcal.db.connection import open_registry
@@ -56,7 +56,7 @@ def test_a_unit_without_a_map_says_why_in_the_language_of_the_reader(calibrated,
     with open_registry(calibrated) as registry:
         (why,) = registry.lots.units("small", "A4")[0].reasons
     shown = show(calibrated, "unit", role=None, unit="A4", lang=language).info[0].value
-    assert said(why, partial(texts.text, language)) in shown
+    assert render_reason(why, partial(texts.text, language)) in shown
     lot = show(calibrated, "lot", role=None, lang=language)
     assert texts.text(language, "lot.yield") in {metric.label for metric in lot.metric}
 

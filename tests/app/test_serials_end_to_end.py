@@ -20,7 +20,7 @@ from softcal.app.export.check import check_folder
 from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.rest.server import rest_app
 from softcal.app.texts.catalogue import text
-from softcal.app.texts.reasons import said
+from softcal.app.texts.reasons import render_reason
 from softcal.core.errors import InputError
 from softcal.core.export.blob_reader import read_unit
 from softcal.core.lot import unescape_serial
@@ -202,7 +202,9 @@ def test_names_that_are_no_serials_are_rows_and_the_other_units_are_calibrated(
         assert serial.isprintable() and len(serial) <= 64
         assert unit["verdict"] == "retest" and "serial" in unit["reasons"][0]
     for why in open_lot_folder(lot_folder).problems.values():
-        assert english_in(said(why, partial(text, "ko")).replace(str(why.values.get("character", "")), "")) == []
+        assert (
+            english_in(render_reason(why, partial(text, "ko")).replace(str(why.values.get("character", "")), "")) == []
+        )
 
 
 def test_one_name_that_is_no_serial_stops_no_lot_of_three(lot_folder: Path, registry_url: str) -> None:

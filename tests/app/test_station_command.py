@@ -18,9 +18,9 @@ from softcal.app.files.recording_file import inspect_recording
 from softcal.core.errors import InputError, NoReply
 from softcal.core.messages.reason import Reason
 from softcal.core.twin.simulate import Twin
-from softcal.station.devices.bench import simulated_config
-from softcal.station.devices.simulated_station import SimulatedStation
-from softcal.station.devices.station_file import read_station_file, station_toml
+from softcal.station.bench.bench import simulated_config
+from softcal.station.bench.simulated_station import SimulatedStation
+from softcal.station.bench.station_file import read_station_file, station_toml
 from softcal.station.interfaces import Sample, StagePosition
 from softcal.station.record.spool import Spool, read_spool
 from tests.wait import wait_until

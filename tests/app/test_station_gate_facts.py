@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from softcal.app.connect.stations import station_json
-from softcal.app.line.gate_facts import GateRules, StationGate, check_golden, quarantine
+from softcal.app.line.station_gate import GateRules, StationGate, check_golden, quarantine
 from softcal.app.registry.golden import newest_golden
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
-from softcal.core.quality.gate import RigFacts
+from softcal.core.quality.gate import RigStatus
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate, GoldenRun
@@ -19,7 +19,7 @@ from softcal.station.devices.config import ForceConfig, ReadoutConfig, StageConf
 
 CONFIG = StationConfig(StageConfig("a"), ReadoutConfig("b"), ForceConfig("c", serial="K1"))
 NOW = datetime.now(UTC)
-WARM = RigFacts(timedelta(hours=1), is_homed=True)
+WARM = RigStatus(timedelta(hours=1), is_homed=True)
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def test_the_gate_opens_when_certificate_and_golden_unit_are_there(registry):
     assert not gate(OrderKind.UNIT, WARM).is_open
     golden(registry, passed=True)
     assert gate(OrderKind.UNIT, WARM).is_open
-    assert not gate(OrderKind.UNIT, RigFacts()).is_open  # not warm
+    assert not gate(OrderKind.UNIT, RigStatus()).is_open  # not warm
 
 
 def test_a_failed_golden_unit_closes_the_gate_and_quarantines(registry):
@@ -98,7 +98,7 @@ def test_an_override_that_a_clock_a_day_ahead_gave_ends_with_that_clock(registry
 
     gate = StationGate(registry, "s1", CONFIG, GateRules())
     with monkeypatch.context() as patch:
-        patch.setattr("softcal.app.line.gate_facts.datetime", Ahead)
+        patch.setattr("softcal.app.line.station_gate.datetime", Ahead)
         gate.override("kim", "certificate is in the post")
         assert gate(OrderKind.UNIT, WARM).is_open
     assert not gate(OrderKind.UNIT, WARM).is_open

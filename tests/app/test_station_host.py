@@ -11,7 +11,7 @@ import pytest
 
 from softcal.app.cli import station_service
 from softcal.app.line.host import StationHost
-from softcal.app.line.pressed_run import TRAINING, RunKeeper
+from softcal.app.line.pressed_run import TRAINING, RunStore
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.lot import Lot
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
@@ -20,7 +20,7 @@ from softcal.core.quality.gate import Gate
 from softcal.db.connection import open_registry
 from softcal.db.queues.order_queue import OrderQueue
 from softcal.db.repositories.recordings import RecordingTables
-from softcal.station.devices.bench import Bench, open_simulated_bench
+from softcal.station.bench.bench import Bench, open_simulated_bench
 from softcal.station.tasks.service import Hooks, StationService
 from tests.wait import wait_until
 
@@ -46,11 +46,11 @@ class Opened:
 
 
 def make_host(registry, folder, profile=QUICK):
-    def service(report, is_stop_wanted) -> StationService:
-        hooks = Hooks(report, is_stop_wanted, lambda kind, rig: Gate())
+    def service(report, is_stop_requested) -> StationService:
+        hooks = Hooks(report, is_stop_requested, lambda kind, rig: Gate())
         return StationService(Opened, {OrderKind.SOURCE: profile, OrderKind.UNIT: profile}, folder, hooks)
 
-    keeper = RunKeeper(registry, "s1")
+    keeper = RunStore(registry, "s1")
     return StationHost(registry.order_queue, "s1", keeper, lambda actor, reason: None, service)
 
 
@@ -141,7 +141,7 @@ def test_an_order_goes_to_a_service_that_is_late_on_a_busy_machine(registry, is_
     process = f"{socket.gethostname()}:{os.getpid()}" if is_ours else "other:1"
     late = datetime.now(UTC) - timedelta(seconds=age_s)
     registry.order_queue.beat(Heartbeat("s1", state, late, process=process))
-    assert station_service._is_there(registry.order_queue, "s1") is is_there
+    assert station_service._is_serving(registry.order_queue, "s1") is is_there
 
 
 def test_a_running_owner_is_not_taken_over_by_a_clock_that_is_ahead(registry, tmp_path):
@@ -216,7 +216,7 @@ def test_the_end_of_an_order_is_told_once_the_registry_is_back(registry, tmp_pat
 
 
 def test_a_defect_ends_its_run_alone(registry, tmp_path, monkeypatch):
-    monkeypatch.setattr(RunKeeper, "keep", lambda *_: 1 / 0)
+    monkeypatch.setattr(RunStore, "store", lambda *_: 1 / 0)
     serve_until(make_host(registry, tmp_path), placed_and_ended(registry, "L1"))
     progress = registry.order_queue.progress("o1")
     assert (progress.state, progress.code) == (RunState.ERROR, "E-INTERNAL")
@@ -227,14 +227,14 @@ def test_a_defect_ends_its_run_alone(registry, tmp_path, monkeypatch):
 def test_a_stop_waits_for_nobody_who_writes_into_the_registry(registry, tmp_path):
     queue, locked = registry.order_queue, threading.Event()
     host = make_host(registry, tmp_path)
-    is_stop_wanted = host._is_stop_wanted
+    is_stop_requested = host._is_stop_requested
 
     def say_stop_and_keep_the_registry_writing():
         wait_until(lambda: any(progress.phase for _, progress in queue.runs("s1")))
         queue.place(Order("stop", "s1", OrderKind.STOP))
         with registry.database.writing():
             locked.set()
-            assert is_stop_wanted.wait(3.0)
+            assert is_stop_requested.wait(3.0)
 
     errors = []
 

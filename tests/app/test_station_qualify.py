@@ -4,10 +4,10 @@ import json
 from datetime import UTC, date, datetime, timedelta
 
 from softcal.app.cli.main import command_parser
-from softcal.app.line.gate_facts import RIG_ONLY, StationGate
-from softcal.app.line.qualification import QualificationPage, keep_qualification
+from softcal.app.line.qualification import QualificationPage, store_qualification
+from softcal.app.line.station_gate import RIG_ONLY, StationGate
 from softcal.core.orders import OrderKind
-from softcal.core.quality.gate import RigFacts
+from softcal.core.quality.gate import RigStatus
 from softcal.db.connection import open_registry
 from softcal.station.devices.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig
 from softcal.station.tasks.qualify import Figure, Qualification
@@ -16,7 +16,7 @@ CONFIG = StationConfig(StageConfig("a"), ReadoutConfig("b"), ForceConfig("c", se
 
 
 def opened(registry):
-    return StationGate(registry, "line-1", CONFIG, RIG_ONLY)(OrderKind.UNIT, RigFacts(timedelta(hours=1), True))
+    return StationGate(registry, "line-1", CONFIG, RIG_ONLY)(OrderKind.UNIT, RigStatus(timedelta(hours=1), True))
 
 
 def test_the_command_writes_figures_limits_and_how_long_they_hold_and_the_gate_reads_them(tmp_path):
@@ -57,5 +57,5 @@ def test_the_newest_page_counts_until_its_day(tmp_path):
             (good, now - timedelta(hours=1), True),
         ):
             qualification = Qualification((figure,), None, 80.0)
-            keep_qualification(registry, QualificationPage("line-1", CONFIG, "spring", qualification, made_at, 90))
+            store_qualification(registry, QualificationPage("line-1", CONFIG, "spring", qualification, made_at, 90))
             assert opened(registry).is_open == is_open

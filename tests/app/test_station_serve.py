@@ -8,8 +8,8 @@ from functools import partial
 import pytest
 from sqlalchemy import update
 
-from softcal.app.line.gate_facts import RIG_ONLY, GateRules
 from softcal.app.line.serve import Serving, serve
+from softcal.app.line.station_gate import RIG_ONLY, GateRules
 from softcal.core.errors import InputError
 from softcal.core.messages.reason import reason
 from softcal.core.network.config import NetworkConfig

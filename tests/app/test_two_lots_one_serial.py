@@ -9,7 +9,7 @@ import pytest
 from streamlit.testing.v1 import AppTest
 
 from softcal.app.cli.main import main
-from softcal.app.line.gate_facts import check_golden
+from softcal.app.line.station_gate import check_golden
 from softcal.app.registry.golden import golden_lot, newest_golden
 from softcal.app.registry.lot_recordings import newest_audits
 from softcal.app.registry.quality import golden_charts, lot_yields

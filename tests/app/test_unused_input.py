@@ -9,13 +9,13 @@ import pandas as pd
 import pytest
 from sqlalchemy import event
 
-from softcal.app.batch.lot_intake import expect, store_lot
+from softcal.app.batch.lot_intake import preview_lot, store_lot
 from softcal.app.cli.main import main
 from softcal.app.files.import_plan import Columns, ImportPlan
 from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.texts.catalogue import catalogue
 from softcal.core.lot import Lot
-from softcal.core.quality.same_recording import Pressed, same_recordings
+from softcal.core.quality.duplicate_recordings import RecordedOutput, same_recordings
 from softcal.db.connection import open_registry
 from tests.conftest import SMALL_NETWORK
 
@@ -158,7 +158,7 @@ def test_the_page_of_a_new_lot_knows_what_is_not_used_and_what_the_registry_has(
     table(tables / "S2.csv", 1, force_N="Force_N")
     with open_registry(url) as registry:
         first = ImportPlan(files, columns, Lot("first", "S1", 50.0), audit=True)
-        expected = expect(first, registry)
+        expected = preview_lot(first, registry)
         assert expected.audits == ("S3",) and not expected.remarks
         assert [(item.kind, item.name) for item in expected.not_used] == [("column", "Force_N"), ("audit", "S2")]
         store_lot(registry, first, "kim")
@@ -166,7 +166,7 @@ def test_the_page_of_a_new_lot_knows_what_is_not_used_and_what_the_registry_has(
         registry.recordings.add("first", folder.read_unit("S3"), "unit")
         (tables / "S3.csv").rename(tables / "T3.csv")
         again = ImportPlan(sorted(tables.iterdir()), columns, Lot("again", "S1", 50.0), audit=True)
-        (remark,) = expect(again, registry).remarks
+        (remark,) = preview_lot(again, registry).remarks
     assert all(name in str(remark) for name in ("S3 (first)", "T3 (again)"))
 
 
@@ -175,9 +175,9 @@ def test_why_something_is_not_used_is_said_in_korean_too() -> None:
     assert len(codes) > 10 and all(catalogue()["ko"][code] != catalogue()["en"][code] for code in codes)
 
 
-def pressed(text: str) -> Pressed:
+def pressed(text: str) -> RecordedOutput:
     serial, lot, output, kind = text.split()
-    return Pressed(serial, lot, output, kind)
+    return RecordedOutput(serial, lot, output, kind)
 
 
 @pytest.mark.parametrize(

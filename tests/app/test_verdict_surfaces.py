@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from softcal.app.batch.report import BatchReport, report_json, table_row
+from softcal.app.charts.explanation import explanation_figure
 from softcal.app.charts.palette import palette
-from softcal.app.charts.why import why_figure
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.export.certificates.content import build_certificate
@@ -22,9 +22,9 @@ from softcal.app.export.certificates.dcc import certificate_xml
 from softcal.app.export.certificates.pdf import certificate_pdf
 from softcal.app.export.export import export_units, lot_serials
 from softcal.app.export.manifest import read_manifest
-from softcal.app.line.facts import Screen, read_line
+from softcal.app.line.status import Screen, read_line
 from softcal.app.registry.quality import lot_yields
-from softcal.app.registry.standing import caution
+from softcal.app.registry.unit_status import caution
 from softcal.app.texts.catalogue import text
 from softcal.app.views.line import LineView, line_view
 from softcal.app.views.unit import unit_view
@@ -141,7 +141,7 @@ def test_every_surface_says_the_same_word(lot, rng):
             "A1",
             stored.state.verdict,
             stored.state.decision.reasons,
-            calibration=replace(registry.pages.standings(lot_id, ["A1"])["A1"].calibration, state=state),
+            calibration=replace(registry.pages.unit_statuses(lot_id, ["A1"])["A1"].calibration, state=state),
         )
         report = BatchReport(lot_id, None, (result,), 0.0)  # type: ignore[arg-type]
         (unit,) = registry.lots.units(lot_id, "A1")
@@ -177,7 +177,7 @@ def test_documents_and_files_say_the_same_word(lot, word, tmp_path):
     read = read_text(certificate_pdf(build_certificate(unit))).split()
     shown = {other for other in Verdict if other.upper() in read}
     assert shown == {word} - {Verdict.RETEST}, "nothing can be stated of a unit that has to be tested again"
-    title = why_figure(
+    title = explanation_figure(
         unit_view(registry, UnitKey("small", "A1")), palette("light"), partial(text, "en")
     ).layout.title.text
     assert text("en", f"verdict.{word}") in title

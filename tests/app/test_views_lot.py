@@ -13,7 +13,7 @@ from softcal.app.charts.compare import errors_of_lots
 from softcal.app.charts.palette import DARK, LIGHT
 from softcal.app.charts.unit import output_distributions
 from softcal.app.texts.catalogue import text
-from softcal.app.texts.reasons import plainly
+from softcal.app.texts.reasons import render_plain_reason
 from softcal.app.views.common import percent
 from softcal.app.views.lot import process_view
 from softcal.core.messages.reason import Reason, reason
@@ -83,7 +83,7 @@ def test_reasons_are_counted_by_what_they_say_and_not_by_their_numbers(language:
     }
     found = yields({serial: [UnitRun("fail", (why,))] for serial, why in said.items()})
     assert [count for _, count in found.reasons] == [2, 1, 1]
-    labels = [plainly(why, partial(text, language)) for why, _ in found.reasons]
+    labels = [render_plain_reason(why, partial(text, language)) for why, _ in found.reasons]
     assert len(set(labels)) == 3 and not any(letter.isdigit() for label in labels for letter in label)
 
 
@@ -92,7 +92,7 @@ def test_limit_lines_are_seen_on_either_ground(rng, colours) -> None:
     process = process_view(runs_of(0.08 + 0.002 * rng.normal(size=400)), 0.12)
     figure = charts_lot.control_chart_figure(process, "N", colours, lambda key, **_: key)
     assert {shape.line.color for shape in figure.layout.shapes} == {colours.text, colours.limit}
-    assert len(figure.data[0].x) == charts_lot.SHOWN_VALUES
+    assert len(figure.data[0].x) == charts_lot.MAX_VALUES
 
 
 def test_one_value_far_out_does_not_flatten_the_others_and_is_read_as_it_is(rng) -> None:

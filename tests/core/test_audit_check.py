@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from softcal.core.quality.audit_check import doubtful_audits
+from softcal.core.quality.audit_check import find_suspect_audits
 from softcal.core.unit.method import Method
 from tests.unit_states import audit_result
 
@@ -20,7 +20,7 @@ def readings(rng):
 
 
 def codes(readings):
-    return {serial: why.code for serial, why in doubtful_audits(readings, Method()).items()}
+    return {serial: why.code for serial, why in find_suspect_audits(readings, Method()).items()}
 
 
 def test_audits_of_units_that_differ_and_of_a_day_with_another_zero_are_taken(readings):
@@ -72,7 +72,7 @@ def test_a_lot_that_misreads_as_a_whole_does_not_contradict_itself(readings):
 
 def test_the_audit_of_a_unit_that_is_not_of_the_lot_is_named(readings):
     readings["U5"] = replace(readings["U5"], audit_rest=readings["U5"].unit_rest + 0.4)
-    found = doubtful_audits(readings, Method())
+    found = find_suspect_audits(readings, Method())
     assert {serial: why.code for serial, why in found.items()} == {"U5": "doubt.foreign_unit"}
     assert found["U5"].values["rest"] == pytest.approx(1.2) and found["U5"].values["unit_rest"] == pytest.approx(0.8)
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import hypergeom
 
 from softcal.core.errors import InputError
-from softcal.core.quality.audit_plan import AuditConfig, judge_lot, nonconforming_upper, plan_audit
+from softcal.core.quality.audit_plan import AuditConfig, evaluate_audit, nonconforming_upper, plan_audit
 from softcal.core.unit.verdict import Limit
 
 LIMIT = Limit("N", 0.2)
@@ -51,14 +51,14 @@ def test_a_full_check_leaves_no_doubt():
 def test_one_failed_unit_fails_the_lot_and_is_named():
     plan = plan_audit(FORECASTS, AuditConfig())
     measured = dict.fromkeys(plan.serials, 0.1) | {plan.random[0]: 0.5}
-    statement = judge_lot(plan, FORECASTS, measured, LIMIT)
+    statement = evaluate_audit(plan, FORECASTS, measured, LIMIT)
     assert statement.word == "fail" and statement.failed == (plan.random[0],)
 
 
 def test_few_checked_units_make_a_conditional_lot_and_many_a_passed_one():
     for count, word in ((3, "conditional"), (30, "pass")):
         plan = plan_audit(FORECASTS, AuditConfig(random=count))
-        assert judge_lot(plan, FORECASTS, dict.fromkeys(plan.serials, 0.1), LIMIT).word == word
+        assert evaluate_audit(plan, FORECASTS, dict.fromkeys(plan.serials, 0.1), LIMIT).word == word
 
 
 def test_the_bound_holds_in_nineteen_of_twenty_lots(rng):
@@ -66,7 +66,7 @@ def test_the_bound_holds_in_nineteen_of_twenty_lots(rng):
     for seed in range(400):
         truth = {serial: 0.5 if rng.random() < 0.1 else 0.1 for serial in FORECASTS}
         plan = plan_audit(FORECASTS, AuditConfig(doubtful=0, random=15, seed=seed))
-        statement = judge_lot(plan, FORECASTS, truth, LIMIT)
+        statement = evaluate_audit(plan, FORECASTS, truth, LIMIT)
         unchecked = set(FORECASTS) - set(plan.serials)
         holds.append(sum(truth[s] > 0.2 for s in unchecked) <= statement.nonconforming_upper)
     assert np.mean(holds) >= 0.93
@@ -75,16 +75,16 @@ def test_the_bound_holds_in_nineteen_of_twenty_lots(rng):
 def test_forecasts_that_are_too_low_show_in_the_ratio():
     plan = plan_audit(FORECASTS, AuditConfig())
     measured = {serial: 2 * FORECASTS[serial] for serial in plan.serials}
-    assert judge_lot(plan, FORECASTS, measured, LIMIT).error_ratio == pytest.approx(2.0)
+    assert evaluate_audit(plan, FORECASTS, measured, LIMIT).error_ratio == pytest.approx(2.0)
 
 
 def test_an_incomplete_audit_gives_no_statement():
     plan = plan_audit(FORECASTS, AuditConfig())
     with pytest.raises(InputError, match=plan.serials[1]):
-        judge_lot(plan, FORECASTS, {plan.serials[0]: 0.1}, LIMIT)
+        evaluate_audit(plan, FORECASTS, {plan.serials[0]: 0.1}, LIMIT)
 
 
 def test_a_measurement_that_is_no_number_counts_as_failed():
     plan = plan_audit(FORECASTS, AuditConfig())
     measured = dict.fromkeys(plan.serials, 0.1) | {plan.random[1]: float("nan")}
-    assert judge_lot(plan, FORECASTS, measured, LIMIT).failed == (plan.random[1],)
+    assert evaluate_audit(plan, FORECASTS, measured, LIMIT).failed == (plan.random[1],)

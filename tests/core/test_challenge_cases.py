@@ -9,7 +9,7 @@ import pytest
 from softcal.core.challenge.case_generator import LINES, SIZES, draw_case, draw_challenge
 from softcal.core.challenge.cases import EXPERIMENTS, RunPlan, SealedCase, distance_sigma
 from softcal.core.challenge.equations import CATALOGUE, OUTSIDE
-from softcal.core.challenge.explained_fraction import BASE, explained_fraction, refitted_base
+from softcal.core.challenge.explained_fraction import BASE, explained_fraction, refit_base
 from softcal.core.challenge.published_equations import PUBLISHED_OUTSIDE
 from softcal.core.challenge.rig import Cause
 from softcal.core.challenge.seal import open_seal, seal_labels
@@ -75,7 +75,7 @@ def test_distance_is_zero_without_a_cause_and_grows_with_its_size() -> None:
 
 def test_the_refit_finds_the_base_of_a_case_without_causes() -> None:
     case = draw_case(4, "case", "none")
-    found = refitted_base(case)
+    found = refit_base(case)
     for name in BASE:
         assert getattr(found, name) == pytest.approx(getattr(case.rig, name), rel=0.02)
 

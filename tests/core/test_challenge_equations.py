@@ -248,7 +248,7 @@ def test_noise_and_adc_are_those_of_the_rig() -> None:
     still = Path("still", np.array([0.0, 400.0]), np.zeros(2))
     noisy = replace(RIG, noise_V=2e-3, noise_N=0.01, adc_bits=12)
     got = measure(still, rig=noisy).columns
-    assert np.std(got["output_V"]) == pytest.approx(noisy.floor_V, rel=0.03)
+    assert np.std(got["output_V"]) == pytest.approx(noisy.noise_floor_V, rel=0.03)
     assert np.std(got["force_N"]) == pytest.approx(0.01, rel=0.03)
     codes = got["output_V"] / (3.3 / 4095)
     np.testing.assert_allclose(codes, np.round(codes), atol=1e-6)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softcal.app.texts.catalogue import text
-from softcal.app.texts.reasons import said
+from softcal.app.texts.reasons import render_reason
 from softcal.core.errors import InputError
 from softcal.core.metrics import rmse
 from softcal.core.recording import LabelledRecording
@@ -45,7 +45,7 @@ def reads(model, calibration, recording):
 def codes(calibration):
     """Codes of the reasons, each of which can be said in both languages."""
     reasons = calibration.decision.reasons
-    assert all(str(why) and said(why, partial(text, "ko")) for why in reasons)
+    assert all(str(why) and render_reason(why, partial(text, "ko")) for why in reasons)
     return [why.code for why in reasons]
 
 

@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softcal.core.messages.figures import telling_decimals, with_decimals, written_uncertainty, written_value
+from softcal.core.messages.figures import find_decimals, format_uncertainty, format_value, with_decimals
 
 
 @given(st.floats(1e-6, 1e6))
 def test_an_uncertainty_has_two_significant_digits_and_is_not_moved_by_more_than_half_a_step(value: float) -> None:
-    shown = Decimal(written_uncertainty(value))
+    shown = Decimal(format_uncertainty(value))
     digits = "".join(map(str, shown.normalize().as_tuple().digits))
     assert len(digits) <= 2
     assert float(shown) == pytest.approx(value, rel=0.0501)
@@ -19,7 +19,7 @@ def test_an_uncertainty_has_two_significant_digits_and_is_not_moved_by_more_than
 
 @given(st.floats(-1e4, 1e4), st.floats(1e-4, 1e4))
 def test_a_value_has_the_decimals_of_its_uncertainty(value: float, uncertainty: float) -> None:
-    shown, u = written_value(value, uncertainty), written_uncertainty(uncertainty)
+    shown, u = format_value(value, uncertainty), format_uncertainty(uncertainty)
     assert len(shown.partition(".")[2]) == len(u.partition(".")[2])
     assert abs(float(shown) - value) <= 0.051 * uncertainty * 1.001
 
@@ -34,13 +34,13 @@ def test_a_value_has_the_decimals_of_its_uncertainty(value: float, uncertainty: 
     ],
 )
 def test_as_the_guide_writes_it(value: float, uncertainty: float, shown: str, u: str) -> None:
-    assert (written_value(value, uncertainty), written_uncertainty(uncertainty)) == (shown, u)
+    assert (format_value(value, uncertainty), format_uncertainty(uncertainty)) == (shown, u)
 
 
 @given(st.floats(0.1, 1), st.floats(-2e-3, 2e-3), st.integers(0, 4))
 def test_rounding_never_turns_a_comparison_around(value: float, apart: float, decimals: int) -> None:
     values = {"upper": value, "limit": value + apart}
-    found = telling_decimals(values, decimals, [("upper", "limit")])
+    found = find_decimals(values, decimals, [("upper", "limit")])
     shown = {name: float(with_decimals(one, found)) for name, one in values.items()}
     if abs(apart) > 1e-8:
         assert (shown["upper"] <= shown["limit"]) == (values["upper"] <= values["limit"])

@@ -16,7 +16,7 @@ from softcal.core.gap.places import explained_twin
 from softcal.core.gap.twin import TWIN
 from softcal.core.gap.twin_reach import terms_of_twin
 from softcal.core.twin.effects import Flow
-from softcal.core.twin.empirical_terms import PLACES, VARIABLES, EmpiricalTerm
+from softcal.core.twin.empirical_terms import TERM_TARGETS, VARIABLES, EmpiricalTerm
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import SCHEMA, Chain, Twin, TwinStream, simulate, twin_from_record, twin_record
 
@@ -116,7 +116,7 @@ def test_what_happens_once_in_a_run_gets_no_term():
 
 
 @pytest.mark.parametrize("variable", VARIABLES)
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("place", TERM_TARGETS)
 def test_a_term_streams_as_in_one_call_and_acts_at_its_place(place, variable):
     twin = Twin(BASE, (), READOUT, (EmpiricalTerm(place, variable, 0.05, LOAD_N, DEPTH_mm),))
     t_s, stage_mm = profiles.steps_with_holds([1.2, DEPTH_mm, 2.0], hold_s=1.0).sample(50.0)

@@ -24,7 +24,7 @@ from softcal.core.gap.mistakes import UNITS, UNITS_OF_RUN, doubts, nearest, outl
 from softcal.core.gap.problem import BASE, Hypothesis, Problem
 from softcal.core.gap.twin import TWIN
 from softcal.core.twin.catalogue import EFFECTS
-from softcal.core.twin.effects import Placing
+from softcal.core.twin.effects import SearchTarget
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 
 READOUT = ReadoutMetadata(vref_V=3.3, adc_bits=20, r_series_ohm=10.0, sample_rate_Hz=50.0)
@@ -227,10 +227,12 @@ def test_no_line_shows_where_mains_stand_still():
     assert with_line(still, EFFECTS["mains_hum"]) is None
 
 
-@pytest.mark.parametrize(("side", "level_V"), [(Placing.CEILING, 1.1), (Placing.FLOOR, 1.0)])
+@pytest.mark.parametrize(("side", "level_V"), [(SearchTarget.CEILING, 1.1), (SearchTarget.FLOOR, 1.0)])
 def test_a_level_is_found_where_the_output_is_clipped(side, level_V):
-    clip = np.minimum if side == Placing.CEILING else np.maximum
-    effect = next(e for e in (EFFECTS["adc_saturation"], *EFFECTS["adc_saturation"].sides) if e.signs.placing == side)
+    clip = np.minimum if side == SearchTarget.CEILING else np.maximum
+    effect = next(
+        e for e in (EFFECTS["adc_saturation"], *EFFECTS["adc_saturation"].sides) if e.signs.search_target == side
+    )
     base = base_of(*(run_of(k, output=lambda t_s, v: clip(v, level_V)) for k in (1, 2)))
     found = with_level(base, effect)
     assert found.effect_values[0][0] == pytest.approx(level_V, abs=2e-3)

@@ -17,7 +17,7 @@ from softcal.core.gap.method import METHOD
 from softcal.core.gap.residual import Quantified, Shrink
 from softcal.core.gap.search import under_its_floor
 from softcal.core.gap.simulator import Experiment
-from softcal.core.lot_diagnosis import Searched, diagnose_lot, joint_logs, lot_logs
+from softcal.core.lot_diagnosis import UnitSearch, diagnose_lot, joint_logs, lot_logs
 from softcal.core.messages.reason import Reason
 from softcal.core.twin.catalogue import EFFECTS
 from tests.core import linear_mechanism as lm
@@ -31,7 +31,7 @@ def unit(seed, bend=0.3, counts=(60, 71), sets=SETS):
 
 
 UNITS = [unit(k, 0.25 + 0.05 * k, (50 + 5 * k, 61)) for k in range(3)]
-SEARCHED = [Searched.of(fits) for fits in UNITS]
+SEARCHED = [UnitSearch.of(fits) for fits in UNITS]
 PRIOR = np.log(EVIDENCE.prior_odds)
 
 
@@ -53,7 +53,7 @@ def test_what_a_unit_leaves_for_its_lot():
 
 def test_what_a_unit_did_not_try_is_fitted_from_another():
     for sign in (1.0, -1.0):
-        short = Searched.of(unit(5, sign * 0.4, sets=((lm.RIPPLE,),)))
+        short = UnitSearch.of(unit(5, sign * 0.4, sets=((lm.RIPPLE,),)))
         donor = SEARCHED[1].found["bend",]
         short.add(("bend",), donor)
         runs = lm.runs_of({"bend.size": sign * 0.4}, seed=5)
@@ -91,7 +91,7 @@ def test_a_lot_pays_the_odds_of_a_cause_once():
 
 
 def test_a_set_that_one_unit_lacks_is_fitted_to_it():
-    units = [Searched.of(unit(7, 0.3)), Searched.of(unit(8, 0.3, sets=((lm.RIPPLE,),)))]
+    units = [UnitSearch.of(unit(7, 0.3)), UnitSearch.of(unit(8, 0.3, sets=((lm.RIPPLE,),)))]
     votes, _ = lot_logs(units)
     assert ("bend",) in units[1].logs and ("bend",) in votes
 
@@ -115,7 +115,7 @@ def test_a_lot_is_diagnosed_from_its_units(monkeypatch):
     said = []
     found = diagnose_lot({name: name for name in every}, said.append)
     assert (found.verdict, found.causes) == ("explained", ("bend",))
-    assert (found.outliers, found.left_out) == (["odd"], ["spoilt"])
+    assert (found.outliers, found.excluded) == (["odd"], ["spoilt"])
     assert found.logs == joint_logs(SEARCHED, found.logs)
     assert found.probability["bend"] == pytest.approx(probabilities(found.logs, ["bend"])["bend"])
     by_name = {m.name: m for m in found.members}
@@ -139,7 +139,7 @@ def test_a_lot_is_diagnosed_from_its_units(monkeypatch):
 def test_a_lot_of_mistakes_alone_is_not_judged(monkeypatch):
     monkeypatch.setattr(lot_diagnosis, "diagnose", lambda name, on_fits: stub_diagnosis(UNITS[0], "data"))
     found = diagnose_lot({"a": "a", "b": "b"})
-    assert (found.verdict, found.causes, found.left_out) == ("data", (), ["a", "b"])
+    assert (found.verdict, found.causes, found.excluded) == ("data", (), ["a", "b"])
 
 
 def test_probabilities_of_an_unknown_lot_are_trusted_less(monkeypatch):

@@ -163,21 +163,21 @@ def test_errors_of_a_lot_are_medians_on_the_rest_of_each_audit(lines, monkeypatc
 
 def test_a_lot_like_the_rigs_is_pressed_along_its_positions():
     rig = lot(RIG)
-    like = transfer.simulated_like(rig, Twin(PAD, (), READOUT), seed=3)
+    like = transfer.simulate_alike(rig, Twin(PAD, (), READOUT), seed=3)
     assert len(like.units) == 2
     for mine, theirs in zip(
         (like.source, *(u.audit for u in like.units)), (rig.source, *(u.audit for u in rig.units)), strict=True
     ):
         np.testing.assert_array_equal(mine.unlabelled.stage_mm, theirs.unlabelled.stage_mm)
         np.testing.assert_array_equal(mine.unlabelled.t_s, theirs.unlabelled.t_s)
-    again = transfer.simulated_like(rig, Twin(PAD, (), READOUT), seed=3)
+    again = transfer.simulate_alike(rig, Twin(PAD, (), READOUT), seed=3)
     np.testing.assert_array_equal(again.source.reference, like.source.reference)
     # Each is a unit of its own.
     assert not np.allclose(
         like.units[0].recording.output[:50].mean(), like.units[1].recording.output[:50].mean(), rtol=1e-6
     )
     with pytest.raises(ValueError, match="stage"):
-        transfer.pressed(RIG, replace(rig.source.unlabelled, stage_mm=None), np.random.default_rng(0))
+        transfer.press_twin(RIG, replace(rig.source.unlabelled, stage_mm=None), np.random.default_rng(0))
     with pytest.raises(InputError, match="no unit"):
         PressedLot(rig.source, ())
 
@@ -186,7 +186,7 @@ def test_three_lots_are_compared(monkeypatch):
     rig = lot(RIG, 1)
     seen = []
     monkeypatch.setattr(transfer, "lot_errors", lambda made: seen.append(made) or LotErrors(len(seen), 1.0, 1.0))
-    monkeypatch.setattr(transfer, "simulated_like", lambda rig, twin, seed: (twin, seed))
+    monkeypatch.setattr(transfer, "simulate_alike", lambda rig, twin, seed: (twin, seed))
     base, explained = Twin(PAD, (), READOUT), RIG
     found = transfer.transfer(rig, base, explained, seed=4)
     assert seen == [rig, (base, 4), (explained, 4)]

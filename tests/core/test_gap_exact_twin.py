@@ -784,7 +784,7 @@ def test_an_explained_twin_has_the_fitted_base_noise_and_causes():
 
 def test_a_form_is_named_and_taken_back_to_the_catalogue():
     lag = EFFECTS["readout_lag"]
-    second = lag.form_called("second order")
+    second = lag.find_form("second order")
     assert (form_of(pad_fit(PROBLEM), second), form_of(pad_fit(PROBLEM), lag)) == ("second order", "")
     made = pad_fit(PROBLEM, second, values=[(0.05, 0.001)])
     twin = explained_twin(made)

@@ -11,7 +11,7 @@ from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.evidence import Yardstick
 from softcal.core.gap.method import METHOD, GapMethod
-from softcal.core.lot_diagnosis import Searched, diagnose_lot, joint_logs, lot_logs
+from softcal.core.lot_diagnosis import UnitSearch, diagnose_lot, joint_logs, lot_logs
 from softcal.core.transfer import CalibrationWorth
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
@@ -56,7 +56,7 @@ def test_the_shared_cause_has_own_sizes(mixed):
 
 def test_a_unit_with_another_cause_is_an_outlier_and_one_with_a_mistake_is_left_out(mixed):
     found, _ = mixed
-    assert found.outliers == ["other"] and found.left_out == ["bad"]
+    assert found.outliers == ["other"] and found.excluded == ["bad"]
     assert found.report()["outliers"] == ["other"]
 
 
@@ -75,7 +75,7 @@ class Counted:
 
 def of_logs(**logs):
     found = dict.fromkeys(map(_ids, logs))
-    return Searched(Counted(), None, {_ids(name): value for name, value in logs.items()}, found)
+    return UnitSearch(Counted(), None, {_ids(name): value for name, value in logs.items()}, found)
 
 
 def _ids(name):
@@ -105,7 +105,7 @@ def test_one_unit_cannot_outvote_the_lot_by_more_than_the_stated_factor():
 def test_what_an_equation_leaves_in_every_unit_is_no_surer_for_being_repeated():
     def unit(chi2, other):
         left = {("creep",): (chi2, 60.0), ("relaxation",): (other, 60.0)}
-        return Searched(Counted(1000), Yardstick(900.0, 500.0), {}, {}, left)
+        return UnitSearch(Counted(1000), Yardstick(900.0, 500.0), {}, {}, left)
 
     one, six = (joint_logs([unit(1400.0, 1900.0)] * count, [("creep",), ("relaxation",)]) for count in (1, 6))
     assert six[("creep",)] - six[("relaxation",)] == pytest.approx(one[("creep",)] - one[("relaxation",)], rel=0.05)
@@ -114,7 +114,7 @@ def test_what_an_equation_leaves_in_every_unit_is_no_surer_for_being_repeated():
 def test_within_the_noise_every_unit_counts_and_a_cheaper_cause_counts_once():
     def unit():
         left = {("creep",): (1000.0, 60.0), ("relaxation",): (1003.0, 64.0)}
-        return Searched(Counted(1000), Yardstick(1000.0, 0.0), {}, {}, left)
+        return UnitSearch(Counted(1000), Yardstick(1000.0, 0.0), {}, {}, left)
 
     logs = joint_logs([unit() for _ in range(5)], [("creep",), ("relaxation",)])
     assert logs[("creep",)] - logs[("relaxation",)] == pytest.approx(0.5 * (5 * 3.0 + 4.0), rel=0.05)

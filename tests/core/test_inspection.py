@@ -13,7 +13,7 @@ from softcal.core.errors import InputError
 from softcal.core.inspection.build import InspectedRecording, build_recording
 from softcal.core.inspection.config import DropoutConfig, InspectionConfig
 from softcal.core.inspection.levels import find_flat_ends
-from softcal.core.inspection.words import check_reference
+from softcal.core.inspection.reasons import check_reference
 from softcal.core.recording import Array
 from softcal.core.unit.method import Method
 from softcal.core.unit.missing import jump_findings, missing_findings, missing_samples

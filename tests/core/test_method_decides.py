@@ -7,12 +7,12 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 
-from softcal.core.quality.acceptance import promise_rows
-from softcal.core.quality.audit_check import doubtful_audits
+from softcal.core.quality.acceptance import criterion_rows
+from softcal.core.quality.audit_check import find_suspect_audits
+from softcal.core.quality.interval_inflation import AuditedSamples, fit_interval_inflation
 from softcal.core.quality.lot_release import release_lot
 from softcal.core.quality.qualification import PastAudit, qualify
 from softcal.core.quality.release import AuditedUnit, min_passing, release
-from softcal.core.quality.widening import AuditedSamples, fit_widening
 from softcal.core.unit.calibrate import calibrate
 from softcal.core.unit.line_spread import seen_gains
 from softcal.core.unit.lot_correction import AuditedLine, LotCorrection
@@ -61,14 +61,14 @@ def stated(method):
     qualification = qualify(audited(20, 0.1), [], NOW, "EG", method)
     for forecasts in ({"U": 0.2}, {"U": 0.2, "V": 9.0, "W": 9.0}):
         yield release_lot(forecasts, qualification, LIMIT, method.release).statement.to_json()
-    yield promise_rows(method.release)
+    yield criterion_rows(method.release)
 
 
 def widened(method):
     for units in (5, 30, 60):
         rng = np.random.default_rng(units)
         audits = [AuditedSamples(np.abs(rng.normal(size=60)) * (0.5 + rng.random()), np.ones(60)) for _ in range(units)]
-        yield vars(fit_widening(audits, 0.9, method.release))
+        yield vars(fit_interval_inflation(audits, 0.9, method.release))
 
 
 def suspected(method):
@@ -77,15 +77,15 @@ def suspected(method):
         for scatter in (0.0, 0.03):
             alike = {f"U{k}": audit_result(f"U{k}", 1.0, k, k + scatter * (-1) ** k) for k in range(others)}
             for gain in (1.6, 2.5, 4.0, 5.0):
-                yield doubtful_audits({**alike, "far": audit_result("far", gain)}, method)
+                yield find_suspect_audits({**alike, "far": audit_result("far", gain)}, method)
             for moved in (0.02, 0.08, 0.11, 0.15, 0.25, 0.35, 0.5):
-                yield doubtful_audits({**alike, "far": audit_result("far", 1.0, 50.0, 50.0 + moved)}, method)
+                yield find_suspect_audits({**alike, "far": audit_result("far", 1.0, 50.0, 50.0 + moved)}, method)
             for apart in (0.008, 0.015, 0.03, 0.06, 0.1, 0.2, 0.4):
                 pair = {
                     "A": audit_result("A", 1.0, 60.0, 60.0 + apart),
                     "B": audit_result("B", 1.0, 60.0 + apart, 60.0),
                 }
-                yield doubtful_audits({**alike, **pair}, method)
+                yield find_suspect_audits({**alike, **pair}, method)
     yield [seen_gains([1.0, 1.1] * count, method.release.min_others) is None for count in range(1, 5)]
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import InputError
-from softcal.core.quality.known_loads import KnownLoad, loads_of, loads_text
+from softcal.core.quality.known_loads import KnownLoad, loads_text, parse_loads
 from softcal.core.quality.reading_at_rest import ReadingConfig, level_at_rest
 
 CONFIG = ReadingConfig()
@@ -44,4 +44,4 @@ def test_the_unloaded_level_is_no_reading_without_a_load():
 def test_a_load_whose_uncertainty_nobody_stated_is_not_said_to_be_exact():
     assert (str(KnownLoad(2.0)), str(KnownLoad(2.0, 0.0021))) == ("2", "2 ± 0.0021")
     loads = KnownLoad(0.0), KnownLoad(2.0, 0.002)
-    assert loads_of(loads_text(loads)) == loads and loads[0].expanded is None
+    assert parse_loads(loads_text(loads)) == loads and loads[0].expanded is None

@@ -10,18 +10,18 @@ from scipy.stats import binom, norm
 from softcal.core.errors import InputError
 from softcal.core.quality.acceptance import (
     audits_by_count,
+    criterion_rows,
     failing_share,
     min_risk,
     min_units,
     pooled_scale,
-    promise_rows,
     share_beyond,
     tolerance_factor,
 )
+from softcal.core.quality.interval_inflation import AuditedSamples, Widening, fit_interval_inflation
 from softcal.core.quality.lot_release import release_lot
 from softcal.core.quality.qualification import PastAudit, qualify, small_lot
 from softcal.core.quality.release import AuditedUnit, audited_ratios, min_passing, release
-from softcal.core.quality.widening import AuditedSamples, Widening, fit_widening
 from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import Limit
 
@@ -68,15 +68,15 @@ def test_hierarchical_scale_covers_one_more_unit_whatever_the_spread_between_uni
     for _ in range(600):
         sizes = np.exp(rng.normal(0, 1.5, 16))
         groups = [np.abs(size * rng.normal(size=60)) for size in sizes]
-        covered.append(np.mean(groups[-1] <= pooled_scale(groups[:-1], 0.9, has_unseen=True)))
+        covered.append(np.mean(groups[-1] <= pooled_scale(groups[:-1], 0.9, has_new_unit=True)))
         pooled.append(np.mean(groups[-1] <= pooled_scale(groups[:-1], 0.9)))
     assert np.mean(covered) >= 0.9 - 5 * np.std(covered) / np.sqrt(600)
     assert np.mean(pooled) < np.mean(covered)
 
 
 def test_hierarchical_scale_of_too_few_units_is_infinite():
-    assert pooled_scale([np.ones(5)] * 8, 0.9, has_unseen=True) == np.inf
-    assert pooled_scale([np.ones(5)] * 9, 0.9, has_unseen=True) == 1.0
+    assert pooled_scale([np.ones(5)] * 8, 0.9, has_new_unit=True) == np.inf
+    assert pooled_scale([np.ones(5)] * 9, 0.9, has_new_unit=True) == 1.0
     with pytest.raises(InputError):
         pooled_scale([], 0.9)
 
@@ -202,7 +202,7 @@ def _here(count):
 def test_enough_audits_of_the_lot_qualify_it():
     assert qualify(_here(9), [], NOW, "", METHOD).source == "this lot"
     found = qualify(_here(6), [], NOW, "EG", METHOD)
-    assert not found.is_given and found.wanted == found.reason.values["missing"] == 3
+    assert not found.is_given and found.required == found.reason.values["missing"] == 3
 
 
 def test_audits_of_earlier_lots_qualify_the_same_product_and_method():
@@ -224,7 +224,7 @@ def test_audits_of_earlier_lots_qualify_the_same_product_and_method():
 def test_what_does_not_count_is_named(past, model, method, code):
     found = qualify(_here(2), past, NOW, model, method)
     why = found.reason.values["why"]
-    assert not found.is_given and why.code == f"part.{code}" and found.reason.values["missing"] == found.wanted == 7
+    assert not found.is_given and why.code == f"part.{code}" and found.reason.values["missing"] == found.required == 7
     assert why.values.get("days", 365) == 365
 
 
@@ -248,7 +248,7 @@ def test_the_interval_serves_one_more_unit_however_differently_units_were_presse
         # Each unit misreads its loads by another share; residuals grow with the load.
         loads = (0.3 * rng.normal() * rng.random(200) + 0.02 * rng.normal(size=200) for _ in range(11))
         units = [_audited(residual, half=0.02) for residual in loads]
-        widening = fit_widening(units[:-1], 0.9, RULES)
+        widening = fit_interval_inflation(units[:-1], 0.9, RULES)
         served += np.mean(units[-1].ratio(widening) <= 1) >= 0.8
         pooled = pooled_scale([unit.ratio(Widening()) for unit in units[:-1]], 0.9)
         pooled_served += np.mean(units[-1].ratio(Widening()) <= pooled) >= 0.8
@@ -266,7 +266,7 @@ def test_the_widening_follows_its_closed_form():
 def test_units_that_are_alike_get_the_factor_of_their_median_and_nothing_beside_it():
     rng = np.random.default_rng(6)
     units = [_audited(0.5 * rng.normal(size=4000), half=1.645) for _ in range(10)]
-    widening = fit_widening(units, 0.9, RULES)
+    widening = fit_interval_inflation(units, 0.9, RULES)
     # 0.5 x 1.645 is the true 90 % half-width.
     assert widening.scale == pytest.approx(0.5, rel=0.05) and widening.added < 0.2
     covered = [np.mean(unit.ratio(widening) <= 1) for unit in units]
@@ -275,14 +275,16 @@ def test_units_that_are_alike_get_the_factor_of_their_median_and_nothing_beside_
 
 def test_an_interval_that_is_too_narrow_gets_an_error_beside_it():
     units = [_audited(np.random.default_rng(k).normal(size=500), half=0.1) for k in range(10)]
-    widening = fit_widening(units, 0.9, RULES)
+    widening = fit_interval_inflation(units, 0.9, RULES)
     assert widening.scale == 1.0 and widening.added == pytest.approx(1.645, rel=0.15)
 
 
 def test_one_audited_unit_widens_and_none_is_refused():
-    assert fit_widening([_audited(np.full(50, 2.0))], 0.9, RULES).added == pytest.approx(np.sqrt(3.0), rel=0.01)
+    assert fit_interval_inflation([_audited(np.full(50, 2.0))], 0.9, RULES).added == pytest.approx(
+        np.sqrt(3.0), rel=0.01
+    )
     with pytest.raises(InputError):
-        fit_widening([], 0.9, RULES)
+        fit_interval_inflation([], 0.9, RULES)
 
 
 def test_the_few_good_units_of_a_poor_lot_are_not_released():
@@ -290,14 +292,14 @@ def test_the_few_good_units_of_a_poor_lot_are_not_released():
     forecasts = {"U1": 0.3, "U2": 0.31}
     assert release(forecasts, audits, LIMIT, RULES).released == ("U1", "U2")
     # 10 audits held and 2 would pass: half of 24 units, but not of 26.
-    assert release(forecasts, audits, LIMIT, RULES, least=min_passing(24, 10, RULES)).released == ("U1", "U2")
-    assert release(forecasts, audits, LIMIT, RULES, least=min_passing(26, 10, RULES)).released == ()
+    assert release(forecasts, audits, LIMIT, RULES, min_count=min_passing(24, 10, RULES)).released == ("U1", "U2")
+    assert release(forecasts, audits, LIMIT, RULES, min_count=min_passing(26, 10, RULES)).released == ()
 
 
 @pytest.mark.parametrize(("units", "audited", "left"), [(1, 0, 1), (9, 2, 7), (5, 5, 0)])
 def test_a_lot_with_no_unit_left_after_the_audits_is_told_to_measure_all_of_it(units, audited, left):
     found = qualify(_here(audited), [], NOW, "EG", METHOD, units=units)
-    assert not found.is_given and found.wanted == left
+    assert not found.is_given and found.required == left
     assert found.reason.code == "part.unqualified_small"
     assert found.reason.values["small"].values == {"units": units, "wanted": 9, "least": 3}
 
@@ -308,8 +310,8 @@ def test_a_lot_with_a_unit_to_spare_is_told_how_many_to_audit():
 
 def test_a_small_lot_is_shown_no_promise_it_cannot_have():
     assert small_lot(9, RULES) is not None and small_lot(10, RULES) is None
-    assert [row[0] for row in promise_rows(RULES, 10)] == ["3 audits", "5 audits", "9 audits"]
-    assert len(promise_rows(RULES)) > len(promise_rows(RULES, 10))
+    assert [row[0] for row in criterion_rows(RULES, 10)] == ["3 audits", "5 audits", "9 audits"]
+    assert len(criterion_rows(RULES)) > len(criterion_rows(RULES, 10))
 
 
 def test_a_lot_whose_every_unit_was_measured_has_nothing_left_to_promise():
@@ -366,7 +368,7 @@ def test_sittings_are_counted_where_they_are_what_varies():
     few = _decided(_sample({"one": 6, "two": 6}, 0.1), sittings)
     assert not few.released and "sittings: 2, needed: 3" in str(few.statement)
     many = _decided(_sample({f"s{k}": 3 for k in range(8)}, 0.1), sittings)
-    assert set(many.released) == set(sittings) and many.found.ratios.lots == 8
+    assert set(many.released) == set(sittings) and many.decision.ratios.lots == 8
 
 
 def test_the_promise_holds_for_a_sitting_that_nobody_audited():
@@ -384,7 +386,7 @@ def test_the_promise_holds_for_a_sitting_that_nobody_audited():
 def test_units_that_share_their_error_with_none_are_released_as_before():
     audits, sittings = _sample({"": 12}, 0.0), {f"U{k}": "" for k in range(8)}
     decided = _decided(audits, sittings)
-    assert decided.sampled.reason is None and decided.found == release(
+    assert decided.sampled.reason is None and decided.decision == release(
         dict.fromkeys(sittings, 0.2), qualify(audits, [], NOW, "", METHOD).audits, LIMIT, RULES
     )
 

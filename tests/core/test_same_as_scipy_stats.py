@@ -6,7 +6,7 @@ from scipy import stats
 
 from softcal.core.maps.synchrony import ranks
 from softcal.core.quality.acceptance import failing_share, share_beyond, tolerance_factor
-from softcal.core.quality.widening import _next_unit
+from softcal.core.quality.interval_inflation import _next_unit
 
 CLOSE = {"rel": 1e-12}
 

@@ -11,29 +11,29 @@ from softcal.core.quality.gate import (
     GoldenCheck,
     Override,
     QualificationAtGate,
-    RigFacts,
-    StationFacts,
+    RigStatus,
+    StationStatus,
     may_run,
-    quarantined,
+    quarantined_units,
 )
 
 NOW = datetime(2026, 3, 2, 9, 0, tzinfo=UTC)
-GOOD = StationFacts(
+GOOD = StationStatus(
     now=NOW,
     certificate=CellAtGate("K-17", date(2027, 1, 1), 20.0, 0.02),
     largest_force_N=12.0,
     shift_began=NOW - timedelta(hours=1),
     golden=GoldenCheck(NOW - timedelta(minutes=30), "G1", True),
-    rig=RigFacts(timedelta(hours=2), is_homed=True),
+    rig=RigStatus(timedelta(hours=2), is_homed=True),
 )
 
-WARM = RigFacts(timedelta(hours=2))
+WARM = RigStatus(timedelta(hours=2))
 
 REASONS = {
     "no certificate": ({"certificate": None}, "no_certificate", ""),
     "out of date": ({"certificate": CellAtGate("K-17", date(2026, 3, 1), 20.0, 0.02)}, "ended", "2026-03-01"),
     "range": ({"largest_force_N": 25.0}, "too_far", " 20 N"),
-    "warm-up": ({"rig": RigFacts(timedelta(minutes=5))}, "warms", " 10 "),
+    "warm-up": ({"rig": RigStatus(timedelta(minutes=5))}, "warms", " 10 "),
     "zero": ({"rig": replace(WARM, zero_return_N=-0.31)}, "zero_fault", "-0.31 N"),
     "homing": ({"rig": replace(WARM, homing_fault="ALARM:9")}, "homing_fault", "ALARM:9"),
     "no golden": ({"golden": None}, "no_golden", ""),
@@ -63,7 +63,7 @@ def test_a_good_station_may_run_and_what_is_good_is_told_too():
 
 
 def test_a_rig_without_a_load_cell_is_not_asked_for_its_certificate():
-    facts = replace(GOOD, certificate=None, has_cell=False, rig=RigFacts())
+    facts = replace(GOOD, certificate=None, has_cell=False, rig=RigStatus())
     assert may_run(facts).is_open and len(may_run(facts).conditions) == 2
 
 
@@ -99,16 +99,16 @@ def test_units_since_the_last_good_check_are_quarantined():
     minutes = [NOW - timedelta(minutes=m) for m in (50, 40, 30, 20, 10)]
     checks = [GoldenCheck(minutes[0], "G1", True), GoldenCheck(minutes[2], "G1", True), GoldenCheck(NOW, "G1", False)]
     pressed = [("A4", minutes[4]), ("A2", minutes[1]), ("A3", minutes[3])]
-    assert quarantined(pressed, checks, NOW) == ("A3", "A4")
-    assert quarantined(pressed, checks[:2], NOW) == ()
-    assert quarantined(pressed, checks[2:], NOW) == ("A2", "A3", "A4")
+    assert quarantined_units(pressed, checks, NOW) == ("A3", "A4")
+    assert quarantined_units(pressed, checks[:2], NOW) == ()
+    assert quarantined_units(pressed, checks[2:], NOW) == ("A2", "A3", "A4")
 
 
 def test_a_failed_check_of_a_clock_that_was_ahead_is_not_forgotten():
     began, later = NOW - timedelta(hours=1), NOW + timedelta(days=300)
     good, failed = GoldenCheck(began, "G1", True), GoldenCheck(later, "G1", False)
     pressed = [("A1", began - timedelta(hours=1)), ("A2", NOW - timedelta(minutes=5)), ("A3", later)]
-    assert quarantined(pressed, [failed, good], NOW) == ("A2", "A3")
+    assert quarantined_units(pressed, [failed, good], NOW) == ("A2", "A3")
     # A good check of such a clock says nothing of now.
     ahead = replace(failed, is_in_control=True)
-    assert quarantined(pressed, [good, replace(failed, at=NOW), ahead], NOW) == ("A2", "A3")
+    assert quarantined_units(pressed, [good, replace(failed, at=NOW), ahead], NOW) == ("A2", "A3")

@@ -16,7 +16,7 @@ from softcal.core.twin.effects import (
     Flow,
     Hook,
     Parameter,
-    Placing,
+    SearchTarget,
     Signs,
     adds,
     grows,
@@ -341,8 +341,8 @@ def test_an_output_may_be_clipped_below_or_softly():
     np.testing.assert_allclose(output, np.maximum(CLEAN_V, 1.6), atol=1e-8)
     _, output = run("adc_saturation", "soft clip", V_max=1.6, width=0.05)
     np.testing.assert_allclose(output, 1.6 - 0.05 * np.log1p(np.exp((1.6 - CLEAN_V) / 0.05)), atol=1e-8)
-    assert EFFECTS["adc_saturation"].side_with(["V_min"]) is CLIPPED_BELOW
-    assert EFFECTS["adc_saturation"].side_with(["V_max"]) is EFFECTS["adc_saturation"]
+    assert EFFECTS["adc_saturation"].find_side(["V_min"]) is CLIPPED_BELOW
+    assert EFFECTS["adc_saturation"].find_side(["V_max"]) is EFFECTS["adc_saturation"]
 
 
 # Load cell and clock.
@@ -352,7 +352,7 @@ def test_a_cell_that_saturates_with_a_knee():
     force, _ = run("loadcell_saturation", "knee", F_sat=5.0, sharpness=3.0)
     np.testing.assert_allclose(force, FORCE_N / (1 + (FORCE_N / 5.0) ** 3) ** (1 / 3), atol=1e-12)
     for form in ("", "knee"):
-        effect = EFFECTS["loadcell_saturation"].form_called(form)
+        effect = EFFECTS["loadcell_saturation"].find_form(form)
         flow = Flow(T, np.diff(T, prepend=0.0), STAGE_mm, None, 5.0)
         chain = Chain([effect])
         chain.run(flow, BASE, FINE, [(np.inf, 3.0)[: len(effect.parameters)]], chain.fresh_memories())
@@ -512,9 +512,9 @@ def test_without_probes_of_its_own_a_search_begins_at_a_fifth_of_the_usual_size(
     assert bare(SIZE, SHAPE).probes(RANGE) == [(pytest.approx(0.1), b) for b in (1.0, 4.0, 8.0)]
     wide = bare(SIZE, replace(SHAPE, high=100.0))
     assert [row[1] for row in wide.probes(RANGE)] == [1.0, 4.0, 16.0]
-    assert bare(SIZE, signs=Signs(placing=Placing.LINE)).probes(RANGE) == []
-    assert bare(SIZE, signs=Signs(placing=Placing.LOSSES)).probes(RANGE) == []
-    assert len(bare(SIZE, signs=Signs(placing=Placing.CEILING)).probes(RANGE)) == 1
+    assert bare(SIZE, signs=Signs(search_target=SearchTarget.LINE)).probes(RANGE) == []
+    assert bare(SIZE, signs=Signs(search_target=SearchTarget.LOSSES)).probes(RANGE) == []
+    assert len(bare(SIZE, signs=Signs(search_target=SearchTarget.CEILING)).probes(RANGE)) == 1
     doubled = bare(SIZE, SHAPE).probes(RANGE, lambda p: replace(p, usual=2 * p.usual, high=2 * p.high))
     assert doubled == [(pytest.approx(0.2), b) for b in (2.0, 8.0, 16.0)]
 
@@ -527,7 +527,7 @@ def test_what_an_effect_is_follows_from_its_parameters():
     assert bare(SIZE, of_runs=lambda runs: bare(SIZE)).belongs_to_run and not bare(SIZE).belongs_to_run
     with pytest.raises(ValueError, match="neutral"):
         bare(SHAPE)
-    assert bare(SIZE).form_called("") is not None and bare(SIZE).form_called("none") is None
+    assert bare(SIZE).find_form("") is not None and bare(SIZE).find_form("none") is None
 
 
 def test_steps_set_add_grow_and_hand_on():

@@ -29,10 +29,10 @@ def test_rivals_and_runs_that_an_entry_names_exist():
     run = Run("1", t_s, ReadoutMetadata(), stage_mm=t_s, force_N=t_s, output_V=t_s)
     known = {entry.name for entry in menu(Case("A", (run,)), properties.RANGE)}
     for effect in EFFECTS.values():
-        assert set(effect.signs.hides_behind) <= set(EFFECTS) - {effect.id}
-        assert set(effect.signs.shown_by) <= known, effect.id
+        assert set(effect.signs.confounders) <= set(EFFECTS) - {effect.id}
+        assert set(effect.signs.best_experiments) <= known, effect.id
         if effect.signs.alias is not None:
-            assert effect.signs.alias.told_by in KINDS
+            assert effect.signs.alias.distinguished_by in KINDS
 
 
 def idle(flow, values, memory):

@@ -10,10 +10,10 @@ from sqlalchemy import inspect
 
 from softcal.app.calibration.audit import audited_sample, confirmed_audits, draw_plan, lot_audit
 from softcal.app.calibration.lot_context import declare_line_spread, declared_line_spread, declared_sources, lot_method
-from softcal.app.export.certificates.laboratory import registry_laboratory
-from softcal.app.registry.golden import golden_of
+from softcal.app.export.laboratory import registry_laboratory
+from softcal.app.registry.golden import find_golden_runs
 from softcal.app.registry.known_loads import known_loads, store_loads
-from softcal.app.registry.reference import lot_reference, reference_expanded, state_reference
+from softcal.app.registry.reference import declare_reference, lot_reference, reference_expanded
 from softcal.core.maps.interface import Anchors
 from softcal.core.quality.audit_plan import AuditConfig
 from softcal.core.unit.line_spread import LineSpread
@@ -55,7 +55,7 @@ def declared(registry, lot_id="L1") -> list[object]:
         lot_reference(registry, lot_id),
         reference_expanded(registry, lot_id),
         (loads.loads.output.tolist(), loads.loads.reference.tolist(), loads.where, loads.actor, loads.at),
-        golden_of(registry, lot_id, ["U1"]),
+        find_golden_runs(registry, lot_id, ["U1"]),
         (audit.plan, dict(audit.forecasts), audit.limit.maximum_rmse, audited_sample(registry, lot_id)),
         confirmed_audits(registry, lot_id),
         registry_laboratory(registry).person.name,
@@ -83,14 +83,14 @@ def test_the_newest_of_a_key_is_in_force_and_the_same_again_is_no_row(factory, l
     registry, lot_id = factory.registry, factory.lot_id
     declare_all(factory, labelled_of("S0"))
     count = len(registry.trail.rows())
-    state_reference(registry, lot_id, CELL, labelled_of("S0"))
+    declare_reference(registry, lot_id, CELL, labelled_of("S0"))
     declare_line_spread(registry, lot_id, LineSpread(0.05, 0.01))
     assert store_loads(registry, lot_id, {"b" * 64: ("U1", LOADS)}, "file", actor="Erin") == 0
     assert len(registry.trail.rows()) == count
     other = replace(CELL, certificate="D-K-2")
-    state_reference(registry, lot_id, other, labelled_of("S0"))
+    declare_reference(registry, lot_id, other, labelled_of("S0"))
     assert lot_reference(registry, lot_id) == other
-    state_reference(registry, lot_id, CELL, labelled_of("S0"))
+    declare_reference(registry, lot_id, CELL, labelled_of("S0"))
     assert lot_reference(registry, lot_id) == CELL and not registry.verify()
 
 

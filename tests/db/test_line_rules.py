@@ -18,7 +18,7 @@ def lot(registry) -> Lot:
 
 
 def test_a_lot_without_rules_spells_its_serials_as_its_source(registry, lot):
-    assert registry.lots.line_rules(lot).spelled("a7") == "A7"
+    assert registry.lots.line_rules(lot).spell("a7") == "A7"
 
 
 def test_rules_are_versions_with_a_reason_in_the_audit_trail(registry, lot):

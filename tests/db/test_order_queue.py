@@ -6,7 +6,7 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
-from softcal.db.queues.order_queue import STATION_SILENT_AFTER, TAKEN_OVER_AFTER, OrderQueue
+from softcal.db.queues.order_queue import STATION_SILENT_AFTER, TAKEOVER_AFTER, OrderQueue
 from softcal.db.repositories.registry_base import RegistrySettings
 
 NOW = datetime(2026, 5, 4, tzinfo=UTC)
@@ -76,7 +76,7 @@ def test_a_station_has_one_owner(queue):
         with pytest.raises(InputError, match="host:1"):
             at = NOW + silent_for + timedelta(seconds=1)
             queue.beat(Heartbeat("s1", StationState.READY, at, process="host:2"))
-    late = NOW + TAKEN_OVER_AFTER + timedelta(seconds=1)
+    late = NOW + TAKEOVER_AFTER + timedelta(seconds=1)
     queue.beat(Heartbeat("s1", StationState.STARTING, late, ("warming up",), "host:2"))
     assert queue.heartbeat("s1") == Heartbeat("s1", StationState.STARTING, late, ("warming up",), "host:2")
 

@@ -12,7 +12,7 @@ from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.db.access import people
 from softcal.db.access.people import PERMISSIONS, may
-from softcal.db.access.tries import LOCKED_FOR, MOST_FAILURES
+from softcal.db.access.tries import LOCKED_FOR, MAX_FAILURES
 from softcal.db.connection import open_registry
 from softcal.db.repositories.registry_base import RegistrySettings
 from softcal.db.schema.tables import users
@@ -49,7 +49,7 @@ def test_guessing_leads_to_a_pause_even_for_the_right_pin(registry_url):
     now = [datetime(2026, 5, 4, tzinfo=UTC)]
     with open_registry(registry_url, RegistrySettings(clock=lambda: now[0])) as registry:
         registry.people.set("kim", "operator", "2580", actor="admin")
-        for _ in range(MOST_FAILURES):
+        for _ in range(MAX_FAILURES):
             with pytest.raises(InputError):
                 registry.people.sign_in("kim", "0000")
         with pytest.raises(InputError, match=r"\b5 min"):
@@ -130,7 +130,7 @@ def test_a_known_machine_is_paced_by_itself_and_known_for_one_account_and_pin(re
     first = registry.people.set("quinn", "quality", "7391", actor="admin")
     registry.people.set("kim", "operator", "2580", actor="admin")
     machine = registry.people.machine_token("quinn")
-    for _ in range(MOST_FAILURES):
+    for _ in range(MAX_FAILURES):
         with pytest.raises(InputError):
             registry.people.sign_in("quinn", "0000", machine)
     with pytest.raises(InputError):
@@ -138,13 +138,13 @@ def test_a_known_machine_is_paced_by_itself_and_known_for_one_account_and_pin(re
     # Wrong tries there lock nobody elsewhere.
     assert registry.people.sign_in("quinn", "7391").name == "quinn"
     other = registry.people.machine_token("quinn")
-    for _ in range(MOST_FAILURES):
+    for _ in range(MAX_FAILURES):
         with pytest.raises(InputError):
             registry.people.sign_in("kim", "0000", other)
     with pytest.raises(InputError):
         registry.people.sign_in("kim", "2580", other)
     registry.people.set("quinn", "quality", "8642", actor="admin", version=first.version)
-    for _ in range(MOST_FAILURES):
+    for _ in range(MAX_FAILURES):
         with pytest.raises(InputError):
             registry.people.sign_in("quinn", "0000")
     with pytest.raises(InputError):

@@ -207,10 +207,10 @@ def _first_one_stays(self, lot_id, serial, *rest):
     return None if known is not None else STATE(self, lot_id, serial, *rest)
 
 
-STATE = in_use.InUseTable._state
+STATE = in_use.InUseTable._write_statement
 MUTANTS = {
     "a rollback does nothing": ("rollback", _no_rollback),
-    "the first map stays in use": ("_state", _first_one_stays),
+    "the first map stays in use": ("_write_statement", _first_one_stays),
     "a refusal is forgotten": ("refuse", lambda *_, **__: None),
 }
 

@@ -95,7 +95,7 @@ def test_a_refusal_after_a_conflict_is_what_every_question_tells(station, regist
     registry.calibrations.refuse("L1", "A1", "fail", (plain("cable"),))
     (unit,) = registry.lots.units(serial="A1")
     (paged,) = registry.pages.unit_page("L1", UnitFilter(text="A1")).units
-    stated = registry.pages.standings("L1", ["A1"])["A1"]
+    stated = registry.pages.unit_statuses("L1", ["A1"])["A1"]
     assert unit == paged and unit.is_conflict
     for told in (unit, stated, registry.lots.runs("L1", "A1")[-1]):
         assert (told.verdict, told.reasons) == ("fail", (plain("cable"),))

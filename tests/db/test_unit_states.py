@@ -101,7 +101,7 @@ def test_every_state_comes_back_as_it_was(factory):
         registry.calibrations.add("L1", state)
         stored = registry.calibrations.get(serial, lot_id="L1").state
         # Another limit is in force than most of these were decided on by.
-        listed = registry.pages.standings("L1", [serial], has_stale=True)[serial].state
+        listed = registry.pages.unit_statuses("L1", [serial], has_stale=True)[serial].state
         for one in (stored, listed):
             assert {name: getattr(one, name) for name in drawn} == drawn
             assert one.verdict == state.verdict

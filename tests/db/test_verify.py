@@ -313,7 +313,7 @@ def test_whoever_reads_a_unit_is_told_that_its_fit_or_method_is_another(file_reg
             with pytest.raises(RegistryError):
                 asked("A1")
         with pytest.raises(RegistryError):
-            registry.pages.standings("L1", ["A1"])
+            registry.pages.unit_statuses("L1", ["A1"])
 
 
 HIDDEN = {

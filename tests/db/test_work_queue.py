@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from softcal.db.queues.work_queue import MOST_ATTEMPTS, WorkQueue, WorkSet
+from softcal.db.queues.work_queue import MAX_ATTEMPTS, WorkQueue, WorkSet
 from softcal.db.repositories.registry_base import RegistrySettings
 
 WORK = WorkSet("L1", "a" * 64)
@@ -65,7 +65,7 @@ def test_an_extended_lease_stays(queue, clock):
 
 def test_an_item_that_kills_its_workers_is_given_up(queue, clock):
     queue.enqueue(WORK, requests(1))
-    for _ in range(MOST_ATTEMPTS):
+    for _ in range(MAX_ATTEMPTS):
         assert len(queue.claim("worker", WORK, 1, 1)) == 1
         clock.now += timedelta(seconds=2)
     assert queue.claim("worker", WORK, 1, 1) == [] and queue.counts()["failed"] == 1

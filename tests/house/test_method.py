@@ -59,7 +59,7 @@ NO_DECISION = {
     # equations, numbers of a solver, and runs that may be proposed
     "core/gap/twin_reach.py": {"WARM_DIVIDER", "UNMODELLED_EFFECTS", "LEVELS", "REST_s", "SET_UP_min", "TOUCHING_share"}
     | {"INVERSE_STEPS", "RETRACTED_mm"},
-    "core/lot_diagnosis.py": {"FEWEST_UNITS"},  # what is refused
+    "core/lot_diagnosis.py": {"MIN_UNITS"},  # what is refused
     "core/transfer.py": {"NETWORK"},  # the same network for rig and twins
     "core/operation/cycles.py": {"MAX_SAMPLES"},  # samples of a buffer; a longer cycle is thinned
 }
@@ -258,8 +258,8 @@ def test_every_number_of_use_is_part_of_its_identity() -> None:
 
 def test_a_method_comes_back_from_what_was_kept() -> None:
     method = replace(Method(), range_margin=0.07)
-    assert Method.of(json.loads(json.dumps(method.to_json()))) == method
-    assert Method.of({}) == Method()
+    assert Method.from_json(json.loads(json.dumps(method.to_json()))) == method
+    assert Method.from_json({}) == Method()
 
 
 ROOT = CORE.parent

@@ -7,7 +7,7 @@ import pytest
 from softcal.app.texts.catalogue import LANGUAGES, catalogue
 from softcal.app.texts.reasons import PREFIX
 from softcal.core.messages.reason import ENGLISH
-from softcal.core.quality.audit_plan import AuditConfig, judge_lot, plan_audit
+from softcal.core.quality.audit_plan import AuditConfig, evaluate_audit, plan_audit
 from softcal.core.unit.verdict import Limit
 from tests.house.reading import (
     BROKEN,
@@ -67,7 +67,7 @@ def test_what_an_audit_says_of_a_lot_is_right_for_every_number_of_units(units: i
     forecasts = {f"U{k}": 0.1 for k in range(units)}
     for doubtful, drawn in ((1, 0), (0, 1), (1, 1), (2, 10)):
         plan = plan_audit(forecasts, AuditConfig(doubtful=doubtful, random=drawn))
-        said = judge_lot(plan, forecasts, dict.fromkeys(plan.serials, measured), Limit("N", 0.8)).text
+        said = evaluate_audit(plan, forecasts, dict.fromkeys(plan.serials, measured), Limit("N", 0.8)).text
         assert not BROKEN.search(said) and not PLURAL.search(said), said
 
 

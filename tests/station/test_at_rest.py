@@ -5,7 +5,7 @@ import pytest
 
 from softcal.core.errors import CommandRefused, NoReply
 from softcal.core.simulated_lot import draw_lot
-from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.bench.bench import open_simulated_bench
 from softcal.station.interfaces import Move
 from softcal.station.tasks.at_rest import read_at_rest
 

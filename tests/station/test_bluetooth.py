@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from softcal.core.errors import DeviceError, NoReply
+from softcal.station.bench.catalogue import driver_of
 from softcal.station.clock import HostClock
-from softcal.station.devices.catalogue import driver_of
 from softcal.station.testing import DriverRig, checks
-from softcal.station.wire.bluetooth import NOTIFIES, TAKES, BleTransport
+from softcal.station.wire.bluetooth import NOTIFY_UUID, WRITE_UUID, BleTransport
 from softcal.station.wire.link import Link
 from softcal.station.wire.transport import wire_of
 
@@ -141,7 +141,7 @@ def test_softcal_calls_bleak_as_bleak_is():
         assert [key for key in own if key not in real] == [], name
     from bleak.uuids import uuidstr_to_str
 
-    assert (uuidstr_to_str(NOTIFIES), uuidstr_to_str(TAKES)) == ("Nordic UART TX", "Nordic UART RX")
+    assert (uuidstr_to_str(NOTIFY_UUID), uuidstr_to_str(WRITE_UUID)) == ("Nordic UART TX", "Nordic UART RX")
 
 
 def test_a_machine_without_bluetooth_says_so_in_one_sentence():

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from softcal.core.errors import InputError
-from softcal.station.devices import catalogue
-from softcal.station.devices.catalogue import SECTIONS, driver_of, offers
+from softcal.station.bench import catalogue
+from softcal.station.bench.catalogue import SECTIONS, driver_of, offers
+from softcal.station.bench.station_file import station_from_table, station_toml
 from softcal.station.devices.config import ReadoutConfig, StageConfig, StationConfig
 from softcal.station.devices.driver import Driver
-from softcal.station.devices.station_file import station_from_table, station_toml
 from softcal.station.drivers.grbl import DRIVERS as GRBL
 from softcal.station.drivers.hx711 import Hx711Config
 from softcal.station.messages import PAGES
@@ -71,12 +71,12 @@ def test_every_shipped_driver_is_listed_with_its_origin():
 @pytest.mark.parametrize(
     "module",
     [
-        "devices/bench",
-        "devices/catalogue",
+        "bench/bench",
+        "bench/catalogue",
         "devices/driver",
         "wire/link",
         "wire/transport",
-        "devices/simulated_station",
+        "bench/simulated_station",
     ],
 )
 def test_what_opens_devices_names_no_driver(module):
@@ -219,8 +219,8 @@ def test_a_declaration_that_is_none_is_refused():
 
 def test_listing_drivers_needs_neither_torch_nor_streamlit_nor_pyvisa():
     code = (
-        "import sys; from softcal.station.devices.catalogue import offers; offers(); "
-        "print([m for m in ('torch', 'streamlit', 'pyvisa', 'softcal.station.devices.simulated_station') "
+        "import sys; from softcal.station.bench.catalogue import offers; offers(); "
+        "print([m for m in ('torch', 'streamlit', 'pyvisa', 'softcal.station.bench.simulated_station') "
         "if m in sys.modules])"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

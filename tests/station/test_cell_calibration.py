@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import BadReply, InputError
-from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.bench.bench import open_simulated_bench
 from softcal.station.devices.cell_calibration import fit_cell, read_steady
 
 MASSES = (0.0, 0.1, 0.2, 0.5)

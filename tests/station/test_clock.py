@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softcal.station.clock import fit_clock, residual_offset_s, seen_rate_Hz, unwrap_ms
+from softcal.station.clock import estimate_rate_Hz, fit_clock, residual_offset_s, unwrap_ms
 
 
 def arrivals(rng, count=3000, rate=1.0 + 3e-3, offset_s=812.5):
@@ -42,9 +42,9 @@ def test_the_fit_lies_under_every_arrival(rng):
 @pytest.mark.parametrize("rate_Hz", [10.0, 50.0, 80.0])
 def test_the_rate_of_a_clock_of_whole_milliseconds_is_right_even_when_lines_are_lost(rng, rate_Hz):
     device_s = np.floor(1000 * np.arange(200) / rate_Hz) / 1000
-    assert seen_rate_Hz(device_s) == pytest.approx(rate_Hz, rel=1e-3)
+    assert estimate_rate_Hz(device_s) == pytest.approx(rate_Hz, rel=1e-3)
     kept = device_s[rng.random(200) > 0.1]
-    assert seen_rate_Hz(kept) == pytest.approx(rate_Hz, rel=0.01)
+    assert estimate_rate_Hz(kept) == pytest.approx(rate_Hz, rel=0.01)
 
 
 def test_one_pair_is_not_enough():

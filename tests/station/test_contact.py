@@ -10,10 +10,10 @@ from softcal.core.errors import BadReply
 from softcal.core.profiles import ramps
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import Twin
-from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.bench.bench import open_simulated_bench
 from softcal.station.devices.config import UNKNOWN_S, FixtureConfig
 from softcal.station.interfaces import Sample
-from softcal.station.motion.contact import ContactSearch, bend
+from softcal.station.motion.contact import ContactSearch, fit_contact_onset
 from softcal.station.tasks.acquisition import record
 from tests.layers import layered
 
@@ -27,7 +27,9 @@ def test_the_bend_is_found_whatever_the_stiffness(rng, stiffness_N_mm):
     force_N = stiffness_N_mm * np.maximum(0.0, stage_mm - 5.2) + rng.normal(0, 0.013, len(stage_mm))
     # Standard error of a line's foot: about 2 sigma / (k sqrt(n)); three of them.
     touching = np.sum(stage_mm > 5.2)
-    assert bend(stage_mm, force_N + 0.7).at_mm == pytest.approx(5.2, abs=6 * 0.013 / stiffness_N_mm / np.sqrt(touching))
+    assert fit_contact_onset(stage_mm, force_N + 0.7).at_mm == pytest.approx(
+        5.2, abs=6 * 0.013 / stiffness_N_mm / np.sqrt(touching)
+    )
 
 
 @pytest.mark.parametrize("power", [1.0, 1.25, 1.4, 1.75])
@@ -35,9 +37,11 @@ def test_the_doubt_of_a_contact_is_the_spread_of_many(rng, power):
     errors_mm, doubts_mm = [], []
     for _ in range(60):
         stage_mm = np.arange(4.0 + rng.uniform(0, 0.006), 5.2 + (0.3 / 5.0) ** (1 / power), 0.006)
-        foot = bend(stage_mm, 5.0 * np.maximum(0.0, stage_mm - 5.2) ** power + rng.normal(0, 0.004, len(stage_mm)))
-        errors_mm.append(foot.at_mm - 5.2)
-        doubts_mm.append(foot.doubt_mm)
+        fit_onset = fit_contact_onset(
+            stage_mm, 5.0 * np.maximum(0.0, stage_mm - 5.2) ** power + rng.normal(0, 0.004, len(stage_mm))
+        )
+        errors_mm.append(fit_onset.at_mm - 5.2)
+        doubts_mm.append(fit_onset.uncertainty_mm)
     spread_mm = np.sqrt(np.mean(np.square(errors_mm)))
     assert spread_mm == pytest.approx(np.median(doubts_mm), rel=0.3)  # 60 draws tell a spread within 9 %
 

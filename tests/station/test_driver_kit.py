@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import pytest
 
 from softcal.core.errors import DeviceError
-from softcal.station.devices.catalogue import driver_of, offers
+from softcal.station.bench.catalogue import driver_of, offers
 from softcal.station.drivers.arduino import ArduinoConfig
 from softcal.station.interfaces import Move
 from softcal.station.testing import Nonconformity, checks

@@ -3,7 +3,7 @@
 import pytest
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, InputError, NoReply
-from softcal.station.devices.bench import open_bench
+from softcal.station.bench.bench import open_bench
 from softcal.station.devices.config import ReadoutConfig, StageConfig, StationConfig
 from softcal.station.drivers.esm import EsmConfig, EsmGauge, EsmGaugeConfig, EsmStage
 from softcal.station.interfaces import Move

@@ -8,8 +8,8 @@ from softcal.core.messages.reason import Reason
 from softcal.core.profiles import moves
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import EffectSetting, Twin
-from softcal.station.devices.bench import open_simulated_bench
-from softcal.station.simulated.answering import FarEnd
+from softcal.station.bench.bench import open_simulated_bench
+from softcal.station.simulated.far_end import FarEnd
 from softcal.station.tasks.acquisition import record
 from softcal.station.tasks.self_test import self_test
 from tests.layers import layered

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import CommandRefused, DeviceError, NoReply
+from softcal.station.devices.piece_feed import AHEAD_S, PIECE_S
 from softcal.station.drivers.grbl import GrblStage
 from softcal.station.interfaces import Move
-from softcal.station.motion.feeding import AHEAD_S, PIECE_S
 from softcal.station.simulated.grbl import SEGMENTS_S, SimulatedGrbl
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.wire import Wire

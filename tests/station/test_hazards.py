@@ -13,19 +13,19 @@ from softcal.app.line.rig import station_of
 from softcal.core.errors import DeviceError, InputError, NoReply
 from softcal.core.messages.reason import plain
 from softcal.core.profiles import ramps
-from softcal.station.devices.station_file import station_from_table
+from softcal.station.bench.station_file import station_from_table
 from softcal.station.drivers.grbl import GrblStage
-from softcal.station.interfaces import Held, Move
+from softcal.station.interfaces import Move, StageOnHold
+from softcal.station.motion.monitored_bench import bounds_of
 from softcal.station.motion.motion import StoppedByHand
-from softcal.station.motion.watched import bounds_of
 from softcal.station.simulated.grbl import SimulatedGrbl
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.text_stream import SimulatedTextStream
 from softcal.station.simulated.wire import Wire
 from softcal.station.simulated.world import World
 from softcal.station.tasks.acquisition import record
+from softcal.station.tasks.durations import PRESSING, PROBING
 from softcal.station.tasks.identify import DeviceIdentity, identify
-from softcal.station.tasks.seconds import FEELING, PRESSING
 from softcal.station.tasks.self_test import self_test
 from softcal.station.wire.link import Link
 
@@ -133,11 +133,11 @@ def test_the_self_test_can_be_stopped():
         assert homed_s and not station.axis.is_moving
 
 
-@pytest.mark.parametrize("phase", ["searching for contact", FEELING, PRESSING])
+@pytest.mark.parametrize("phase", ["searching for contact", PROBING, PRESSING])
 def test_a_held_stage_is_not_lifted_and_the_load_on_the_unit_is_said(phase):
     with open_rig(QUICK) as (bench, station):
         hold_when(station, phase, 0.8)
-        with pytest.raises(Held, match=r" -?[\d.]+ N ") as caught:
+        with pytest.raises(StageOnHold, match=r" -?[\d.]+ N ") as caught:
             record(bench, "H1", PROFILE, True, station.on_progress)
         stands_mm = station.axis.position_mm
         station.world.sleep_s(10.0)
@@ -152,7 +152,7 @@ def test_a_stage_held_while_it_goes_back_ends_the_run_in_time():
     with open_rig(QUICK) as (bench, station):
         hold_when(station, "reading the zero return", 0.05)
         began_s = station.world.now_s()
-        with pytest.raises(Held):
+        with pytest.raises(StageOnHold):
             record(bench, "H1", PROFILE, True, station.on_progress)
         assert station.world.now_s() - began_s < 60.0
 
@@ -273,7 +273,7 @@ def test_every_move_of_softcal_is_made_in_one_place():
 def test_a_host_that_dies_above_a_hard_stop_leaves_less_than_the_cell_can_bear(acceleration_mm_s2, at_mm):
     law = ForceLaw(stop_mm=1.0, stop_N_mm=1000.0)
     case = replace(QUICK, acceleration_mm_s2=acceleration_mm_s2, stiffest_N_mm=1000.0, law=law)
-    force_N = press_until_gone(case, ramps([1.5], 8.0), FEELING, at_mm)
+    force_N = press_until_gone(case, ramps([1.5], 8.0), PROBING, at_mm)
     assert force_N is not None and force_N < 0.9 * case.capacity_N
 
 

@@ -14,8 +14,8 @@ import pytest
 from softcal.core.errors import DeviceError
 from softcal.core.profiles import moves
 from softcal.core.twin.simulate import Twin
-from softcal.station.devices.bench import open_simulated_bench, simulated_config
-from softcal.station.devices.simulated_station import SimulatedStation
+from softcal.station.bench.bench import open_simulated_bench, simulated_config
+from softcal.station.bench.simulated_station import SimulatedStation
 from softcal.station.tasks.acquisition import record
 
 PROFILE = moves("short", [0.0, 2.0, 0.0], [2.0, 2.0, 2.0], [1.0, 0.5, 0.5])
@@ -109,7 +109,7 @@ HOST = """
 import pickle, sys
 from softcal.core.errors import DeviceError
 from softcal.station.clock import HostClock
-from softcal.station.devices.bench import open_bench
+from softcal.station.bench.bench import open_bench
 from softcal.station.tasks.acquisition import record
 
 config, profile = pickle.load(sys.stdin.buffer)

@@ -9,12 +9,12 @@ import pytest
 
 from softcal.app.line import rig
 from softcal.app.texts.catalogue import text
-from softcal.app.texts.reasons import said
+from softcal.app.texts.reasons import render_reason
 from softcal.core.errors import CommandRefused, NoReply
 from softcal.core.profiles import ramps
 from softcal.core.twin.simulate import Twin
-from softcal.station.devices.bench import open_simulated_bench
-from softcal.station.devices.simulated_station import SimulatedStation
+from softcal.station.bench.bench import open_simulated_bench
+from softcal.station.bench.simulated_station import SimulatedStation
 from softcal.station.drivers.grbl import GrblStage
 from softcal.station.tasks.acquisition import record
 from softcal.station.tasks.identify import identify
@@ -45,7 +45,7 @@ def test_each_device_is_known_by_what_it_says(station):
 )
 def test_every_port_says_what_it_answered_in_both_languages(station, wire, answer):
     says = identify(getattr(station, wire).port, station.world).says
-    in_korean = said(says, partial(text, "ko"))
+    in_korean = render_reason(says, partial(text, "ko"))
     assert re.search(answer, str(says)) and re.search(answer, in_korean) and in_korean != str(says)
 
 

@@ -7,11 +7,11 @@ import pytest
 
 from softcal.core.errors import CommandRefused, InputError, NoReply
 from softcal.core.profiles import moves
+from softcal.station.bench.bench import open_simulated_bench
+from softcal.station.bench.catalogue import driver_of
+from softcal.station.bench.station_file import device_section
 from softcal.station.clock import HostClock
-from softcal.station.devices.bench import open_simulated_bench
-from softcal.station.devices.catalogue import driver_of
 from softcal.station.devices.driver import Opening
-from softcal.station.devices.station_file import device_section
 from softcal.station.drivers.labjack import LabjackConfig
 from softcal.station.simulated.labjack import SimulatedLjm
 from softcal.station.tasks.acquisition import record

@@ -1,17 +1,17 @@
 """All runs of the safety core: every fault at every step, on the code that moves the real stage."""
 
 import pytest
-from common.station_runs import KNOWN, broken_property, explore, run_once
+from common.station_runs import PROBED, broken_property, explore, run_once
 
 from softcal.core.errors import DeviceError
 from softcal.core.messages.reason import Reason, plain
-from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.bench.bench import open_simulated_bench
 from softcal.station.interfaces import Move
 from softcal.station.motion import interlock, motion
-from softcal.station.motion.interlock import TABLE, Interlock, Moves, StageWatch, State
+from softcal.station.motion.interlock import TABLE, AllowedMotion, Interlock, StageMonitor, State
+from softcal.station.motion.monitored_bench import MonitoredBench, RunEstimates
+from softcal.station.motion.monitors import FollowMonitor, ForceMonitor, JumpMonitor, StreamMonitor, StuckMonitor
 from softcal.station.motion.motion import Motion
-from softcal.station.motion.safety import FollowWatch, ForceWatch, JumpWatch, StreamWatch, StuckWatch
-from softcal.station.motion.watched import Learned, WatchedBench
 
 RESTS = (State.STOPPED, State.OVER)
 RUNNING = [state for state, row in TABLE.items() if State.OVER in row.exits]
@@ -49,7 +49,7 @@ def waits_for_ever(monkeypatch):
 
 def lifts_what_is_held(monkeypatch):
     """The button at the machine is taken for any other fault."""
-    monkeypatch.setattr(motion, "Held", type("NobodyRaisesThis", (Exception,), {}))
+    monkeypatch.setattr(motion, "StageOnHold", type("NobodyRaisesThis", (Exception,), {}))
 
 
 def says_lifted_without_lifting(monkeypatch):
@@ -72,7 +72,7 @@ def believes_the_count(monkeypatch):
         self.enter(State.STOPPED)
         return Reason("left.lifted")
 
-    monkeypatch.setattr(Motion, "_confirmed", confirmed)
+    monkeypatch.setattr(Motion, "_confirm_lift", confirmed)
 
 
 def lifts_the_wrong_way(monkeypatch):
@@ -96,10 +96,10 @@ def stays_open_after_a_stop(monkeypatch):
     monkeypatch.setattr(interlock, "TABLE", open_end)
 
     def confirmed(self):
-        self.enter(State.PRESSING, KNOWN)
+        self.enter(State.PRESSING, PROBED)
         return Reason("left.told")
 
-    monkeypatch.setattr(Motion, "_confirmed", confirmed)
+    monkeypatch.setattr(Motion, "_confirm_lift", confirmed)
 
 
 @pytest.mark.parametrize(
@@ -160,7 +160,7 @@ def test_what_may_not_move_is_refused():
         run = Interlock()
         run.state = state
         for is_down in (True, False):
-            if row.moves.are_down or (row.moves is Moves.UP and not is_down):
+            if row.moves.are_down or (row.moves is AllowedMotion.UP and not is_down):
                 run.check_move(is_down)
                 continue
             with pytest.raises(ValueError):
@@ -170,26 +170,28 @@ def test_what_may_not_move_is_refused():
 def test_nothing_goes_down_unwatched_nor_onto_a_unit_before_all_that_needs_was_found():
     for row in TABLE.values():
         if row.moves.are_down:
-            assert {StageWatch.FORCE, StageWatch.DEPTH, StageWatch.STREAM} <= row.watches and row.late_s < float("inf")
-        if row.moves in (Moves.UNKNOWN, Moves.KNOWN):
-            assert {StageWatch.FOLLOW, StageWatch.STUCK_CELL, StageWatch.STUCK_OUTPUT} <= row.watches
+            assert {StageMonitor.FORCE, StageMonitor.DEPTH, StageMonitor.STREAM} <= row.monitors and row.late_s < float(
+                "inf"
+            )
+        if row.moves in (AllowedMotion.UNKNOWN, AllowedMotion.PROBED):
+            assert {StageMonitor.FOLLOW, StageMonitor.STUCK_CELL, StageMonitor.STUCK_OUTPUT} <= row.monitors
             assert {"zero_N", "contact_mm"} <= set(row.needs)
-        if row.moves is Moves.KNOWN:
-            assert {"felt_mm", "safe_mm_s"} <= set(row.needs)
+        if row.moves is AllowedMotion.PROBED:
+            assert {"probed_mm", "safe_mm_s"} <= set(row.needs)
 
 
 @pytest.mark.parametrize("state", State)
 def test_a_state_begins_only_where_the_table_says_and_with_all_it_needs(state):
     for before in State:
-        for known in (KNOWN, *(KNOWN - {needed} for needed in TABLE[state].needs)):
+        for available in (PROBED, *(PROBED - {needed} for needed in TABLE[state].needs)):
             run = Interlock()
             run.state = before
-            if state in TABLE[before].exits and known == KNOWN:
-                run.enter(state, known)
+            if state in TABLE[before].exits and available == PROBED:
+                run.enter(state, available)
                 assert run.state is state
                 continue
             with pytest.raises(ValueError):
-                run.enter(state, known)
+                run.enter(state, available)
 
 
 class Stopped(Exception):
@@ -197,31 +199,31 @@ class Stopped(Exception):
 
 
 CHECKS = {
-    StageWatch.STREAM: (StreamWatch, "check_silence"),
-    StageWatch.FORCE: (ForceWatch, "check"),
-    StageWatch.DEPTH: (WatchedBench, "check_depth"),
-    StageWatch.JUMP: (JumpWatch, "check"),
-    StageWatch.FREE: (WatchedBench, "check_free"),
-    StageWatch.FOLLOW: (FollowWatch, "check"),
-    StageWatch.STUCK_CELL: (StuckWatch, "check"),
-    StageWatch.STUCK_OUTPUT: (StuckWatch, "check"),
-    StageWatch.RISE: (WatchedBench, "check_rise"),
+    StageMonitor.STREAM: (StreamMonitor, "check_silence"),
+    StageMonitor.FORCE: (ForceMonitor, "check"),
+    StageMonitor.DEPTH: (MonitoredBench, "check_depth"),
+    StageMonitor.JUMP: (JumpMonitor, "check"),
+    StageMonitor.FREE: (MonitoredBench, "check_free"),
+    StageMonitor.FOLLOW: (FollowMonitor, "check"),
+    StageMonitor.STUCK_CELL: (StuckMonitor, "check"),
+    StageMonitor.STUCK_OUTPUT: (StuckMonitor, "check"),
+    StageMonitor.RISE: (MonitoredBench, "check_rise"),
 }
 
 
-@pytest.mark.parametrize("watch", StageWatch)
+@pytest.mark.parametrize("watch", StageMonitor)
 def test_a_watch_is_on_where_the_table_names_it_and_nowhere_else(watch, monkeypatch):
     """The watch is made to stop whatever it is shown: then a look at the devices stops the run, or it does not."""
     owner, method = CHECKS[watch]
     with open_simulated_bench(seed=1) as (bench, _):
-        watched = WatchedBench(bench)
-        watched.start()
-        watched.home()
-        watched.motion.wait(0.1)
-        watched.known = Learned(0.0, 0.0, 0.5, 1.0, 1.0, 0.0)
-        watched.motion.state = State.SEARCHING
-        watched.expect_contact(0.5)
-        mine = watched._stuck.get(watch, ())
+        monitored = MonitoredBench(bench)
+        monitored.start()
+        monitored.home()
+        monitored.motion.wait(0.1)
+        monitored.estimates = RunEstimates(0.0, 0.0, 0.5, 1.0, 1.0, 0.0)
+        monitored.motion.state = State.SEARCHING
+        monitored.expect_contact(0.5)
+        mine = monitored._stuck.get(watch, ())
 
         def stop(self, *shown):
             if not mine or self in mine:
@@ -229,19 +231,19 @@ def test_a_watch_is_on_where_the_table_names_it_and_nowhere_else(watch, monkeypa
 
         monkeypatch.setattr(owner, method, stop)
         for state in RUNNING:
-            watched.motion.state = state
-            watched.start()
-            assert stops(watched, state) == (watch in TABLE[state].watches), state
+            monitored.motion.state = state
+            monitored.start()
+            assert stops(monitored, state) == (watch in TABLE[state].monitors), state
 
 
-def stops(watched: WatchedBench, state: State) -> bool:
+def stops(monitored: MonitoredBench, state: State) -> bool:
     try:
         for _ in range(30):
             if state is State.HOMING:
-                watched.bench.clock.sleep_s(0.01)
-                watched._look_while_homing()
+                monitored.bench.clock.sleep_s(0.01)
+                monitored._check_while_homing()
             else:
-                watched.tick()
+                monitored.tick()
     except Stopped:
         return True
     return False

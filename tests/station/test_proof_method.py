@@ -8,7 +8,7 @@ import pytest
 from common.proof_trial import draw_good_rig, press_good_rig
 
 from softcal.core.errors import BadReply
-from softcal.core.settings import rebuilt
+from softcal.core.settings import rebuild_config
 from softcal.station.record.method import METHOD
 from softcal.station.record.recording import assemble, restore
 from softcal.station.record.spool import read_spool
@@ -30,12 +30,12 @@ def run(tmp_path_factory):
     path = tmp_path_factory.mktemp("proof") / "run.spool"
     press_good_rig(draw_good_rig(12), path)
     run = read_spool(path)
-    return replace(run, facts=run.facts | {"is_latency_stated": True})
+    return replace(run, metadata=run.metadata | {"is_latency_declared": True})
 
 
 @pytest.mark.parametrize("code", STRICT)
 def test_a_number_that_changes_changes_what_is_refused_and_the_identity(run, code):
-    method = rebuilt(METHOD, STRICT[code])
+    method = rebuild_config(METHOD, STRICT[code])
     assert method.id != METHOD.id
     restore(run)
     with pytest.raises(BadReply) as bad:

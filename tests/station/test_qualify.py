@@ -7,7 +7,7 @@ import pytest
 from softcal.core.errors import CommandRefused, SafetyStop
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import EffectSetting, Twin
-from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.bench.bench import open_simulated_bench
 from softcal.station.devices.config import UNKNOWN_S
 from softcal.station.tasks.qualify import qualify
 from softcal.station.testing.faults import filter_cell

@@ -9,7 +9,7 @@ from common.proof_trial import draw_good_rig, open_good_rig, press_good_rig
 from softcal.core.errors import BadReply
 from softcal.core.profiles import moves, ramps
 from softcal.core.twin.simulate import Twin, simulate
-from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.bench.bench import open_simulated_bench
 from softcal.station.devices.config import UNKNOWN_S
 from softcal.station.record.method import METHOD
 from softcal.station.record.proof import (
@@ -20,7 +20,7 @@ from softcal.station.record.proof import (
     check_output_gain,
     press_gains,
 )
-from softcal.station.record.recording import Raw, RunFacts, assemble, restore
+from softcal.station.record.recording import Raw, RunMetadata, assemble, restore
 from softcal.station.record.response import CellResponse, check_lag, fit_response
 from softcal.station.record.spool import read_spool
 from softcal.station.tasks.acquisition import record
@@ -167,16 +167,16 @@ def test_a_cell_whose_gain_halves_in_a_short_run_is_noticed(seed, tmp_path):
     path = tmp_path / "run.spool"
     press_good_rig(draw_good_rig(seed), path)
     run = read_spool(path)
-    facts, (begun_s, ended_s) = RunFacts(**run.facts), run.facts["span_s"]
+    metadata, (begun_s, ended_s) = RunMetadata(**run.metadata), run.metadata["span_s"]
     middle = [p for p in run.polls if 0.35 < (p.host_s - begun_s) / (ended_s - begun_s) < 0.65]
-    at_s, zero_N = min(middle, key=lambda poll: poll.position_mm).host_s, facts.zero_N
+    at_s, zero_N = min(middle, key=lambda poll: poll.position_mm).host_s, metadata.zero_N
     halved = tuple(
         replace(sample, values=(zero_N + 0.5 * (sample.values[0] - zero_N),)) if sample.host_s > at_s else sample
         for sample in run.force
     )
-    assemble(Raw(run.output, run.force, run.polls), facts)
+    assemble(Raw(run.output, run.force, run.polls), metadata)
     with pytest.raises(BadReply) as bad:
-        assemble(Raw(run.output, halved, run.polls), facts)
+        assemble(Raw(run.output, halved, run.polls), metadata)
     assert bad.value.reason.code in ("rig.gain", "rig.odd_force")
 
 
@@ -245,7 +245,7 @@ def test_a_loose_cable_is_said_of_a_spooled_run_too(tmp_path):
     rig = draw_good_rig(2003)
     press_good_rig(rig, tmp_path / "run.spool")
     run = read_spool(tmp_path / "run.spool")
-    at = next(k for k, sample in enumerate(run.output) if sample.host_s > run.facts["span_s"][0] + 5.0)
+    at = next(k for k, sample in enumerate(run.output) if sample.host_s > run.metadata["span_s"][0] + 5.0)
     rail = [replace(s, values=(5.0,)) if at <= k < at + 2 else s for k, s in enumerate(run.output)]
     with pytest.raises(BadReply) as bad:
         restore(replace(run, output=tuple(rail)))

@@ -9,9 +9,9 @@ from softcal.core.errors import BadReply
 from softcal.core.profiles import moves, ramps, source_profile
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
-from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.bench.bench import open_simulated_bench
 from softcal.station.devices.config import UNKNOWN_S
-from softcal.station.motion.watched import WatchedBench
+from softcal.station.motion.monitored_bench import MonitoredBench
 from softcal.station.record.method import METHOD
 from softcal.station.record.response import fit_response
 from softcal.station.tasks.acquisition import record
@@ -64,7 +64,7 @@ def test_a_delay_hides_no_low_pass(late_s, constant_s):
 def test_a_filtered_cell_is_never_taken_for_a_prompter_one(constant_s, monkeypatch):
     """What a stop in the fast presses holds rests on it; a slow press that does not tell leaves the latest there is."""
     learned_s = []
-    monkeypatch.setattr(WatchedBench, "learn_latency", lambda watched, late_s: learned_s.append(late_s))
+    monkeypatch.setattr(MonitoredBench, "learn_latency", lambda monitored, late_s: learned_s.append(late_s))
     refused(constant_s, 0.06, UNKNOWN_S)
     assert all(late_s > 0.06 + constant_s - 0.02 for late_s in learned_s)
 

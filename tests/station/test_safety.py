@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from softcal.core.errors import BadReply, NoReply
 from softcal.station.devices.config import SafetyConfig
 from softcal.station.interfaces import Sample
-from softcal.station.motion.safety import (
+from softcal.station.motion.monitors import (
     FROZEN,
     MISSING_S,
     PRESSED_MM,
     STUCK_MM,
-    FollowWatch,
-    StreamWatch,
-    StuckWatch,
+    FollowMonitor,
+    StreamMonitor,
+    StuckMonitor,
 )
 
 RATE_HZ = 50.0
@@ -27,7 +27,7 @@ STALL_S = 0.1
 
 def pressed_until_raised(speed_mm_s: float, slope_V_mm: float, lsb_V: float, seed: int) -> float | None:
     """Press 3 mm deep past a watch, lines held back by stalls; return the depth at which it raised, if it did."""
-    rng, watch = np.random.default_rng(seed), StuckWatch("sensor readout", 0.0, RATE_HZ, FROZEN * STUCK_MM)
+    rng, watch = np.random.default_rng(seed), StuckMonitor("sensor readout", 0.0, RATE_HZ, FROZEN * STUCK_MM)
     taken_s = np.arange(0.0, 3.0 / speed_mm_s, 1.0 / RATE_HZ)
     seen_s = taken_s + 0.001
     for k in range(len(seen_s)):
@@ -57,7 +57,7 @@ def test_a_channel_that_never_changes_is_frozen(speed_mm_s: float, seed: int) ->
 
 
 def test_one_late_line_is_no_frozen_channel() -> None:
-    watch = StuckWatch("sensor readout", 0.0, RATE_HZ, FROZEN * STUCK_MM)
+    watch = StuckMonitor("sensor readout", 0.0, RATE_HZ, FROZEN * STUCK_MM)
     watch.check(1.559, 0.50)
     watch.check(1.559, 1.25)
     with pytest.raises(BadReply):
@@ -65,7 +65,7 @@ def test_one_late_line_is_no_frozen_channel() -> None:
             watch.check(1.559, 1.25)
 
 
-def follow(watch: FollowWatch, way: list[tuple[float, float]], began_s: float = 0.0) -> float | None:
+def follow(watch: FollowMonitor, way: list[tuple[float, float]], began_s: float = 0.0) -> float | None:
     """Show a watch depths in mm and forces in N every 10 ms; return the time at which it raised, if it did."""
     for k, (pressed_mm, force_N) in enumerate(way):
         try:
@@ -83,7 +83,7 @@ def ramp(from_mm: float, to_mm: float, force_N: float) -> list[tuple[float, floa
 def test_a_unit_that_relaxed_and_is_let_up_half_way_may_show_no_force_for_a_while():
     """It comes back slowly; pressed again as deep as it had been felt it must show one."""
     way = [*ramp(0.0, 2.5, 3.0), *ramp(2.5, 1.3, 0.0), *[(1.3, 0.0)] * 300]
-    watch = FollowWatch(0.05)
+    watch = FollowMonitor(0.05)
     assert follow(watch, way) is None
     again = follow(watch, ramp(1.3, 2.5, 0.0), 10.0)
     assert again is not None and again - 10.0 <= 0.01 * PRESSED_MM / 0.02 + MISSING_S + 0.02
@@ -92,7 +92,7 @@ def test_a_unit_that_relaxed_and_is_let_up_half_way_may_show_no_force_for_a_whil
 @pytest.mark.parametrize("at_mm", [0.9, 1.5, 2.5])
 def test_a_cell_that_dies_while_the_stage_goes_down_or_holds_is_seen_at_once(at_mm):
     for after in (ramp(at_mm, 3.0, 0.0), [(at_mm, 0.0)] * 100):
-        watch = FollowWatch(0.05)
+        watch = FollowMonitor(0.05)
         assert follow(watch, ramp(0.0, at_mm, 2.0)) is None
         seen_s = follow(watch, after, 5.0)
         assert seen_s is not None and seen_s - 5.0 <= MISSING_S + 0.03
@@ -102,7 +102,7 @@ def test_a_cell_that_dies_while_the_stage_goes_down_or_holds_is_seen_at_once(at_
 def test_readings_are_as_old_as_the_line_holds_them_back_wherever_the_device_began_to_count(ahead_s: float) -> None:
     def held_back(line_s: float) -> float | None:
         """Host time of the reading at which the watch raises, the line holding them back from the third second on."""
-        watch = StreamWatch(SimpleNamespace(name="readout", rate_Hz=RATE_HZ), SafetyConfig(), 0.0)  # type: ignore[arg-type]
+        watch = StreamMonitor(SimpleNamespace(name="readout", rate_Hz=RATE_HZ), SafetyConfig(), 0.0)  # type: ignore[arg-type]
         for taken_s in np.arange(0.0, 6.0, 1.0 / RATE_HZ):
             host_s = float(taken_s) + (line_s if taken_s >= 3.0 else 0.0)
             try:

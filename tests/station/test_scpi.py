@@ -5,8 +5,8 @@ import pytest
 
 from softcal.core.errors import BadReply, CommandRefused, InputError, NoReply
 from softcal.core.profiles import moves
+from softcal.station.bench.bench import open_simulated_bench
 from softcal.station.clock import HostClock
-from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.devices.driver import Opening
 from softcal.station.drivers.scpi import DRIVERS, DmmConfig, LcrConfig, dmm_setup, lcr_setup, parse_reading
 from softcal.station.simulated.scpi import SimulatedDmm, SimulatedLcr

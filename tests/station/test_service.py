@@ -10,7 +10,7 @@ from softcal.core.messages.reason import root_of
 from softcal.core.orders import Condition, Order, OrderKind, RunState, StationState
 from softcal.core.profiles import ramps
 from softcal.core.quality.gate import Gate
-from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.bench.bench import open_simulated_bench
 from softcal.station.devices.config import UNKNOWN_S
 from softcal.station.tasks.service import Hooks, StationService
 
@@ -31,7 +31,7 @@ class Host:
         self.reports.append(progress)
         self.on_report(progress)
 
-    def is_stop_wanted(self):
+    def is_stop_requested(self):
         return bool(self.stop_at_phase) and bool(self.reports) and self.reports[-1].phase == self.stop_at_phase
 
     def gate(self, kind, rig):
@@ -47,7 +47,7 @@ class Host:
 
     def service(self, folder):
         # Looked up at each call: a test may put others in their place.
-        hooks = Hooks(self.report, lambda: self.is_stop_wanted(), lambda kind, rig: self.gate(kind, rig))
+        hooks = Hooks(self.report, lambda: self.is_stop_requested(), lambda kind, rig: self.gate(kind, rig))
         service = StationService(self.open_bench, PROFILES, folder, hooks)
         service.start()
         return service
@@ -148,17 +148,17 @@ def test_missing_devices_leave_the_station_stopped_with_all_of_them_named(host, 
         raise NoReply("stage (/dev/a): no such port; load cell (/dev/b): no such port")
         yield
 
-    service = StationService(nothing, PROFILES, tmp_path, Hooks(host.report, host.is_stop_wanted, host.gate))
+    service = StationService(nothing, PROFILES, tmp_path, Hooks(host.report, host.is_stop_requested, host.gate))
     service.start()
     assert service.state is StationState.STOPPED
     assert "/dev/a" in str(service.reasons[0]) and "/dev/b" in str(service.reasons[0])
 
 
 def test_a_device_that_goes_between_two_runs_is_seen_at_once(host, service):
-    service.watch(0.01)
+    service.poll_idle(0.01)
     assert service.state is StationState.READY
     host.stations[-1].readout_wire.unplug()
-    service.watch(0.01)
+    service.poll_idle(0.01)
     assert service.state is StationState.STOPPED
     assert service.reasons[0].code == "rig.gone"
 
@@ -166,7 +166,7 @@ def test_a_device_that_goes_between_two_runs_is_seen_at_once(host, service):
 def test_a_stream_that_falls_silent_between_two_runs_is_seen(host, service):
     host.stations[-1].force_wire.is_silent = True
     for _ in range(30):
-        service.watch(0.1)
+        service.poll_idle(0.1)
     assert service.state is StationState.STOPPED
     assert (service.reasons[0].code, service.reasons[0].values["device"].code) == ("rig.silent.between", "device.cell")
     assert service.reasons[0].values["seconds"] == pytest.approx(2.0, abs=0.2)
@@ -175,7 +175,7 @@ def test_a_stream_that_falls_silent_between_two_runs_is_seen(host, service):
 def test_a_hand_at_the_fixture_between_two_runs_stops_nothing(host, service):
     host.stations[-1].rig.force_fault = lambda now_s, force_N: 1e6
     for _ in range(30):
-        service.watch(0.1)
+        service.poll_idle(0.1)
     assert service.state is StationState.READY
 
 
@@ -226,14 +226,14 @@ def test_a_defect_in_a_run_stops_the_station_and_the_stage(host, service):
 def test_a_stop_reaches_the_stage_at_the_next_look_at_the_devices(host, service, after_s):
     asked_s = []
 
-    def is_stop_wanted():
+    def is_stop_requested():
         now_s, pressing = host.stations[-1].world.now_s(), [r for r in host.reports if r.phase == "pressing"]
         if pressing and not asked_s:
             asked_s.append(now_s + after_s)
             host.stations[-1].stage.stop_received_s = None  # The search for contact ended in a stop, too.
         return bool(asked_s) and now_s >= asked_s[0]
 
-    host.is_stop_wanted = is_stop_wanted
+    host.is_stop_requested = is_stop_requested
     service.perform(order())
     # Looks are 5 ms apart; a stop that waits for the next report on the screen would take up to 100 ms.
     assert host.stations[-1].stage.stop_received_s - asked_s[0] < 0.02

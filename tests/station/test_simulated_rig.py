@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 from softcal.core.profiles import unit_profile
 from softcal.core.simulated_lot import draw_twins
 from softcal.core.twin.simulate import EffectSetting, Twin, TwinStream
-from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.bench.bench import open_simulated_bench
 from softcal.station.simulated.motion import Axis, QueuedMove
 from softcal.station.simulated.rig import PressedUnits
 from softcal.station.tasks.acquisition import record

@@ -9,7 +9,7 @@ from common.fault_trial import FillingSpool
 
 from softcal.core.errors import DeviceError, InputError
 from softcal.core.profiles import ramps
-from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.bench.bench import open_simulated_bench
 from softcal.station.interfaces import Sample, StagePosition
 from softcal.station.record.recording import restore
 from softcal.station.record.spool import Spool, read_spool
@@ -27,7 +27,7 @@ def write(path: Path) -> Path:
 
 def test_what_was_read_comes_back(tmp_path):
     run = read_spool(write(tmp_path / "a.spool"))
-    assert (run.header, run.is_whole, run.damaged) == ({"serial": "A1"}, True, 0)
+    assert (run.header, run.is_complete, run.damaged) == ({"serial": "A1"}, True, 0)
     assert run.output == tuple(SAMPLES)
     assert run.polls == (StagePosition(0.1, 3.0),)
 
@@ -39,7 +39,7 @@ def test_every_cut_leaves_what_was_whole_before_it(tmp_path):
     for length in range(first, len(content) - 1):
         path.write_bytes(content[:length])
         run = read_spool(path)
-        assert not run.is_whole
+        assert not run.is_complete
         assert len(run.output) in (0, 5)
 
 
@@ -51,7 +51,7 @@ def test_a_flipped_byte_is_seen(tmp_path, rng):
         damaged = bytearray(content)
         damaged[position] ^= 0x01
         path.write_bytes(damaged)
-        assert not read_spool(path).is_whole
+        assert not read_spool(path).is_complete
 
 
 def test_a_file_that_is_no_spool_is_refused(tmp_path):

@@ -7,10 +7,10 @@ import pytest
 from common.fault_trial import DISK_MOMENTS, run_with_dead_host, run_with_fault, run_with_full_disk
 
 from softcal.app.texts.catalogue import text
-from softcal.app.texts.reasons import said
+from softcal.app.texts.reasons import render_reason
 from softcal.core.errors import InputError
 from softcal.core.twin.simulate import Twin
-from softcal.station.tasks.seconds import HOMING
+from softcal.station.tasks.durations import HOMING
 from softcal.station.testing.faults import FAULTS
 from softcal.station.testing.line import SimulatedLine
 
@@ -27,9 +27,9 @@ def check(fault, folder, english_in):
     assert "\n" not in outcome.message
     assert ";" in outcome.message  # what happened; what became of the stage
     assert outcome.reason is not None and outcome.message == str(outcome.reason)
-    assert english_in(said(outcome.reason, partial(text, "ko"))) == []
+    assert english_in(render_reason(outcome.reason, partial(text, "ko"))) == []
     # A controller homes by itself: whoever loses it in there can only wait for its end.
-    if not fault.is_seen_late and fault.phase != HOMING:
+    if not fault.is_detected_late and fault.phase != HOMING:
         assert math.isnan(outcome.stopped_s) or outcome.stopped_s <= STANDS_WITHIN_S
     assert outcome.largest_force_N < 14.0
 

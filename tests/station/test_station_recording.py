@@ -9,7 +9,7 @@ from softcal.core.errors import CommandRefused
 from softcal.core.profiles import ramps, unit_profile
 from softcal.core.simulated_lot import draw_lot
 from softcal.core.twin.simulate import Twin, simulate
-from softcal.station.devices.bench import open_simulated_bench
+from softcal.station.bench.bench import open_simulated_bench
 from softcal.station.tasks.acquisition import record
 
 
@@ -108,7 +108,7 @@ def test_bursts_lost_and_repeated_lines_and_a_wrap_do_no_harm():
 
 def test_several_units_are_pressed_at_once_each_on_its_channel():
     units = draw_lot(np.random.default_rng(1), 3)
-    with open_simulated_bench(units[0], seed=1, beside=units[1:]) as (bench, station):
+    with open_simulated_bench(units[0], seed=1, other_units=units[1:]) as (bench, station):
         recording = record(bench, "SUB1", ramps([2.0], 3.0, rest_s=0.5), with_reference=True)
         surface_mm = recording.contact_mm - 0.3 - station.rig.clearance_mm
     assert recording.output.shape[1] == 3

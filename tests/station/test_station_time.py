@@ -5,8 +5,8 @@ import pytest
 
 from softcal.core.profiles import unit_profile
 from softcal.core.twin.simulate import Twin, simulate
+from softcal.station.bench.bench import open_simulated_bench
 from softcal.station.clock import residual_offset_s
-from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.tasks.acquisition import record
 from tests.layers import layered
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from softcal.station.devices.config import LATEST_S
+from softcal.station.devices.piece_feed import PieceFeed, runs_on_mm, runs_on_s
 from softcal.station.interfaces import Move
 from softcal.station.motion.bounds import FULL, REACTION_S, RISE, ForceBounds, Reaction
-from softcal.station.motion.feeding import PieceFeed, runs_on_mm, runs_on_s
-from softcal.station.motion.watched import bounds_of
-from softcal.station.record.trajectory import Trapezoid
+from softcal.station.motion.monitored_bench import bounds_of
+from softcal.station.trajectory import Trapezoid
 
 REACTION = Reaction(delay_s=0.25, acceleration_mm_s2=40.0)
 BOUNDS = ForceBounds(REACTION, limit_N=8.0, touch_N=0.2, ceiling_N=FULL * 20.0, stiffest_N_mm=60.0)
@@ -38,18 +38,18 @@ def test_without_room_a_stage_does_not_move():
 
 
 @pytest.mark.parametrize(
-    ("speed_mm_s", "noticed_N", "stiffness_N_mm"),
+    ("speed_mm_s", "detected_N", "stiffness_N_mm"),
     [
         (BOUNDS.free_mm_s, BOUNDS.touch_N, 60.0),
         (BOUNDS.unknown_mm_s, BOUNDS.limit_N, 60.0),
-        (BOUNDS.known_mm_s(3.0, 2.0), 3.0, 2.0),
+        (BOUNDS.probed_mm_s(3.0, 2.0), 3.0, 2.0),
     ],
     ids=["nothing there", "not pressed yet", "known stiffness"],
 )
-def test_a_spring_that_stops_the_stage_ends_at_the_ceiling(speed_mm_s, noticed_N, stiffness_N_mm):
-    ends_N = noticed_N + stiffness_N_mm * gone_mm(speed_mm_s, 0.25, 40.0)
+def test_a_spring_that_stops_the_stage_ends_at_the_ceiling(speed_mm_s, detected_N, stiffness_N_mm):
+    ends_N = detected_N + stiffness_N_mm * gone_mm(speed_mm_s, 0.25, 40.0)
     assert ends_N == pytest.approx(18.0, rel=1e-3)
-    assert BOUNDS.worst_N(speed_mm_s, noticed_N, stiffness_N_mm) == pytest.approx(ends_N, rel=1e-3)
+    assert BOUNDS.worst_N(speed_mm_s, detected_N, stiffness_N_mm) == pytest.approx(ends_N, rel=1e-3)
 
 
 def test_a_spring_of_one_stiffness_is_pressed_and_a_hard_thing_beneath_it_is_not():
@@ -60,16 +60,16 @@ def test_a_spring_of_one_stiffness_is_pressed_and_a_hard_thing_beneath_it_is_not
     assert BOUNDS.rise_N(0.0) == pytest.approx(RISE * 8.0)
 
 
-@pytest.mark.parametrize("noticed_N", [0.2, 8.0])
-def test_a_host_that_dies_leaves_a_hard_thing_below_the_ceiling(noticed_N):
+@pytest.mark.parametrize("detected_N", [0.2, 8.0])
+def test_a_host_that_dies_leaves_a_hard_thing_below_the_ceiling(detected_N):
     speed_mm_s = 2.0
     unseen_mm = speed_mm_s * (0.25 - REACTION_S)
-    ahead_mm = BOUNDS.ahead_mm(speed_mm_s, noticed_N)
-    assert noticed_N + 60.0 * (unseen_mm + ahead_mm) == pytest.approx(18.0)
+    ahead_mm = BOUNDS.ahead_mm(speed_mm_s, detected_N)
+    assert detected_N + 60.0 * (unseen_mm + ahead_mm) == pytest.approx(18.0)
 
 
 def test_the_force_that_a_dead_host_leaves_counts_what_it_had_not_seen_and_what_still_runs():
-    assert BOUNDS.gone_N(2.0, 0.05) == pytest.approx(8.0 + 60.0 * (2.0 * (0.25 - REACTION_S) + 0.05))
+    assert BOUNDS.host_loss_N(2.0, 0.05) == pytest.approx(8.0 + 60.0 * (2.0 * (0.25 - REACTION_S) + 0.05))
 
 
 @pytest.mark.parametrize("ahead_mm", [float("inf"), 0.4, 0.03])
@@ -82,7 +82,7 @@ def test_a_stage_that_is_fed_never_runs_on_further_than_is_said(distance_mm, ahe
     for now_s in np.arange(0.0, dies_at * path.duration_s + 1e-9, 0.005):
         while (due_mm := feed.due_mm(float(now_s))) is not None:
             told_mm = due_mm
-            feed.sent(float(now_s))
+            feed.mark_sent(float(now_s))
         ran_mm = max(ran_mm, told_mm - float(path.position_mm(now_s)))
     move = Move(1.0 + distance_mm, speed_mm_s, ahead_mm=ahead_mm)
     assert ran_mm <= runs_on_mm(move, acceleration_mm_s2) + 0.001 + 1e-9
@@ -95,7 +95,7 @@ def test_every_piece_is_sent_in_order_and_the_last_one_ends_the_move():
     for now_s in np.arange(10.0, 10.0 + path.duration_s, 0.01):
         if (due_mm := feed.due_mm(float(now_s))) is not None:
             sent_mm.append(due_mm)
-            feed.sent(float(now_s))
+            feed.mark_sent(float(now_s))
     assert not feed and sent_mm == sorted(sent_mm) and sent_mm[-1] == 2.0
     assert max(np.diff([0.0, *sent_mm])) <= 4.0 * 0.1 + 1e-9  # a tenth of a second each
 
@@ -107,7 +107,7 @@ def test_a_cell_whose_delay_nobody_stated_is_taken_to_be_as_late_as_a_station_fi
         stage = SimpleNamespace(acceleration_mm_s2=40.0)
         return bounds_of(SimpleNamespace(config=config, force=reader, stage=stage)).reaction.delay_s
 
-    stated, unstated = (SimpleNamespace(latency_s=0.03, is_latency_stated=known) for known in (True, False))
+    stated, unstated = (SimpleNamespace(latency_s=0.03, is_latency_declared=known) for known in (True, False))
     assert delay_s(stated) == pytest.approx(1 / 50.0 + 0.03 + REACTION_S)
     assert delay_s(unstated) == pytest.approx(1 / 50.0 + LATEST_S + REACTION_S)
     assert delay_s(None, None) == pytest.approx(LATEST_S + REACTION_S)

@@ -7,7 +7,7 @@ import pytest
 
 from softcal.core.errors import BadReply, NoReply
 from softcal.station.clock import HostClock
-from softcal.station.wire.threaded import Reading, ThreadedReader
+from softcal.station.wire.threaded_reader import Reading, ThreadedReader
 
 
 class Library:

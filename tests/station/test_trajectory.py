@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from softcal.station.interfaces import StagePosition
-from softcal.station.record.trajectory import DrivenMove, Trapezoid, reconstruct
 from softcal.station.simulated.motion import Axis, QueuedMove
+from softcal.station.trajectory import DrivenMove, Trapezoid, reconstruct_track
 
 
 @pytest.mark.parametrize(("start", "end", "speed"), [(0.0, 3.0, 2.0), (3.0, 0.5, 10.0), (1.0, 1.02, 8.0)])
@@ -58,7 +58,7 @@ def test_polls_ten_times_a_second_give_the_corner_back(rng):
     poll_s = np.arange(0.05, 3.5, 0.1)
     polls = [StagePosition(t, round(p, 3)) for t, p in zip(poll_s, truth(poll_s), strict=True)]
     t_s = np.arange(0.5, 3.4, 0.005)
-    track = reconstruct(polls, moves)
+    track = reconstruct_track(polls, moves)
     assert np.max(np.abs(track.at(t_s) - truth(t_s))) < 0.005
     assert np.max(np.abs(np.interp(t_s, poll_s, [p.position_mm for p in polls]) - truth(t_s))) > 0.05
 
@@ -67,7 +67,7 @@ def test_a_move_that_paused_is_drawn_through_its_polls():
     move = DrivenMove(Trapezoid(0.0, 4.0, 4.0, 200.0), 0.0, 3.1)
     poll_s = np.arange(0.05, 3.5, 0.1)
     paused = np.interp(poll_s, [0.0, 0.5, 2.5, 3.0], [0.0, 2.0, 2.0, 4.0])
-    track = reconstruct([StagePosition(t, p) for t, p in zip(poll_s, paused, strict=True)], [move])
+    track = reconstruct_track([StagePosition(t, p) for t, p in zip(poll_s, paused, strict=True)], [move])
     assert track.at(np.array([1.5]))[0] == pytest.approx(2.0, abs=0.01)
 
 
@@ -86,7 +86,7 @@ def test_a_poll_whose_line_came_late_leaves_the_stage_where_it_was(poll, late_s)
     arrived_s = np.maximum.accumulate(sent_s + np.where(np.arange(len(sent_s)) == poll, late_s, 0.0))
     polls = [StagePosition(t, round(p, 3)) for t, p in zip(arrived_s, truth(sent_s), strict=True)]
     t_s = np.arange(0.5, 3.4, 0.005)
-    assert np.max(np.abs(reconstruct(polls, moves).at(t_s) - truth(t_s))) < 0.005
+    assert np.max(np.abs(reconstruct_track(polls, moves).at(t_s) - truth(t_s))) < 0.005
 
 
 def test_a_move_that_went_otherwise_begins_where_it_was_sent():
@@ -94,11 +94,11 @@ def test_a_move_that_went_otherwise_begins_where_it_was_sent():
     moves = [driven(0.0, 0.0, 2.0, 4.0), DrivenMove(Trapezoid(2.0, 0.0, 4.0, 200.0), 2.0, 4.0)]
     poll_s = np.arange(0.0, 4.5, 0.1)
     went_mm = np.interp(poll_s, [0.012, 0.53, 2.0, 2.25, 3.0, 3.25], [0.0, 2.0, 2.0, 1.0, 1.0, 0.0])
-    track = reconstruct([StagePosition(t, p) for t, p in zip(poll_s, went_mm, strict=True)], moves)
+    track = reconstruct_track([StagePosition(t, p) for t, p in zip(poll_s, went_mm, strict=True)], moves)
     np.testing.assert_allclose(track.at(np.array([0.8, 1.5, 2.0])), 2.0, atol=0.005)
     assert track.at(np.array([2.7]))[0] == pytest.approx(1.0, abs=0.01)
 
 
 def test_without_polls_there_is_no_position():
     with pytest.raises(ValueError):
-        reconstruct([], [])
+        reconstruct_track([], [])

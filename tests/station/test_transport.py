@@ -9,8 +9,8 @@ import pytest
 
 from softcal.core.errors import NoReply
 from softcal.core.profiles import moves
+from softcal.station.bench.bench import open_simulated_bench
 from softcal.station.clock import HostClock
-from softcal.station.devices.bench import open_simulated_bench
 from softcal.station.simulated.wire import SocketEnd, Wire
 from softcal.station.simulated.world import World
 from softcal.station.tasks.acquisition import record

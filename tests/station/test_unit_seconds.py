@@ -8,9 +8,9 @@ from common.rig_trial import ForceLaw, RigCase, open_rig
 
 from softcal.core.profiles import ramps, unit_profile
 from softcal.station.devices.config import UNKNOWN_S
-from softcal.station.motion.watched import bounds_of
+from softcal.station.motion.monitored_bench import bounds_of
 from softcal.station.tasks.acquisition import record
-from softcal.station.tasks.seconds import FEELING, seconds_of, shorter, unit_s
+from softcal.station.tasks.durations import PROBING, phase_seconds, shorter, unit_s
 from softcal.station.tasks.self_test import self_test
 
 SOFT = RigCase(latency_s=0.0, stiffest_N_mm=60.0, limit_N=12.0, law=ForceLaw(0.8, 1.2))
@@ -50,7 +50,7 @@ def test_the_second_unit_takes_at_most_half_again_as_long_as_the_pressing_itself
 @pytest.mark.long
 def test_a_slow_press_is_as_fast_as_the_force_so_far_allows():
     first, _ = pressed(RIGID)
-    took_s = max(t for phase, _, t in first if phase == FEELING) - min(t for phase, _, t in first if phase == FEELING)
+    took_s = max(t for phase, _, t in first if phase == PROBING) - min(t for phase, _, t in first if phase == PROBING)
     with open_rig(RIGID) as (bench, _):
         slowest_s = PROFILE.deepest_mm / bounds_of(bench).unknown_mm_s
     assert took_s < 0.6 * slowest_s
@@ -89,6 +89,6 @@ def test_each_shortening_does_what_it_promises():
 
 def test_a_stage_that_must_be_homed_is_planned_for():
     with open_rig(SOFT) as (bench, _):
-        known = seconds_of(bench.config, bounds_of(bench), PROFILE, bench.config.fixture.approach_mm)
-        unknown = seconds_of(bench.config, bounds_of(bench), PROFILE, None)
+        known = phase_seconds(bench.config, bounds_of(bench), PROFILE, bench.config.fixture.approach_mm)
+        unknown = phase_seconds(bench.config, bounds_of(bench), PROFILE, None)
     assert sum(known.values()) < sum(unknown.values())

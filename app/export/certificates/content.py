@@ -8,11 +8,11 @@ import numpy as np
 
 from softcal.app.export.calibrated_unit import CalibratedUnit
 from softcal.app.export.certificates import statements
-from softcal.app.export.certificates.laboratory import NOT_STATED, Laboratory
+from softcal.app.export.laboratory import NOT_STATED, Laboratory
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, escape_serial
 from softcal.core.maps.anchors import AnchoredMap
-from softcal.core.messages.figures import decimals_of, telling_decimals, written_value
+from softcal.core.messages.figures import decimals_of, find_decimals, format_value
 from softcal.core.recording import Array
 from softcal.core.unit.adjustments import Correction
 from softcal.core.unit.budget import COVERAGE, Budget, Reference, Standing, forecast_budget, measured_budget
@@ -52,8 +52,8 @@ class Certificate:
         reference: what the source was compared with; None where nobody said.
         blocking_reasons: why the reference lets no unit pass; empty where it does.
         budget: at the source's RMS load; None after a trim.
-        by_loads: adjustment of the map by known loads; empty without any.
-        by_audits: correction of the common bias of audited units, if any.
+        load_correction: adjustment of the map by known loads; empty without any.
+        audit_correction: correction of the common bias of audited units, if any.
         audit_rows: how many rows of its audit have an estimate, and how many have none.
         revision_reason: why this revision was made, in the registry's words.
         bands: U_est by range; none where no estimate lies in the source's range.
@@ -86,7 +86,7 @@ class Certificate:
     blocking_reasons: tuple[str, ...]
     budget: Budget | None
     map_family: str
-    by_loads: str
+    load_correction: str
     revision_reason: str
     map_sha256: str
     provenance: Provenance
@@ -94,15 +94,15 @@ class Certificate:
     output: Array
     mapped: Array
     estimated: Estimate
-    by_audits: str = ""
+    audit_correction: str = ""
     excluded_samples: int = 0
     audit_rows: str = ""
 
     @property
-    def recorded(self) -> str:
+    def recording_summary(self) -> str:
         """Sentence on the number of samples used, and the number left out."""
-        left_out = f" (invalid samples left out: {self.excluded_samples})" if self.excluded_samples else ""
-        return f"{self.samples} samples at {self.lot.sample_rate_Hz:g} Hz{left_out}"
+        exclusions = f" (invalid samples left out: {self.excluded_samples})" if self.excluded_samples else ""
+        return f"{self.samples} samples at {self.lot.sample_rate_Hz:g} Hz{exclusions}"
 
     @property
     def basis(self) -> str:
@@ -120,11 +120,11 @@ class Certificate:
 
     def interval_of(self, error: ErrorForecast) -> tuple[float, float] | None:
         """Return the 95 % interval of an error; None if it is unknown."""
-        is_known = np.isfinite(error.upper) and not (self.is_sampled and error is self.forecast)
-        return (error.lower, error.upper) if is_known else None
+        has_interval = np.isfinite(error.upper) and not (self.is_sampled and error is self.forecast)
+        return (error.lower, error.upper) if has_interval else None
 
     @property
-    def deciding(self) -> list[tuple[str, float | None, str]]:
+    def decision_numbers(self) -> list[tuple[str, float | None, str]]:
         """The numbers of the decision rule: name with its symbol, value (None: not stated), and a note."""
         numbers: list[tuple[str, float | None, str]] = []
         if (error := self.error) is not None and np.isfinite(error.upper):
@@ -147,41 +147,41 @@ class Certificate:
         error, limit = self.error, self.limit
         if error is None or not np.isfinite(error.upper):
             return decimals_of(float("nan"))
-        least = decimals_of(error.upper - error.rmse)
+        min_decimals = decimals_of(error.upper - error.rmse)
         if limit is None:
-            return least
+            return min_decimals
         compared = {"E": error.rmse, "E_upper": error.upper, "TL": limit.maximum_rmse, "AL": limit.acceptance_rmse}
-        return telling_decimals(compared, least, [("E_upper", "AL"), ("E", "TL")])
+        return find_decimals(compared, min_decimals, [("E_upper", "AL"), ("E", "TL")])
 
     @property
-    def withheld(self) -> tuple[str, ...]:
-        """Codes of `WITHHELD`: reasons for making no statement of conformity; empty with one."""
-        is_withheld = {
+    def withholding_codes(self) -> tuple[str, ...]:
+        """Codes of `WITHHOLDING_REASONS`: reasons for making no statement of conformity; empty with one."""
+        conditions = {
             "simulated": self.is_simulated,
             "no_limit": self.limit is None or not self.limit.is_stated,
             "no_reference": self.reference is None,
             "reference": bool(self.blocking_reasons),
-            "known_loads": self.is_by_loads_alone,
+            "known_loads": self.is_load_corrected_only,
             "no_interval": self.error is None or not np.isfinite(self.error.upper),
             "retest": not Verdict(self.verdict).conformity,
         }
-        return tuple(code for code, is_so in is_withheld.items() if is_so)
+        return tuple(code for code, is_met in conditions.items() if is_met)
 
     @property
     def conformity(self) -> str:
         """Pass, conditional pass or fail; empty without a statement."""
-        return "" if self.withheld else Verdict(self.verdict).conformity
+        return "" if self.withholding_codes else Verdict(self.verdict).conformity
 
     @property
     def no_statement(self) -> str:
         """Sentence with the reason for making no statement of conformity; empty with one."""
-        why = "; ".join(statements.WITHHELD[code] for code in self.withheld)
-        return f"No statement of conformity is made: {why}." if why else ""
+        reasons = "; ".join(statements.WITHHOLDING_REASONS[code] for code in self.withholding_codes)
+        return f"No statement of conformity is made: {reasons}." if reasons else ""
 
     @property
-    def is_by_loads_alone(self) -> bool:
+    def is_load_corrected_only(self) -> bool:
         """Whether known loads adjusted the map after the last audit."""
-        return bool(self.by_loads) and (self.measured is None or self.is_trimmed)
+        return bool(self.load_correction) and (self.measured is None or self.is_trimmed)
 
     @property
     def is_simulated(self) -> bool:
@@ -192,7 +192,7 @@ class Certificate:
     def is_traceable(self) -> bool:
         """Whether results are traceable to a certificate that was valid when the reference was used."""
         is_valid = self.reference is not None and self.reference.standing is Standing.VALID
-        return is_valid and not self.blocking_reasons and not self.is_by_loads_alone
+        return is_valid and not self.blocking_reasons and not self.is_load_corrected_only
 
     @property
     def method_name(self) -> str:
@@ -211,9 +211,9 @@ class Certificate:
     @property
     def deviations(self) -> str:
         """Deviations from the method, from the registry and from the laboratory."""
-        stated = self.laboratory.performance.deviations
-        corrections = [text for text in (self.by_loads, self.by_audits) if text]
-        return "; ".join([*corrections, f"others: {stated}"]) if corrections else stated
+        other_deviations = self.laboratory.performance.deviations
+        corrections = [text for text in (self.load_correction, self.audit_correction) if text]
+        return "; ".join([*corrections, f"others: {other_deviations}"]) if corrections else other_deviations
 
     @property
     def location(self) -> str:
@@ -233,15 +233,15 @@ class Certificate:
     @property
     def ended_on(self) -> date:
         """Last day of performance: as stated, else from the registry."""
-        stated = self.laboratory.performance
-        return stated.ended_on or max(self.calculated_on, stated.began_on or self.calculated_on)
+        performance = self.laboratory.performance
+        return performance.ended_on or max(self.calculated_on, performance.began_on or self.calculated_on)
 
     @property
-    def performed(self) -> str:
+    def performance_days(self) -> str:
         """Dates of performance: as stated, and from the registry."""
-        stated = self.laboratory.performance
+        performance = self.laboratory.performance
         return (
-            f"first day: {stated.began_on or NOT_STATED}; last day: {stated.ended_on or NOT_STATED}; "
+            f"first day: {performance.began_on or NOT_STATED}; last day: {performance.ended_on or NOT_STATED}; "
             f"recording in the registry since {self.in_registry_since}; calculated on {self.calculated_on}"
         )
 
@@ -256,15 +256,17 @@ class Certificate:
             return statements.SIMULATED
         cell, chain = self.reference, f"Traced through source unit {self.source} of lot {self.lot.id}"
         if cell is None:
-            named = self.laboratory.load_cell.certificate
-            remark = "" if named == NOT_STATED else f" (the laboratory names {named}; the verdict was made without it)"
+            number = self.laboratory.load_cell.certificate
+            remark = (
+                "" if number == NOT_STATED else f" (the laboratory names {number}; the verdict was made without it)"
+            )
             return (
                 f"{chain} to a reference whose certificate nobody stated with the lot{remark}: the results are not "
                 "metrologically traceable."
             )
         if not self.is_traceable:
-            why = self.blocking_reasons or (statements.WITHHELD["known_loads"],)
-            return f"Not metrologically traceable: {'; '.join(why)}."
+            causes = self.blocking_reasons or (statements.WITHHOLDING_REASONS["known_loads"],)
+            return f"Not metrologically traceable: {'; '.join(causes)}."
         by = f" of {cell.laboratory}" if cell.laboratory else ""
         day = (
             f"on {cell.used_on}, since when the source's recording is in the registry"
@@ -279,7 +281,7 @@ def build_certificate(unit: CalibratedUnit) -> Certificate:
     state, lot = unit.state, unit.lot
     fit, scores = state.fit, state.scores
     # After a trim the budget of the map before says nothing of this one.
-    is_trimmed = any(why.code == "trimmed" for why in state.blocking_reasons)
+    is_trimmed = any(reason.code == "trimmed" for reason in state.blocking_reasons)
     with_90, share = estimate(unit.network, unit.state, unit.recording), COVERAGE / NORMAL_90
     # U_est (k = 2) in place of the 90 % interval.
     lower, upper = (with_90.estimate + share * (end - with_90.estimate) for end in (with_90.lower, with_90.upper))
@@ -293,10 +295,10 @@ def build_certificate(unit: CalibratedUnit) -> Certificate:
     inside = estimates.estimate[(estimates.estimate >= low) & (estimates.estimate <= high)]
     if len(inside):
         low, high = float(inside.min()), float(inside.max())
-    by_audits = ""
+    audit_correction = ""
     if isinstance(state.line_behind, Correction):
         line, number = state.line_behind.line, state.line_behind.number
-        by_audits = (
+        audit_correction = (
             f"correction {number} of the lot, from {state.line_behind.audits} audited units: estimates less "
             f"{line.zero:+.4g} {lot.reference_unit}, divided by {line.gain:.4g}"
         )
@@ -321,15 +323,15 @@ def build_certificate(unit: CalibratedUnit) -> Certificate:
         reasons=tuple(map(str, unit.reasons)),
         before=None if scores is None else scores.before.rmse,
         measured=None if scores is None else scores.after.interval,
-        audit_rows=_rows(state),
+        audit_rows=_describe_audit_rows(state),
         is_sampled=state.release_in_force is not None,
         is_trimmed=is_trimmed,
         reference=reference,
         blocking_reasons=() if reference is None else tuple(map(str, reference.bars(float(source.max())))),
         budget=None if is_trimmed else _budget(state, float(np.sqrt(np.mean(source**2)))),
         map_family=fit.family,
-        by_loads=_by_loads(state, lot.output_unit),
-        by_audits=by_audits,
+        load_correction=_describe_load_correction(state, lot.output_unit),
+        audit_correction=audit_correction,
         revision_reason=unit.stored.reason,
         map_sha256=state.map_sha256,
         provenance=unit.provenance,
@@ -344,33 +346,33 @@ def _check_load_cell(laboratory: Laboratory, reference: Reference | None) -> Non
     """Refuse a certificate about another load cell than that of the verdict."""
     if reference is None or reference.is_simulated:
         return
-    named = laboratory.load_cell
+    load_cell = laboratory.load_cell
     # A lot may state a certificate and leave the serial to the laboratory.
-    serials = ("serial", named.serial, reference.cell or named.serial)
-    for what, message, stated in (("certificate", named.certificate, reference.certificate), serials):
-        if message not in (NOT_STATED, stated):
+    serials = ("serial", load_cell.serial, reference.cell or load_cell.serial)
+    for label, message, other in (("certificate", load_cell.certificate, reference.certificate), serials):
+        if message not in (NOT_STATED, other):
             raise InputError(
-                f"laboratory file: load cell {what} {message}, but the lot states {stated or 'none'}; correct the one "
+                f"laboratory file: load cell {label} {message}, but the lot states {other or 'none'}; correct the one "
                 "that is wrong; no certificate was written"
             )
 
 
-def _rows(state: UnitState) -> str:
+def _describe_audit_rows(state: UnitState) -> str:
     """Return the sentence on the number of rows of the measured error; empty without an audit."""
     if state.scores is None:
         return ""
-    left_out = ", ".join(f"{flag} {count}" for flag, count in state.scores.unscored.items() if count)
-    return f"Rows of the audit that have an estimate: {state.scores.after.rows}; without one: {left_out or 'none'}."
+    unscored = ", ".join(f"{flag} {count}" for flag, count in state.scores.unscored.items() if count)
+    return f"Rows of the audit that have an estimate: {state.scores.after.rows}; without one: {unscored or 'none'}."
 
 
-def _by_loads(state: UnitState, unit: str) -> str:
+def _describe_load_correction(state: UnitState, unit: str) -> str:
     """Return the sentence on adjustments of the map by known loads; empty without any."""
     anchored = state.unit_map
     if not state.knowledge.is_anchored or not isinstance(anchored, AnchoredMap):
         return ""
-    how = "trimmed" if state.trim_in_force else "set"
+    action = "trimmed" if state.trim_in_force else "set"
     return (
-        f"the map was {how} by known loads: what it gave is multiplied by {anchored.gain:.4g} and moved by "
+        f"the map was {action} by known loads: what it gave is multiplied by {anchored.gain:.4g} and moved by "
         f"{anchored.offset:+.4g} {unit}; what these loads are traced to is {NOT_STATED}"
     )
 
@@ -386,7 +388,7 @@ def _budget(state: UnitState, load: float) -> Budget | None:
 
 def band_range(band: Uncertainty) -> str:
     """Write the range of a band with as many decimals as its uncertainty."""
-    return f"{written_value(band.low, band.expanded)} to {written_value(band.high, band.expanded)}"
+    return f"{format_value(band.low, band.expanded)} to {format_value(band.high, band.expanded)}"
 
 
 def _bands(estimates: Estimate, low: float, high: float) -> tuple[Uncertainty, ...]:

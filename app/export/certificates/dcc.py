@@ -4,10 +4,10 @@ import xml.etree.ElementTree as ET
 from functools import partial
 
 from softcal.app.export.certificates.content import Certificate, band_range
-from softcal.app.export.certificates.laboratory import NOT_STATED, Party
 from softcal.app.export.certificates.statements import DECISION_RULE, ONLY_THIS, SIMULATED
+from softcal.app.export.laboratory import NOT_STATED, Party
 from softcal.core.errors import printable
-from softcal.core.messages.figures import written_uncertainty
+from softcal.core.messages.figures import format_uncertainty
 
 SCHEMA_VERSION = "3.1.2"
 """Each schema accepts its own version alone: another one is another writer."""
@@ -80,7 +80,7 @@ def _administrative(certificate: Certificate) -> ET.Element:
     )
     item = _node(
         "item",
-        _text("name", f"{_simulated(certificate)}Soft sensor {certificate.serial}"),
+        _text("name", f"{_simulation_prefix(certificate)}Soft sensor {certificate.serial}"),
         _text("description", f"Condition: {performance.condition}"),
         _node("manufacturer", _text("name", NOT_STATED)),
         _node("model", certificate.lot.sensor_model) if certificate.lot.sensor_model.strip() else None,
@@ -109,7 +109,7 @@ def _administrative(certificate: Certificate) -> ET.Element:
     )
 
 
-def _simulated(certificate: Certificate) -> str:
+def _simulation_prefix(certificate: Certificate) -> str:
     return "SIMULATED: " if certificate.is_simulated else ""
 
 
@@ -132,7 +132,7 @@ def _contact(name: str, party: Party) -> ET.Element:
 
 def _statements(certificate: Certificate) -> ET.Element:
     verdict = f"Verdict of the line: {certificate.verdict}; {'; '.join(certificate.reasons)}."
-    performed = f"{ONLY_THIS} Place: {certificate.location}. Performance: {certificate.performed}."
+    performance_days = f"{ONLY_THIS} Place: {certificate.location}. Performance: {certificate.performance_days}."
     return _node(
         "statements",
         _node("statement", _text("declaration", SIMULATED)) if certificate.is_simulated else None,
@@ -148,18 +148,20 @@ def _statements(certificate: Certificate) -> ET.Element:
             _node("traceable", "true" if certificate.is_traceable else "false"),
             _text("declaration", f"{certificate.traceability} {certificate.basis}"),
         ),
-        _node("statement", _node("norm", "ISO/IEC 17025:2017"), _text("declaration", performed)),
+        _node("statement", _node("norm", "ISO/IEC 17025:2017"), _text("declaration", performance_days)),
         _node("statement", _text("declaration", "Date of issue"), _node("date", certificate.issued_on.isoformat())),
     )
 
 
 def _result(certificate: Certificate) -> ET.Element:
-    because = f" Revision {certificate.revision}: {certificate.revision_reason}." if certificate.revision_reason else ""
-    title = f"{_simulated(certificate)}Calibration of {certificate.lot.reference_quantity}, "
+    revision_text = (
+        f" Revision {certificate.revision}: {certificate.revision_reason}." if certificate.revision_reason else ""
+    )
+    title = f"{_simulation_prefix(certificate)}Calibration of {certificate.lot.reference_quantity}, "
     method = _node(
         "usedMethod",
         _text("name", f"Transfer calibration: {certificate.method_name}"),
-        _text("description", certificate.method + because),
+        _text("description", certificate.method + revision_text),
     )
     ambient, conditions = certificate.laboratory.conditions, []
     for name, kind, value, shift, factor, unit in (
@@ -170,34 +172,37 @@ def _result(certificate: Certificate) -> ET.Element:
             quantity = _node("quantity", _text("name", name), _real(value * factor + shift, unit), refType=kind)
             condition = _node("influenceCondition", _text("name", name), _node("data", quantity), refType=kind)
             conditions.append(condition)
-    recorded = f"{certificate.recorded}, output in {certificate.lot.output_unit}"
+    recording_summary = f"{certificate.recording_summary}, output in {certificate.lot.output_unit}"
     quantity_of = partial(_quantity, certificate.lot.reference_unit)
-    provenance = [f"Map of family {certificate.map_family}, from {recorded}."]
+    provenance = [f"Map of family {certificate.map_family}, from {recording_summary}."]
     provenance += [f"{name}: {value}" for name, value in certificate.provenance_rows]
     errors = [
         quantity_of(f"{kind} root mean square error", error.rmse, certificate.interval_of(error))
         for kind, error in (("Predicted", certificate.forecast), ("Measured", certificate.measured))
         if error is not None
     ]
-    for name, value, note in certificate.deciding:
+    for name, value, note in certificate.decision_numbers:
         errors.append(quantity_of(f"{name} ({note})" if note else name, value))
     if certificate.bands:
         errors.append(quantity_of("Lower end of the calibrated range", certificate.low, kind="basic_validityRangeMin"))
         errors.append(quantity_of("Upper end of the calibrated range", certificate.high, kind="basic_validityRangeMax"))
     budget = None
     if (of := certificate.budget) is not None:
-        what = (
+        head = (
             f"Uncertainty budget of an estimate at {of.load:.4g} {certificate.lot.reference_unit} (GUM, JCGM 100:2008)"
         )
         values = [(f"Standard uncertainty: {c.name} ({c.distribution})", c.standard) for c in of.contributions]
         values.append(("Combined standard uncertainty", of.standard))
         values.append(("U_est: expanded uncertainty, k = 2", of.expanded))
-        budget = _listed(what, *(quantity_of(name, value) for name, value in values))
+        budget = _result_node(head, *(quantity_of(name, value) for name, value in values))
     results = (
-        _listed("Error of the unit", *errors),
-        _listed("U_est: expanded uncertainty of an estimate, k = 2, by range of the estimate", _expanded(certificate)),
+        _result_node("Error of the unit", *errors),
+        _result_node(
+            "U_est: expanded uncertainty of an estimate, k = 2, by range of the estimate",
+            _expanded_uncertainties(certificate),
+        ),
         budget,
-        _listed("Provenance", *(_text("text", message) for message in provenance)),
+        _result_node("Provenance", *(_text("text", message) for message in provenance)),
     )
     return _node(
         "measurementResult",
@@ -210,7 +215,7 @@ def _result(certificate: Certificate) -> ET.Element:
     )
 
 
-def _listed(name: str, *data: ET.Element) -> ET.Element:
+def _result_node(name: str, *data: ET.Element) -> ET.Element:
     return _node("result", _text("name", name), _node("data", *data))
 
 
@@ -219,9 +224,9 @@ def _load_cell(certificate: Certificate) -> ET.Element | None:
     if reference is None or not reference.certificate or certificate.is_simulated:
         return None
     issuer, serial = reference.laboratory or cell.laboratory, reference.cell or cell.serial
-    issued = quantities = None
+    certificate_node = quantities = None
     if cell.certificate_sha256:
-        issued = _node(
+        certificate_node = _node(
             "certificate",
             _text("referral", f"Calibration certificate by {issuer}"),
             _node("referralID", reference.certificate),
@@ -246,7 +251,7 @@ def _load_cell(certificate: Certificate) -> ET.Element | None:
     equipment = _node(
         "measuringEquipment",
         _text("name", "Reference of the source's calibration"),
-        issued,
+        certificate_node,
         None if cell.manufacturer == NOT_STATED else _node("manufacturer", _text("name", cell.manufacturer)),
         _optional_node("model", cell.model),
         identifications,
@@ -284,9 +289,9 @@ def _quantity(
     return _node(element, _text("name", name), message, **({"refType": kind} if kind else {}))
 
 
-def _expanded(certificate: Certificate) -> ET.Element:
+def _expanded_uncertainties(certificate: Certificate) -> ET.Element:
     if certificate.lot.reference_unit not in SI_UNITS or not certificate.bands:
-        bands = "; ".join(f"{band_range(b)}: U_est = {written_uncertainty(b.expanded)}" for b in certificate.bands)
+        bands = "; ".join(f"{band_range(b)}: U_est = {format_uncertainty(b.expanded)}" for b in certificate.bands)
         return _text(
             "text", f"{bands} {certificate.lot.reference_unit}" if bands else "no estimate lies in the calibrated range"
         )

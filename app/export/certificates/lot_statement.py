@@ -14,17 +14,17 @@ from softcal.app.calibration.release import statement_provenance
 from softcal.app.export.certificates import parts
 from softcal.app.paper.fonts import BOLD, marked_up, printable_serial
 from softcal.app.texts.catalogue import text
-from softcal.app.texts.reasons import Words, said
+from softcal.app.texts.reasons import Translator, render_reason
 from softcal.core.lot import Lot
 from softcal.core.quality.lot_release import LotRelease, any_form
-from softcal.core.quality.lot_standing import LotStanding, Way
+from softcal.core.quality.lot_status import Disposition, LotStatus
 from softcal.db.provenance import Provenance
 from softcal.db.registry import Registry
 
 MAX_AUDITS, MAX_SERIALS, MAX_WITHHELD = 10, 20, 6
 """Rows and serials that fit one page; of the rest the page says how many."""
 
-ENGLISH: Words = partial(text, "en")
+ENGLISH: Translator = partial(text, "en")
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class LotStatement:
     """
 
     lot: Lot
-    standing: LotStanding
+    standing: LotStatus
     decided: LotRelease
     provenance: Provenance
     sample: Sample
@@ -47,16 +47,16 @@ class LotStatement:
     is_simulated: bool = False
 
 
-def build_lot_statement(registry: Registry, standing: LotStanding, decided: LotRelease) -> LotStatement:
-    """Return the content of the page on a lot (`decided`: of its unmeasured units)."""
-    lot_id = standing.lot_id
+def build_lot_statement(registry: Registry, status: LotStatus, release: LotRelease) -> LotStatement:
+    """Return the content of the page on a lot (`release`: of its unmeasured units)."""
+    lot_id = status.lot_id
     calibrated = next(u.serial for u in registry.lots.units(lot_id) if u.role == "target" and u.revision is not None)
     fit = registry.calibrations.get(calibrated, lot_id=lot_id).state.fit
-    provenance = statement_provenance(registry, standing)
+    provenance = statement_provenance(registry, status)
     return LotStatement(
         lot=registry.lots.get(lot_id),
-        standing=standing,
-        decided=decided,
+        standing=status,
+        decided=release,
         provenance=provenance,
         sample=audited_sample(registry, lot_id),
         identifier=f"{lot_id} {datetime.fromisoformat(provenance.made_at):%Y-%m-%d %H:%M} UTC",
@@ -64,7 +64,7 @@ def build_lot_statement(registry: Registry, standing: LotStanding, decided: LotR
     )
 
 
-def lot_statement_pdf(statement: LotStatement, render: Words = ENGLISH) -> bytes:
+def lot_statement_pdf(statement: LotStatement, render: Translator = ENGLISH) -> bytes:
     """Return the page in the language of `render`: the same bytes for the same facts."""
     page = parts.Document(
         title=render("paper.title", lot=statement.lot.id),
@@ -74,10 +74,10 @@ def lot_statement_pdf(statement: LotStatement, render: Words = ENGLISH) -> bytes
         created_on=datetime.fromisoformat(statement.provenance.made_at).date(),
         across=render("paper.simulated") if statement.is_simulated else "",
     )
-    lot, limit, standing = statement.lot, statement.decided.limit, statement.standing
-    counts = [f"{render(f'verdict.{word}')} {count}" for word, count in standing.counts.items() if count]
+    lot, limit, status = statement.lot, statement.decided.limit, statement.standing
+    counts = [f"{render(f'verdict.{word}')} {count}" for word, count in status.counts.items() if count]
     model = lot.sensor_model or render("paper.no_model")
-    origin, unit = said(limit.origin, render), lot.reference_unit
+    origin, unit = render_reason(limit.origin, render), lot.reference_unit
     record = statement.provenance
     details = {"made_at": record.made_at[:16], "actor": record.actor, "build": record.build[:8]}
     details |= {"method": record.method[:8], "id": record.id[:8]}
@@ -88,17 +88,17 @@ def lot_statement_pdf(statement: LotStatement, render: Words = ENGLISH) -> bytes
         (render("paper.counts"), ", ".join(counts) or render("paper.none")),
         (render("paper.made"), render("paper.made.is", **details)),
     ]
-    for name, units in (("waiting", standing.on(Way.WAITING)), ("withdrawn", standing.withdrawn)):
+    for name, units in (("waiting", status.on(Disposition.WAITING)), ("withdrawn", status.withdrawn)):
         if units:
             serials = [unit.serial for unit in units]
             lot_rows.append((render(f"paper.{name}"), _serials(serials, render, MAX_WITHHELD)))
-    sampled = [unit.serial for unit in standing.on(Way.SAMPLED)]
+    sampled = [unit.serial for unit in status.on(Disposition.SAMPLED)]
     verdict, word = ("pass", "paper.given") if sampled else ("fail", "paper.not_given")
     colour = parts.VERDICT_COLOURS[verdict]
     story: list[Flowable] = [
         Paragraph(marked_up(page.title), parts.style(18, BOLD)),
         Spacer(1, 2 * mm),
-        parts.marked(render(word), colour, [said(statement.decided.statement, render)], 10),
+        parts.verdict_block(render(word), colour, [render_reason(statement.decided.statement, render)], 10),
         *parts.section(render("paper.lot"), parts.property_table(lot_rows)),
         *parts.section(render("paper.evidence"), parts.property_table(_evidence_rows(statement, render))),
         *parts.section(render("paper.audited"), _audit_table(statement, render)),
@@ -109,8 +109,8 @@ def lot_statement_pdf(statement: LotStatement, render: Words = ENGLISH) -> bytes
     return parts.archival(parts.document_pdf(story, page), page)
 
 
-def _evidence_rows(statement: LotStatement, render: Words) -> list[tuple[str, str]]:
-    criterion, release = statement.decided.config, statement.decided.found
+def _evidence_rows(statement: LotStatement, render: Translator) -> list[tuple[str, str]]:
+    criterion, release = statement.decided.config, statement.decided.decision
     audits, limit = statement.decided.audits, statement.decided.limit.maximum_rmse
     lots = sorted({audit.lot_id or statement.lot.id for audit in audits})
     counts = {"audits": len(audits), "beyond": sum(audit.measured_rmse > limit for audit in audits)}
@@ -125,10 +125,10 @@ def _evidence_rows(statement: LotStatement, render: Words) -> list[tuple[str, st
     if release is not None and np.isfinite(release.factor):
         rows.append((render("paper.factor"), render("paper.factor.is", factor=release.factor)))
     form = any_form(release) if release is not None and statement.decided.released else None
-    return rows if form is None else [*rows, (render("paper.any_form"), said(form, render))]
+    return rows if form is None else [*rows, (render("paper.any_form"), render_reason(form, render))]
 
 
-def _audit_table(statement: LotStatement, render: Words) -> Flowable:
+def _audit_table(statement: LotStatement, render: Translator) -> Flowable:
     audits, limit = sorted(statement.decided.audits, key=lambda audit: -audit.ratio), statement.decided.limit
     if not audits:
         return parts.paragraph(render("paper.none"))
@@ -143,7 +143,7 @@ def _audit_table(statement: LotStatement, render: Words) -> Flowable:
     return parts.text_table(rows, [parts.WIDTH / 6] * 6, 7)
 
 
-def _serials(serials: Sequence[str], render: Words, max_count: int = MAX_SERIALS) -> str:
+def _serials(serials: Sequence[str], render: Translator, max_count: int = MAX_SERIALS) -> str:
     if not serials:
         return render("paper.none")
     values = {"count": len(serials), "serials": ", ".join(map(printable_serial, serials[:max_count]))}

@@ -23,7 +23,7 @@ MARGIN = 18 * mm
 WIDTH = A4[0] - 2 * MARGIN
 FRAME_PADDING = 6  # ReportLab's own, inside the margins
 INK, QUIET, RULE = colors.HexColor("#1a1f26"), colors.HexColor("#5a6472"), colors.HexColor("#c9d0d8")
-ACROSS = colors.HexColor("#f3d9d7")
+WATERMARK = colors.HexColor("#f3d9d7")
 VERDICT_COLOURS = {"pass": "#1b7f3b", "conditional": "#8a6100", "fail": "#b3261e", "retest": "#5a6472"}
 """Of paper. Screens have others (`charts.palette`); an issued certificate must come out again byte for byte."""
 
@@ -81,12 +81,12 @@ class _NumberedCanvas(Canvas):  # type: ignore[misc]
     def __init__(self, *arguments: object, page: Document, **options: object) -> None:
         super().__init__(*arguments, **options)
         self._page, self._pages = page, list[dict[str, object]]()
-        self._across()
+        self._draw_watermark()
 
     def showPage(self) -> None:  # noqa: N802  (a name of ReportLab's)
         self._pages.append(dict(self.__dict__))
         self._startPage()
-        self._across()
+        self._draw_watermark()
 
     def save(self) -> None:
         pages = self._pages
@@ -100,12 +100,12 @@ class _NumberedCanvas(Canvas):  # type: ignore[misc]
             super().showPage()
         super().save()
 
-    def _across(self) -> None:
+    def _draw_watermark(self) -> None:
         """Write the word across the page, below all that follows."""
         if not self._page.across:
             return
         self.saveState()
-        self.setFillColor(ACROSS)
+        self.setFillColor(WATERMARK)
         word = [(BOLD, self._page.across)] if has_all(BOLD, self._page.across) else runs_of(self._page.across)
         self.translate(A4[0] / 2, A4[1] / 2)
         self.rotate(54)
@@ -163,12 +163,12 @@ def flush() -> TableStyle:
     return TableStyle([EMBEDDED, ("LEFTPADDING", (0, 0), (-1, -1), 0), ("VALIGN", (0, 0), (-1, -1), "TOP")])
 
 
-def marked(word: str, colour: str, texts: Sequence[str], size: float = 8) -> Table:
+def verdict_block(word: str, colour: str, texts: Sequence[str], size: float = 8) -> Table:
     """Return a verdict with its text, and a bar in the verdict's colour on the left."""
     heading = Paragraph(f'<font color="{colour}">{marked_up(word)}</font>', style(13, BOLD))
     bar = ("LINEBEFORE", (0, 0), (0, -1), 3, colors.HexColor(colour))
-    look = TableStyle([EMBEDDED, bar, ("LEFTPADDING", (0, 0), (-1, -1), 8)])
-    return Table([[[heading, *(paragraph(text, size) for text in texts)]]], colWidths=[WIDTH], style=look)
+    table_style = TableStyle([EMBEDDED, bar, ("LEFTPADDING", (0, 0), (-1, -1), 8)])
+    return Table([[[heading, *(paragraph(text, size) for text in texts)]]], colWidths=[WIDTH], style=table_style)
 
 
 def paragraph(text: str, size: float = 8, colour: colors.Color = INK) -> Paragraph:
@@ -191,7 +191,7 @@ class Attachment:
     description: str
 
 
-def archival(content: bytes, page: Document, attached: Attachment | None = None) -> bytes:
+def archival(content: bytes, page: Document, attachment: Attachment | None = None) -> bytes:
     """Return a PDF as PDF/A-3, with a file inside where one is given."""
     created_at = datetime.combine(page.created_on, time(), UTC)
     stamp = f"D:{created_at:%Y%m%d%H%M%S}+00'00'"
@@ -220,12 +220,12 @@ def archival(content: bytes, page: Document, attached: Attachment | None = None)
             DestOutputProfile=pdf.make_stream(bytes(profile), N=3, Alternate=pikepdf.Name.DeviceRGB),
         )
         pdf.Root.OutputIntents = pikepdf.Array([pdf.make_indirect(intent)])  # noqa: V101
-        if attached is not None:
-            named = {"filename": attached.name, "description": attached.description, "mime_type": "text/xml"}
+        if attachment is not None:
+            attributes = {"filename": attachment.name, "description": attachment.description, "mime_type": "text/xml"}
             days = {"creation_date": stamp, "mod_date": stamp}
-            file = pikepdf.AttachedFileSpec(pdf, attached.content, **named, **days)
+            file = pikepdf.AttachedFileSpec(pdf, attachment.content, **attributes, **days)
             file.obj.AFRelationship = pikepdf.Name.Alternative  # noqa: V101
-            pdf.attachments[attached.name] = file
+            pdf.attachments[attachment.name] = file
             pdf.Root.AF = pikepdf.Array([file.obj])  # noqa: V101
         pdf.save(result, deterministic_id=True, object_stream_mode=pikepdf.ObjectStreamMode.disable)
     return result.getvalue()

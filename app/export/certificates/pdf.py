@@ -13,16 +13,16 @@ from reportlab.platypus import Flowable, Paragraph, Spacer, Table
 from softcal.app.export.certificates import parts
 from softcal.app.export.certificates.content import Certificate, band_range
 from softcal.app.export.certificates.dcc import certificate_xml
-from softcal.app.export.certificates.laboratory import NO_COUNTRY, NOT_STATED, Party
 from softcal.app.export.certificates.statements import DECISION_RULE, ONLY_THIS
-from softcal.app.paper.drawing import fitted
+from softcal.app.export.laboratory import NO_COUNTRY, NOT_STATED, Party
+from softcal.app.paper.drawing import fit_drawing
 from softcal.app.paper.fonts import BOLD, printable_serial, writable
 from softcal.core.lot import escape_serial
-from softcal.core.messages.figures import with_decimals, written_uncertainty, written_value
+from softcal.core.messages.figures import format_uncertainty, format_value, with_decimals
 from softcal.core.unit.uncertainty import ErrorForecast
 
 CURVE, BAND = "#0b5cad", "#bcd6f2"
-SHOWN_S = 20.0
+MAX_PLOT_S = 20.0
 """So much of a recording is shown: several presses, and the interval can be seen."""
 
 MAX_POINTS = 1200
@@ -31,7 +31,7 @@ MAX_POINTS = 1200
 
 def certificate_pdf(certificate: Certificate) -> bytes:
     """Return the document: PDF/A-3 with the DCC of the same facts inside."""
-    attached = parts.Attachment(
+    attachment = parts.Attachment(
         f"certificate-{escape_serial(certificate.serial)}.xml", certificate_xml(certificate), "The same facts as a DCC"
     )
     certificate = replace(
@@ -65,23 +65,23 @@ def certificate_pdf(certificate: Certificate) -> bytes:
         unit, first = certificate.lot.reference_unit, 38 * mm
         rows = [
             [f"Estimate, {unit}", *(band_range(band) for band in certificate.bands)],
-            [f"U_est (k = 2), {unit}", *(written_uncertainty(band.expanded) for band in certificate.bands)],
+            [f"U_est (k = 2), {unit}", *(format_uncertainty(band.expanded) for band in certificate.bands)],
         ]
         widths = [first, *[(parts.WIDTH - first) / len(certificate.bands)] * len(certificate.bands)]
         bands = parts.text_table(rows, widths, 8)
-    recorded = f"Estimates of the unit's own recording with U_est (k = 2), first {SHOWN_S:g} s"
+    estimates_title = f"Estimates of the unit's own recording with U_est (k = 2), first {MAX_PLOT_S:g} s"
     story = [
         Table([[head, picture]], colWidths=[parts.WIDTH - 26 * mm, 26 * mm], style=parts.flush()),
         Spacer(1, 4 * mm),
-        parts.marked(
+        parts.verdict_block(
             word, colour, certificate.reasons if has_statement else (certificate.no_statement, certificate.traceability)
         ),
         *parts.section("Unit and parties", parts.property_table(_unit_rows(certificate))),
         *parts.section("Result", parts.property_table(_result_rows(certificate))),
         *parts.section("Expanded uncertainty of an estimate, U_est (k = 2)", bands),
         *_budget(certificate),
-        *parts.section(recorded, fitted(_estimates(certificate), parts.WIDTH)),
-        *parts.section("Map from the unit's output to the source's", fitted(_map(certificate), parts.WIDTH / 2)),
+        *parts.section(estimates_title, fit_drawing(_estimates(certificate), parts.WIDTH)),
+        *parts.section("Map from the unit's output to the source's", fit_drawing(_map(certificate), parts.WIDTH / 2)),
         *parts.section("Traceability", parts.property_table(_trace_rows(certificate))),
         *parts.section("Method", parts.paragraph(certificate.method)),
         *parts.section("Decision rule", parts.paragraph(DECISION_RULE)),
@@ -89,29 +89,29 @@ def certificate_pdf(certificate: Certificate) -> bytes:
         *parts.section("Scope", parts.paragraph(ONLY_THIS)),
         *parts.section("End of the certificate", parts.paragraph(f"Issued on {issued_on}.")),
     ]
-    return parts.archival(parts.document_pdf(story, page), page, attached)
+    return parts.archival(parts.document_pdf(story, page), page, attachment)
 
 
 def _estimates(certificate: Certificate) -> go.Figure:
     """Plot the estimates of the unit's own recording over time, with U_est."""
     estimated, figure = certificate.estimated, go.Figure()
     rows = np.flatnonzero(np.isfinite(estimated.estimate))
-    rows = rows[estimated.t_s[rows] <= estimated.t_s[rows[0]] + SHOWN_S]
+    rows = rows[estimated.t_s[rows] <= estimated.t_s[rows[0]] + MAX_PLOT_S]
     rows = rows[:: max(1, math.ceil(len(rows) / MAX_POINTS))]
     t_s, band = estimated.t_s[rows], np.concatenate([estimated.lower[rows], estimated.upper[rows][::-1]])
     figure.add_scatter(x=np.concatenate([t_s, t_s[::-1]]), y=band, fill="toself", fillcolor=BAND)
     figure.add_scatter(x=t_s, y=estimated.estimate[rows], line={"color": CURVE, "width": 1.3})
-    return _titled(figure, "t, s", f"{certificate.lot.reference_quantity}, {certificate.lot.reference_unit}")
+    return _set_axis_titles(figure, "t, s", f"{certificate.lot.reference_quantity}, {certificate.lot.reference_unit}")
 
 
 def _map(certificate: Certificate) -> go.Figure:
     """Plot the source output γ(x) for each steady output x of the unit."""
     figure, unit = go.Figure(), certificate.lot.output_unit
     figure.add_scatter(x=certificate.output, y=certificate.mapped, line={"color": CURVE, "width": 2.2})
-    return _titled(figure, f"output of unit {certificate.serial}, {unit}", f"source output, {unit}")
+    return _set_axis_titles(figure, f"output of unit {certificate.serial}, {unit}", f"source output, {unit}")
 
 
-def _titled(figure: go.Figure, x_title: str, y_title: str) -> go.Figure:
+def _set_axis_titles(figure: go.Figure, x_title: str, y_title: str) -> go.Figure:
     figure.update_xaxes(title=x_title).update_yaxes(title=y_title)
     return figure.update_layout(height=210, margin={"l": 72, "r": 16, "t": 28, "b": 48}, showlegend=False)
 
@@ -127,8 +127,8 @@ def _unit_rows(certificate: Certificate) -> list[tuple[str, str]]:
         ("Unit", f"{certificate.serial}{model}, lot {lot.id}"),
         ("Calibration", f"revision {certificate.revision}{reason}"),
         ("Quantity", f"{lot.reference_quantity} in {lot.reference_unit} from output in {lot.output_unit}"),
-        ("Recording", certificate.recorded),
-        ("Performed", certificate.performed),
+        ("Recording", certificate.recording_summary),
+        ("Performed", certificate.performance_days),
         ("Place", certificate.location),
         ("Received", f"{received.isoformat() if received else NOT_STATED}; condition: {performance.condition}"),
         ("Conditions", ", ".join(conditions) or NOT_STATED),
@@ -148,28 +148,28 @@ def _stated_parts(*parts: str) -> str:
 
 
 def _result_rows(certificate: Certificate) -> list[tuple[str, str]]:
-    unit, covered = certificate.lot.reference_unit, "the unit's recording reaches none of it"
+    unit, covered_range = certificate.lot.reference_unit, "the unit's recording reaches none of it"
     if certificate.bands:
         finest = min(band.expanded for band in certificate.bands)
-        covered = f"{written_value(certificate.low, finest)} to {written_value(certificate.high, finest)} {unit}"
+        covered_range = f"{format_value(certificate.low, finest)} to {format_value(certificate.high, finest)} {unit}"
     before = (
         "unknown" if certificate.before is None else f"{with_decimals(certificate.before, certificate.decimals)} {unit}"
     )
     return [
-        ("Calibrated range", covered),
+        ("Calibrated range", covered_range),
         ("Predicted error (RMSE)", _error(certificate, certificate.forecast, "none could be made")),
         ("Measured error (RMSE)", _error(certificate, certificate.measured, "none with this map")),
         ("Without calibration", before),
         *(
-            (name, f"{_deciding(certificate, name, value)}{f' ({note})' if note else ''}")
-            for name, value, note in certificate.deciding
+            (name, f"{_render_number(certificate, name, value)}{f' ({note})' if note else ''}")
+            for name, value, note in certificate.decision_numbers
         ),
         ("Statement of conformity", certificate.conformity or "none"),
         ("Verdict of the line", f"{certificate.verdict}; {'; '.join(certificate.reasons)}"),
     ]
 
 
-def _deciding(certificate: Certificate, name: str, value: float | None) -> str:
+def _render_number(certificate: Certificate, name: str, value: float | None) -> str:
     if value is None:
         return NOT_STATED
     symbol, unit = name.partition(":")[0], certificate.lot.reference_unit
@@ -177,8 +177,8 @@ def _deciding(certificate: Certificate, name: str, value: float | None) -> str:
     is_stated = symbol == "TL" and certificate.limit is not None and certificate.limit.is_stated
     if is_stated:
         return f"{value:.10g} {unit}"
-    shown = written_uncertainty(value) if symbol == "U_ref" else with_decimals(value, certificate.decimals)
-    return f"{shown} {unit}"
+    text = format_uncertainty(value) if symbol == "U_ref" else with_decimals(value, certificate.decimals)
+    return f"{text} {unit}"
 
 
 def _error(certificate: Certificate, error: ErrorForecast | None, otherwise: str) -> str:
@@ -187,25 +187,27 @@ def _error(certificate: Certificate, error: ErrorForecast | None, otherwise: str
     ends, unit = certificate.interval_of(error), certificate.lot.reference_unit
     if ends is None:
         return f"{with_decimals(error.rmse, certificate.decimals)} {unit}"
-    low, rmse, high = (written_value(value, error.upper - error.rmse) for value in (ends[0], error.rmse, ends[1]))
+    low, rmse, high = (format_value(value, error.upper - error.rmse) for value in (ends[0], error.rmse, ends[1]))
     return f"{rmse} {unit} (95 %: {low} to {high} {unit})"
 
 
 def _trace_rows(certificate: Certificate) -> list[tuple[str, str]]:
-    named, cell = certificate.laboratory.load_cell, certificate.reference
+    device, cell = certificate.laboratory.load_cell, certificate.reference
     rows = [("Chain", f"{certificate.traceability} {certificate.basis}")]
     if cell is None or cell.is_simulated or not cell.certificate:
-        message = f"{_stated_parts(named.manufacturer, named.model, named.serial)}; certificate: {named.certificate}"
-        is_named = named.serial != NOT_STATED or named.certificate != NOT_STATED
-        return [*rows, ("Load cell named", f"{message}; no verdict was made with it")] if is_named else rows
+        message = (
+            f"{_stated_parts(device.manufacturer, device.model, device.serial)}; certificate: {device.certificate}"
+        )
+        has_device = device.serial != NOT_STATED or device.certificate != NOT_STATED
+        return [*rows, ("Load cell named", f"{message}; no verdict was made with it")] if has_device else rows
     uncertainty, unit = NOT_STATED, certificate.lot.reference_unit
     if cell.uncertainty is not None:
         uncertainty = f"U_cell = {cell.uncertainty:g} {unit}, k = {cell.coverage_factor:g}"
     days = [day.isoformat() if day else NOT_STATED for day in (cell.issued_on, cell.due_on)]
-    by = cell.laboratory or named.laboratory
+    by = cell.laboratory or device.laboratory
     return [
         *rows,
-        ("Reference", f"{_stated_parts(named.manufacturer, named.model)}; serial: {cell.cell or named.serial}"),
+        ("Reference", f"{_stated_parts(device.manufacturer, device.model)}; serial: {cell.cell or device.serial}"),
         ("Its certificate", f"{cell.certificate}; by: {by}; issued: {days[0]}; due: {days[1]}"),
         ("Its uncertainty", uncertainty),
     ]
@@ -219,13 +221,13 @@ def _budget(certificate: Certificate) -> list[Flowable]:
     head = ["contribution", f"value, {unit} or K", "distribution", "divisor", "sensitivity", f"u, {unit}"]
     rows = [
         [
-            *(c.name, written_uncertainty(c.value), c.distribution, f"{c.divisor:.4g}", f"{c.sensitivity:.3g}"),
-            written_uncertainty(c.standard),
+            *(c.name, format_uncertainty(c.value), c.distribution, f"{c.divisor:.4g}", f"{c.sensitivity:.3g}"),
+            format_uncertainty(c.standard),
         ]
         for c in budget.contributions
     ]
-    rows.append(["combined", "", "", "", "", written_uncertainty(budget.standard)])
-    rows.append(["expanded, k = 2", "", "normal", "", "", f"U_est = {written_uncertainty(budget.expanded)}"])
+    rows.append(["combined", "", "", "", "", format_uncertainty(budget.standard)])
+    rows.append(["expanded, k = 2", "", "normal", "", "", f"U_est = {format_uncertainty(budget.expanded)}"])
     first = 48 * mm
     table = parts.text_table([head, *rows], [first, *[(parts.WIDTH - first) / 5] * 5], 7)
     note = (

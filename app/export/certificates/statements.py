@@ -52,7 +52,7 @@ DECISION_RULE = (
     "expanded uncertainty of one estimate, decides nothing. The guard band is E_upper - E (ILAC-G8:09/2019, 4.2.3)."
 )
 
-WITHHELD: Mapping[str, str] = {
+WITHHOLDING_REASONS: Mapping[str, str] = {
     "simulated": "no real unit was calibrated",
     "no_limit": "no limit was stated",
     "no_reference": "nobody stated what the source was compared with",

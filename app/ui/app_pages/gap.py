@@ -7,15 +7,15 @@ import streamlit as st
 
 from softcal.app.charts import gap as gap_figures
 from softcal.app.charts.gap_page import gap_page
-from softcal.app.charts.style import coloured
-from softcal.app.gap.desk import cases, cases_folder, has_sealed_rig, practise, run_views_of, store_upload, truth
+from softcal.app.charts.style import apply_theme
+from softcal.app.gap.page_cases import cases, cases_folder, has_sealed_rig, practise, run_views_of, store_upload, truth
 from softcal.app.ui.account import allows, permit
-from softcal.app.ui.actions import download, refusals_in_words
+from softcal.app.ui.actions import download, show_refusals
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
 from softcal.app.ui.components.sign_in import ask_sign_in
-from softcal.app.ui.desk import colours, empty, instant, named, say, words
 from softcal.app.ui.panels import Link, heading, numbers, rest_may_follow, show_figure, table
-from softcal.app.ui.server_memory import registry
+from softcal.app.ui.presentation import colours, current_translator, empty, format_instant, label_formatter, translate
+from softcal.app.ui.server_cache import registry
 from softcal.app.views import gap
 from softcal.app.views.common import percent
 from softcal.app.views.gap import Report
@@ -31,7 +31,7 @@ ICONS = {
     "unknown": "help",
     "data": "report",
 }
-SHOWN_CAUSES, MAX_LISTED = 8, 20
+MAX_CAUSES, MAX_LISTED = 8, 20
 
 
 def render() -> None:
@@ -41,17 +41,17 @@ def render() -> None:
         return
     case, jobs = str(st.query_params.get("case", "")), _diagnoses()
     with heading("gap"):
-        if case and st.button(say("gap.list"), icon=":material/list:", key="gap-list"):
+        if case and st.button(translate("gap.list"), icon=":material/list:", key="gap-list"):
             st.query_params.clear()
             st.rerun()
     if case:
         _case(Path(case), jobs)
         return
     _list(jobs)
-    known = [str(known) for known in cases()]
-    if undone := [known for known in known if known not in {job.request["case"] for job in jobs}]:
-        table({say("gap.case"): _case_link(case)} for case in undone)
-    _add(is_first=not known)
+    paths = [str(paths) for paths in cases()]
+    if undone := [paths for paths in paths if paths not in {job.request["case"] for job in jobs}]:
+        table({translate("gap.case"): _case_link(case)} for case in undone)
+    _add(is_first=not paths)
 
 
 def _diagnoses() -> list[Job]:
@@ -60,7 +60,7 @@ def _diagnoses() -> list[Job]:
 
 
 def _case_link(case: str, job_id: str = "", text: str = "") -> Link:
-    return Link(text or _shown(case), "gap", (("case", case), *((("job", job_id),) if job_id else ())))
+    return Link(text or _short_path(case), "gap", (("case", case), *((("job", job_id),) if job_id else ())))
 
 
 def _list(jobs: list[Job]) -> None:
@@ -68,15 +68,15 @@ def _list(jobs: list[Job]) -> None:
     rows = []
     for brief in jobs:
         report = registry().job_board.job(brief.job_id).result
-        shrink = report.get("shrink", {})
+        explained_fractions = report.get("shrink", {})
         rows.append(
             {
-                say("column.made"): instant(brief.created),
-                say("gap.case"): _case_link(brief.request["case"], brief.job_id),
-                say("gap.says"): say(f"gap.verdict.{report['verdict']}"),
-                say("gap.column.effect"): ", ".join(gap.named_causes(report, say)),
-                say("gap.held_out"): percent(shrink.get("held_out")),
-                say("column.actor"): brief.actor,
+                translate("column.made"): format_instant(brief.created),
+                translate("gap.case"): _case_link(brief.request["case"], brief.job_id),
+                translate("gap.says"): translate(f"gap.verdict.{report['verdict']}"),
+                translate("gap.column.effect"): ", ".join(gap.cause_names(report, translate)),
+                translate("gap.held_out"): percent(explained_fractions.get("held_out")),
+                translate("column.actor"): brief.actor,
             }
         )
     if rows:
@@ -87,11 +87,11 @@ def _list(jobs: list[Job]) -> None:
 
 def _case(case: Path, jobs: list[Job]) -> None:
     """Draw the diagnosis of a case that the address names, else its newest, and another one beside it."""
-    st.caption(_shown(str(case)))
-    job, asked = newest_job("diagnose", case=str(case)), str(st.query_params.get("job", ""))
-    if asked and (job is None or not is_running(job)):
-        job = registry().job_board.job(asked)
-    label = say("gap.diagnose" if job is None else "gap.diagnose.again")
+    st.caption(_short_path(str(case)))
+    job, requested_id = newest_job("diagnose", case=str(case)), str(st.query_params.get("job", ""))
+    if requested_id and (job is None or not is_running(job)):
+        job = registry().job_board.job(requested_id)
+    label = translate("gap.diagnose" if job is None else "gap.diagnose.again")
     if st.button(label, type="primary" if job is None else "secondary", disabled=is_running(job), key="diagnose"):
         st.query_params.pop("job", None)
         begin_job("diagnose", case=str(case))
@@ -99,60 +99,65 @@ def _case(case: Path, jobs: list[Job]) -> None:
     if job is None or not job_panel(job):
         return
     others = {other.job_id: other for other in jobs if other.job_id != job.job_id}
-    beside = None
+    other_id = None
     if others:
-        names = {key: f"{_shown(other.request['case'])} · {instant(other.created)}" for key, other in others.items()}
-        label, unset = say("gap.beside"), say("choose.some")
-        beside = st.selectbox(label, list(names), None, names.__getitem__, key="gap-beside", placeholder=unset)
-    if beside is None:
+        names = {
+            key: f"{_short_path(other.request['case'])} · {format_instant(other.created)}"
+            for key, other in others.items()
+        }
+        label, unset = translate("gap.beside"), translate("choose.some")
+        other_id = st.selectbox(label, list(names), None, names.__getitem__, key="gap-beside", placeholder=unset)
+    if other_id is None:
         gap_report(job, case)
         return
-    for column, one in zip(st.columns(2), (job, registry().job_board.job(beside)), strict=True):
+    for column, one in zip(st.columns(2), (job, registry().job_board.job(other_id)), strict=True):
         with column:
-            st.caption(f"{_shown(one.request['case'])} · {instant(one.created)}")
+            st.caption(f"{_short_path(one.request['case'])} · {format_instant(one.created)}")
             _verdict(one.result)
-            _rows(gap.cause_rows(one.result, say), gap.no_cause_words(one.result, say))
+            _rows(gap.cause_rows(one.result, translate), gap.no_cause_text(one.result, translate))
 
 
 def _add(is_first: bool) -> None:
     """Draw the ways to a new case."""
-    with st.expander(say("gap.add"), icon=":material/add:", expanded=is_first):
-        folder, upload, rig = st.tabs([say("gap.add.folder"), say("gap.add.upload"), say("gap.add.rig")])
+    with st.expander(translate("gap.add"), icon=":material/add:", expanded=is_first):
+        folder, upload, rig = st.tabs(
+            [translate("gap.add.folder"), translate("gap.add.upload"), translate("gap.add.rig")]
+        )
         with folder, st.form("case-folder", border=False):
-            path = str(st.text_input(say("gap.folder"), placeholder="/data/rig-7")).strip()
-            st.caption(say("gap.folder.how"))
-            if st.form_submit_button(say("gap.folder.do")) and path:
+            path = str(st.text_input(translate("gap.folder"), placeholder="/data/rig-7")).strip()
+            st.caption(translate("gap.folder.how"))
+            if st.form_submit_button(translate("gap.folder.do")) and path:
                 permit("set_up")
                 if Path(path).is_dir():
                     _open(Path(path).resolve())
-                st.error(say("gap.folder.none", path=path), icon=":material/error:")
+                st.error(translate("gap.folder.none", path=path), icon=":material/error:")
         with upload, st.form("case-upload", border=False):
             left, right = st.columns(2)
-            name = str(left.text_input(say("gap.name"), placeholder="rig-7"))
-            serial = str(right.text_input(say("column.serial"), placeholder="A17"))
+            name = str(left.text_input(translate("gap.name"), placeholder="rig-7"))
+            serial = str(right.text_input(translate("column.serial"), placeholder="A17"))
             values: dict[str, object] = {"serial": serial.strip()}
-            for column, (key, usual) in zip(st.columns(len(METADATA)), METADATA, strict=True):
-                least = 1 if key == "adc_bits" else type(usual)(1e-3)
-                values[key] = column.number_input(key, value=usual, min_value=least)
-            sensors, said = ("pressure", "strain"), named("gap.sensor")
-            values["sensor_type"] = st.selectbox(say("gap.sensor"), sensors, format_func=said)
-            files = st.file_uploader(say("gap.files"), type=["csv"], accept_multiple_files=True)
-            st.caption(say("gap.files.how"))
-            is_sent = st.form_submit_button(say("gap.upload.do"))
+            for column, (key, default) in zip(st.columns(len(METADATA)), METADATA, strict=True):
+                min_value = 1 if key == "adc_bits" else type(default)(1e-3)
+                values[key] = column.number_input(key, value=default, min_value=min_value)
+            sensors, sensor_label = ("pressure", "strain"), label_formatter("gap.sensor")
+            values["sensor_type"] = st.selectbox(translate("gap.sensor"), sensors, format_func=sensor_label)
+            files = st.file_uploader(translate("gap.files"), type=["csv"], accept_multiple_files=True)
+            st.caption(translate("gap.files.how"))
+            is_sent = st.form_submit_button(translate("gap.upload.do"))
         with upload:
             if is_sent:
                 permit("set_up")
-                with refusals_in_words():
+                with show_refusals():
                     _open(store_upload(name.strip(), [file.getvalue() for file in files], values))
         with rig:
-            st.caption(say("gap.rig.how"))
-            if st.button(say("gap.rig.do"), icon=":material/casino:"):
+            st.caption(translate("gap.rig.how"))
+            if st.button(translate("gap.rig.do"), icon=":material/casino:"):
                 permit("set_up")
-                with st.spinner(say("gap.rig.wait")):
+                with st.spinner(translate("gap.rig.wait")):
                     _open(practise())
 
 
-def _shown(path: str) -> str:
+def _short_path(path: str) -> str:
     folder = Path(path)
     return str(folder.relative_to(cases_folder())) if folder.is_relative_to(cases_folder()) else path
 
@@ -165,103 +170,109 @@ def _open(case: Path) -> None:
 
 def gap_report(job: Job, case: Path) -> None:
     """Draw the diagnosis a job has left."""
-    report, board, texts = job.result, registry().job_board, words()
+    report, board, texts = job.result, registry().job_board, current_translator()
     is_data = report["verdict"] == "data"
     _verdict(report)
     if not is_data:
-        _figure(gap_figures.ranking_figure(report, SHOWN_CAUSES, say, colours()), "ranking")
+        _figure(gap_figures.ranking_figure(report, MAX_CAUSES, translate, colours()), "ranking")
 
     def page() -> str:
         return gap_page(report, run_views_of(report, board.arrays(job)), report["serial"], texts)
 
     # The standalone page in the language of the screen.
-    download(say("gap.page.save"), f"{case.name}-gap.html", page, "gap-page")
+    download(translate("gap.page.save"), f"{case.name}-gap.html", page, "gap-page")
     # The figures of recordings with a mistake would show the mistake as a gap.
     if is_data and has_sealed_rig(case):
         _truth(case)
     if is_data or not rest_may_follow():
         return
     runs = run_views_of(report, board.arrays(job))
-    st.header(say("gap.where"))
-    if (figure := gap_figures.chain_figure(report, say, colours())) is not None:
+    st.header(translate("gap.where"))
+    if (figure := gap_figures.chain_figure(report, translate, colours())) is not None:
         _figure(figure, "chain")
-    _rows(gap.place_rows(report, say), say("gap.where.none"))
+    _rows(gap.location_rows(report, translate), translate("gap.where.none"))
     for channel in gap_figures.CHANNELS:
-        figure = gap_figures.map_figure(runs, channel, say)
+        figure = gap_figures.map_figure(runs, channel, translate)
         if figure is not None:
             _figure(figure, f"map-{channel}")
-    st.header(say("gap.why"))
-    _rows(gap.cause_rows(report, say), gap.no_cause_words(report, say))
-    for group in gap.ambiguous_groups(report, say):
-        st.warning(say("gap.ambiguous", group=group), icon=":material/call_split:")
+    st.header(translate("gap.why"))
+    _rows(gap.cause_rows(report, translate), gap.no_cause_text(report, translate))
+    for group in gap.ambiguous_groups(report, translate):
+        st.warning(translate("gap.ambiguous", group=group), icon=":material/call_split:")
     left, right = st.columns(2)
     with left:
-        st.header(say("gap.gain"))
-        _figure(gap_figures.gain_figure(report, say, colours()), "gain")
+        st.header(translate("gap.gain"))
+        _figure(gap_figures.gain_figure(report, translate, colours()), "gain")
     with right:
-        st.header(say("gap.sure"))
-        if hidden := gap.hidden_effects(report, say):
-            st.caption(say("gap.hidden", effects=", ".join(hidden)))
-        if (figure := gap_figures.hidden_figure(report, say, colours())) is not None:
+        st.header(translate("gap.sure"))
+        if hidden := gap.hidden_effects(report, translate):
+            st.caption(translate("gap.hidden", effects=", ".join(hidden)))
+        if (figure := gap_figures.hidden_figure(report, translate, colours())) is not None:
             _figure(figure, "hidden")
-    if lines := gap.untold_lines(report, say):
-        st.header(say("gap.told"))
-        st.markdown("\n".join(f"- {gap.begun(line)}" for line in lines))
+    if lines := gap.unidentifiable_lines(report, translate):
+        st.header(translate("gap.told"))
+        st.markdown("\n".join(f"- {gap.capitalize(line)}" for line in lines))
     if residual := report.get("residual"):
-        st.header(say("gap.left"))
+        st.header(translate("gap.left"))
         shares = {name: percent(residual["shrink"][name]) for name in ("held_out", "low", "high")}
-        st.markdown(say("gap.left.is", **shares))
-        _rows(gap.residual_rows(report, say), say("gap.left"))
+        st.markdown(translate("gap.left.is", **shares))
+        _rows(gap.residual_rows(report, translate), translate("gap.left"))
         if residual["beside"]:
-            beside = gap.listed([gap.effect_name(effect, say) for effect in residual["beside"]], "gap.and", say)
-            st.caption(say("gap.left.beside", causes=beside, without=percent(residual["without"])))
-        st.caption(say("gap.left.span", **{name: f"{residual[name]:.3g}" for name in ("load_N", "depth_mm")}))
+            other_effects = gap.join_names(
+                [gap.effect_name(effect, translate) for effect in residual["beside"]], "gap.and", translate
+            )
+            st.caption(translate("gap.left.beside", causes=other_effects, without=percent(residual["without"])))
+        st.caption(translate("gap.left.span", **{name: f"{residual[name]:.3g}" for name in ("load_N", "depth_mm")}))
     _next(report, case)
-    with st.expander(say("gap.runs"), icon=":material/show_chart:"):
+    with st.expander(translate("gap.runs"), icon=":material/show_chart:"):
         for channel, name in gap_figures.CHANNELS.items():
-            if figure := gap_figures.trace_figure(runs, channel, say, colours()):
-                st.subheader(gap.begun(say("gap.figure.trace", channel=gap.channel_name(name, say))))
+            if figure := gap_figures.trace_figure(runs, channel, translate, colours()):
+                st.subheader(gap.capitalize(translate("gap.figure.trace", channel=gap.channel_name(name, translate))))
                 _figure(figure, f"trace-{channel}")
 
 
 def _verdict(report: Report) -> None:
     """Draw verdict, mistakes, causes, and how far they explain the gap."""
     is_data = report["verdict"] == "data"
-    st.header(f":material/{ICONS[report['verdict']]}: {say('gap.verdict.' + report['verdict'])}")
-    for row in gap.mistake_rows(report, say):
+    st.header(f":material/{ICONS[report['verdict']]}: {translate('gap.verdict.' + report['verdict'])}")
+    for row in gap.mistake_rows(report, translate):
         announce = st.error if is_data else st.warning
-        announce(say("gap.data.found", **row), icon=":material/report:")
+        announce(translate("gap.data.found", **row), icon=":material/report:")
     if is_data:
         return
-    if causes := gap.named_causes(report, say):
-        st.markdown(say("gap.causes", causes=", ".join(causes)))
+    if causes := gap.cause_names(report, translate):
+        st.markdown(translate("gap.causes", causes=", ".join(causes)))
     if report["missing_channels"]:
-        st.caption(say("gap.missing", channels=", ".join(report["missing_channels"])))
-    shrink = report["shrink"]
+        st.caption(translate("gap.missing", channels=", ".join(report["missing_channels"])))
+    explained_fractions = report["shrink"]
     cells = [
-        (say(f"gap.{name}"), percent(shrink.get(key)), say(f"gap.{name}.help"))
+        (translate(f"gap.{name}"), percent(explained_fractions.get(key)), translate(f"gap.{name}.help"))
         for name, key in (("forecast", "predicted"), ("held_out", "held_out"))
-        if shrink.get(key) is not None
+        if explained_fractions.get(key) is not None
     ]
     if cells:
         numbers(cells)
-    if shrink.get("low") is not None:
-        st.caption(say("gap.interval", low=percent(shrink["low"]), high=percent(shrink["high"])))
+    if explained_fractions.get("low") is not None:
+        st.caption(
+            translate(
+                "gap.interval", low=percent(explained_fractions["low"]), high=percent(explained_fractions["high"])
+            )
+        )
 
 
 def _next(report: Report, case: Path) -> None:
     proposed = gap.next_experiment(report)
-    st.header(say("gap.next"))
+    st.header(translate("gap.next"))
     with st.container(border=True):
         if proposed is None:
-            st.markdown(say("gap.next.none"))
+            st.markdown(translate("gap.next.none"))
         else:
             minutes = f" · {proposed['minutes']:.0f} min" if proposed.get("minutes") else ""
-            name = gap.pressed_name(str(proposed["profile"]), say)
-            st.markdown(f"**{name}**{minutes}  \n{gap.why_next(proposed, say)}")
+            name = gap.profile_name(str(proposed["profile"]), translate)
+            st.markdown(f"**{name}**{minutes}  \n{gap.next_run_reason(proposed, translate)}")
             if not has_sealed_rig(case):
-                st.caption(say("gap.next.by_hand", experiment=name))
-            elif allows("set_up") and st.button(say("gap.next.do"), type="primary", icon=":material/play_arrow:"):
+                st.caption(translate("gap.next.by_hand", experiment=name))
+            elif allows("set_up") and st.button(translate("gap.next.do"), type="primary", icon=":material/play_arrow:"):
                 begin_job("diagnose", case=str(case), experiment=str(proposed["profile"]))
                 st.rerun()
         if has_sealed_rig(case):
@@ -269,23 +280,23 @@ def _next(report: Report, case: Path) -> None:
 
 
 def _truth(case: Path) -> None:
-    if st.toggle(say("gap.truth"), key=f"truth-{case}"):
+    if st.toggle(translate("gap.truth"), key=f"truth-{case}"):
         effects, mistake = truth(case)
-        hidden = [gap.effect_name(effect, say) for effect in effects]
+        hidden = [gap.effect_name(effect, translate) for effect in effects]
         if mistake is not None:
-            values = {"mistake": gap.mistake_name(mistake.what, say), "runs": ", ".join(map(str, mistake.runs))}
-            values |= {"channel": gap.channel_name(mistake.channel, say) if mistake.channel else "–"}
+            values = {"mistake": gap.mistake_name(mistake.what, translate), "runs": ", ".join(map(str, mistake.runs))}
+            values |= {"channel": gap.channel_name(mistake.channel, translate) if mistake.channel else "–"}
             key = "gap.truth.mistake" if mistake.runs else "gap.truth.mistake.all"
-            hidden.append(say(key, **values))
-        st.markdown(say("gap.truth.is", causes=", ".join(hidden) or say("trail.nothing")))
+            hidden.append(translate(key, **values))
+        st.markdown(translate("gap.truth.is", causes=", ".join(hidden) or translate("trail.nothing")))
 
 
 def _rows(rows: list[dict[str, str]], otherwise: str) -> None:
-    table([{say(f"gap.column.{name}"): value for name, value in row.items()} for row in rows], otherwise)
+    table([{translate(f"gap.column.{name}"): value for name, value in row.items()} for row in rows], otherwise)
 
 
 def _figure(figure: go.Figure, key: str) -> None:
     """Draw a figure made for paper in the colours of the theme."""
-    own = {name: figure.layout[name].to_plotly_json() for name in ("margin", "legend")}
-    shown = coloured(figure, colours(), figure.layout.height).update_layout(**own)
-    show_figure(shown.update_xaxes(automargin=True).update_yaxes(automargin=True), key)
+    layout = {name: figure.layout[name].to_plotly_json() for name in ("margin", "legend")}
+    themed_figure = apply_theme(figure, colours(), figure.layout.height).update_layout(**layout)
+    show_figure(themed_figure.update_xaxes(automargin=True).update_yaxes(automargin=True), key)

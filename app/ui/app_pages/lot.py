@@ -1,6 +1,7 @@
 """One lot: where it stands and what is next, its units, audits, release, rules and networks."""
 
-from softcal.app.ui.panels import chosen_lot, draw_tabs
+from softcal.app.ui.panels import chosen_lot
+from softcal.app.ui.tab_bar import draw_tabs
 
 
 def render() -> None:

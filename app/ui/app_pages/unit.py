@@ -2,13 +2,14 @@
 
 import streamlit as st
 
-from softcal.app.registry.standing import standing_of
-from softcal.app.ui.actions import say_finished
-from softcal.app.ui.desk import empty, in_words, instant, say, verdict_badge
-from softcal.app.ui.panels import draw_tabs, heading, lot_link, named_units, numbers, table, unit_link
-from softcal.app.ui.server_memory import registry
+from softcal.app.registry.unit_status import find_unit_status
+from softcal.app.ui.actions import show_finished
+from softcal.app.ui.panels import heading, lot_link, numbers, table, unit_link, units_of_address
+from softcal.app.ui.presentation import empty, format_instant, localize, translate, verdict_badge
+from softcal.app.ui.server_cache import registry
+from softcal.app.ui.tab_bar import draw_tabs
 from softcal.app.ui.tabs.unit import draw_recordings
-from softcal.app.views.common import limit_said, number
+from softcal.app.views.common import number, render_limit
 from softcal.app.views.unit import UnitHead, unit_head
 from softcal.core.lot import UnitKey
 
@@ -17,35 +18,35 @@ FIRST = 20
 
 
 def render() -> None:
-    asked = str(st.query_params.get("unit", ""))
-    units = named_units(asked)
+    requested_unit = str(st.query_params.get("unit", ""))
+    units = units_of_address(requested_unit)
     if len(units) != 1:
-        _choose(asked, units)
+        _choose(requested_unit, units)
         return
     (key,) = units
     history = registry().calibrations.history(key.serial, key.lot_id)
     current = registry().calibrations.get(key.serial, lot_id=key.lot_id).revision if history else None
     head = unit_head(registry(), key, history)
     with heading("unit", key.serial):
-        verdict_badge(head.verdict, say("unit.released" if head.is_released else "unit.not_released"))
+        verdict_badge(head.verdict, translate("unit.released" if head.is_released else "unit.not_released"))
     st.markdown(_head_line(key, head))
-    say_finished("unit")
+    show_finished("unit")
     if current is None:
-        empty("empty.calibration", in_words(head.reasons))
+        empty("empty.calibration", localize(head.reasons))
         draw_recordings(key)
         return
     revisions, revision = [entry.revision for entry in reversed(history)], current
     left, right = st.columns([1, 6]) if len(revisions) > 1 else (None, st.container())
     if left is not None:
-        revision = left.selectbox(say("column.revision"), revisions, index=revisions.index(current)) or current
+        revision = left.selectbox(translate("column.revision"), revisions, index=revisions.index(current)) or current
     stored = next(entry for entry in history if entry.revision == revision)
-    standing = standing_of(registry(), stored)
-    if standing.calibration is None:
-        st.markdown(f"{say('unit.refused_since')} **{in_words(standing.reasons)}**")
+    status = find_unit_status(registry(), stored)
+    if status.calibration is None:
+        st.markdown(f"{translate('unit.refused_since')} **{localize(status.reasons)}**")
     unit, errors = registry().lots.get(key.lot_id).reference_unit, stored.state.errors
     # What was measured first.
-    scores = [(say(f"column.{name}"), errors[f"{name}_rmse"], None) for name in ("after", "before", "own")]
-    cells = [*scores, (say("lot.predicted"), errors["predicted_rmse"], say("unit.predicted.help"))]
+    scores = [(translate(f"column.{name}"), errors[f"{name}_rmse"], None) for name in ("after", "before", "own")]
+    cells = [*scores, (translate("lot.predicted"), errors["predicted_rmse"], translate("unit.predicted.help"))]
     with right:
         numbers(
             [
@@ -60,16 +61,16 @@ def render() -> None:
 def _head_line(key: UnitKey, head: UnitHead) -> str:
     """Return lot, limit, instant, person and station in one line."""
     cells = [
-        (say("choose.lot"), lot_link(key.lot_id).markdown),
-        (say("lot.limit"), limit_said(head.limit, say)),
-        (say("column.made"), instant(head.made_at)),
-        (say("column.actor"), head.actor),
-        (say("station.station"), head.station or say("lot.yield.desk")),
+        (translate("choose.lot"), lot_link(key.lot_id).markdown),
+        (translate("lot.limit"), render_limit(head.limit, translate)),
+        (translate("column.made"), format_instant(head.made_at)),
+        (translate("column.actor"), head.actor),
+        (translate("station.station"), head.station or translate("lot.yield.desk")),
     ]
     return " · ".join(f"{label}: **{value}**" for label, value in cells if value)
 
 
-def _choose(asked: str, units: list[UnitKey]) -> None:
+def _choose(requested_unit: str, units: list[UnitKey]) -> None:
     """Offer the units of an address that names none alone."""
     heading("unit")
     offered = units or registry().pages.find_units("")[:FIRST]
@@ -77,7 +78,10 @@ def _choose(asked: str, units: list[UnitKey]) -> None:
         empty("empty.units")
         return
     if units:
-        st.info(say("unit.lots", serial=asked, count=len(units)), icon=":material/help:")
+        st.info(translate("unit.lots", serial=requested_unit, count=len(units)), icon=":material/help:")
     else:
-        st.caption(say("unit.find.none", text=asked) if asked else say("unit.choose"))
-    table({say("column.serial"): unit_link(unit), say("choose.lot"): lot_link(unit.lot_id)} for unit in offered)
+        st.caption(translate("unit.find.none", text=requested_unit) if requested_unit else translate("unit.choose"))
+    table(
+        {translate("column.serial"): unit_link(unit), translate("choose.lot"): lot_link(unit.lot_id)}
+        for unit in offered
+    )

@@ -5,10 +5,10 @@ from typing import Any
 import streamlit as st
 
 from softcal.app.ui.account import person
-from softcal.app.ui.callbacks import in_one_piece
-from softcal.app.ui.desk import say
+from softcal.app.ui.callbacks import run_uninterrupted
 from softcal.app.ui.panels import Link, go_to, table
-from softcal.app.ui.server_memory import registry
+from softcal.app.ui.presentation import translate
+from softcal.app.ui.server_cache import registry
 from softcal.app.views.search import search
 
 KEY, WIDTH_PX = "bar-search", 320
@@ -27,31 +27,33 @@ WITHOUT_SEARCH = ("line",)
 
 def draw_bar(page: str) -> None:
     """Draw the search and the person in the bar, and what the search found above the page."""
-    text, asked = "", st.session_state.pop(f"{KEY}-asked", "")
+    text, is_submitted = "", st.session_state.pop(f"{KEY}-asked", "")
     with st.container(key="bar", horizontal=True, horizontal_alignment="right", vertical_alignment="center"):
         st.html(STYLE + (OPEN.format(page=BELOW[page]) if page in BELOW else ""))
         if page not in WITHOUT_SEARCH:
-            options: Any = {"placeholder": say("bar.search"), "label_visibility": "collapsed", "type": "search"}
-            label, icon = say("bar.search.what"), ":material/search:"
-            text = str(st.text_input(label, key=KEY, icon=icon, on_change=in_one_piece(_ask), **options) or "")
-        name = person().name or say("sign_in")
+            options: Any = {"placeholder": translate("bar.search"), "label_visibility": "collapsed", "type": "search"}
+            label, icon = translate("bar.search.what"), ":material/search:"
+            text = str(
+                st.text_input(label, key=KEY, icon=icon, on_change=run_uninterrupted(_mark_submitted), **options) or ""
+            )
+        name = person().name or translate("sign_in")
         if st.button(name, key="bar-person", type="tertiary", icon=":material/person:"):
             go_to("settings", tab="account")
     if not text:
         return
     hits = search(registry(), text)
-    if len(hits) == 1 and asked:
+    if len(hits) == 1 and is_submitted:
         go_to(hits[0].page, **hits[0].query)
     if not hits:
-        st.info(say("bar.search.none", text=text), icon=":material/search_off:")
+        st.info(translate("bar.search.none", text=text), icon=":material/search_off:")
         return
-    kind, name = say("bar.search.kind"), say("sign_in.name")
+    kind, name = translate("bar.search.kind"), translate("sign_in.name")
     with st.container(border=True):
         table(
-            {kind: say(f"bar.kind.{hit.kind}"), name: Link(hit.name, hit.page, tuple(hit.query.items()))}
+            {kind: translate(f"bar.kind.{hit.kind}"), name: Link(hit.name, hit.page, tuple(hit.query.items()))}
             for hit in hits
         )
 
 
-def _ask() -> None:
+def _mark_submitted() -> None:
     st.session_state[f"{KEY}-asked"] = True

@@ -6,7 +6,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from softcal.app.charts.palette import VERDICT_INK, Palette
-from softcal.app.views.common import shortened
+from softcal.app.views.common import shorten
 from softcal.app.views.line import Chip, LineView
 
 MARKS = {
@@ -46,32 +46,33 @@ def style() -> str:
 
 def theme(colours: Palette) -> str:
     """Return the colours that follow the browser's theme."""
-    shown = {name: getattr(colours, name) for name in ("soft", "line", "good", "bad")}
-    shown |= {f"verdict-{verdict}": ground for verdict, ground in colours.verdict.items()} | {"ink": VERDICT_INK}
-    return f"<style>:root{{{''.join(f'--sc-{name}:{colour};' for name, colour in shown.items())}}}</style>"
+    css_colours = {name: getattr(colours, name) for name in ("soft", "line", "good", "bad")}
+    css_colours |= {f"verdict-{verdict}": ground for verdict, ground in colours.verdict.items()} | {"ink": VERDICT_INK}
+    return f"<style>:root{{{''.join(f'--sc-{name}:{colour};' for name, colour in css_colours.items())}}}</style>"
 
 
-def note_html(said: str, is_refusal: bool) -> str:
+def note_html(text: str, is_refusal: bool) -> str:
     """Return the sentence about the last scan."""
-    return f'<div class="sc-note {"sc-no" if is_refusal else "sc-yes"}">{escape(said)}</div>'
+    return f'<div class="sc-note {"sc-no" if is_refusal else "sc-yes"}">{escape(text)}</div>'
 
 
 def cells_html(view: LineView) -> str:
     """Return the bar of what is always visible."""
     cells = "".join(
-        f'<div><span>{escape(label)}</span><b title="{escape(value)}">{escape(shortened(value, LONGEST_VALUE))}</b>'
-        "</div>"
+        f'<div><span>{escape(label)}</span><b title="{escape(value)}">{escape(shorten(value, LONGEST_VALUE))}</b></div>'
         for label, value in view.cells
     )
     return f'<div class="sc-cells">{cells}</div>'
 
 
-def card_html(view: LineView, why: str) -> str:
-    """Return the state; the numbers behind it open under the word `why`."""
+def card_html(view: LineView, why_label: str) -> str:
+    """Return the state; the numbers behind it open under the word `why_label`."""
     serial = f'<div class="sc-serial">{escape(view.serial)}</div>' if view.serial else ""
     details = "".join(f"<li>{escape(line)}</li>" for line in view.details)
-    numbers = "".join(f"<li>{escape(line)}</li>" for line in view.why)
-    behind = f'<details class="sc-why"><summary>{escape(why)}</summary><ul>{numbers}</ul></details>' if numbers else ""
+    numbers = "".join(f"<li>{escape(line)}</li>" for line in view.reason_details)
+    numbers_html = (
+        f'<details class="sc-why"><summary>{escape(why_label)}</summary><ul>{numbers}</ul></details>' if numbers else ""
+    )
     progress = ""
     if view.is_busy:
         percent, phase = round(100 * min(max(view.fraction, 0.0), 1.0)), escape(view.phase)
@@ -85,7 +86,7 @@ def card_html(view: LineView, why: str) -> str:
         f'<section class="sc-card {look}" data-state="{view.state}">{_mark(view.tone)}'
         f'<div class="sc-body"><div class="sc-word">{escape(view.word)}</div>{serial}'
         f'<p class="sc-do">{escape(view.instruction)}</p>'
-        f"{f'<ul>{details}</ul>' if details else ''}{behind}{progress}</div></section>"
+        f"{f'<ul>{details}</ul>' if details else ''}{numbers_html}{progress}</div></section>"
     )
 
 
@@ -108,12 +109,12 @@ def chips_html(view: LineView, title: str, empty: str) -> str:
 
 def chips_row(chips: Sequence[Chip]) -> str:
     """Return units with their results side by side."""
-    drawn = "".join(
+    items = "".join(
         f'<li class="sc-chip sc-{c.tone}" title="{escape(c.serial)}: {escape(c.word)}">{_mark(c.tone)}'
-        f"<b>{escape(shortened(c.serial, LONGEST_CHIP))}</b><span>{escape(c.word)}</span></li>"
+        f"<b>{escape(shorten(c.serial, LONGEST_CHIP))}</b><span>{escape(c.word)}</span></li>"
         for c in chips
     )
-    return f"<ul>{drawn}</ul>"
+    return f"<ul>{items}</ul>"
 
 
 def _mark(name: str) -> str:

@@ -11,7 +11,7 @@ import streamlit as st
 from softcal.app.files.import_plan import Columns
 from softcal.app.tables.options import TableOptions
 from softcal.app.tables.read import READERS, read_table
-from softcal.app.ui.desk import in_words, say
+from softcal.app.ui.presentation import localize, translate
 from softcal.app.ui.uploads import new_upload_folder
 from softcal.core.errors import InputError
 
@@ -39,7 +39,7 @@ def dropped_files(field: str = NEW_LOT) -> list[Path]:
     kinds = sorted(suffix[1:] for suffix in READERS)
     # A field that was forgotten is another one afterwards, so that it is empty.
     key = f"{field}-files-{st.session_state.get(f'{field}-forgotten', 0)}"
-    dropped = st.file_uploader(say("new_lot.files"), type=kinds, accept_multiple_files=True, key=key)
+    dropped = st.file_uploader(translate("new_lot.files"), type=kinds, accept_multiple_files=True, key=key)
     if not dropped:
         return []
     # A default would be made at every run, whether it is needed or not.
@@ -47,7 +47,7 @@ def dropped_files(field: str = NEW_LOT) -> list[Path]:
         st.session_state[_folder(field)] = str(new_upload_folder())
     folder = Path(st.session_state[_folder(field)])
     folder.mkdir(exist_ok=True)
-    wanted: dict[str, Path] = {}
+    paths: dict[str, Path] = {}
     for file in dropped:
         # A browser may send any name: only its last part is one here.
         name = re.sub(r"[\x00-\x1f/\\]", "_", Path(file.name).name) or "file"
@@ -55,10 +55,10 @@ def dropped_files(field: str = NEW_LOT) -> list[Path]:
         if not path.is_file() or path.stat().st_size != file.size or st.session_state.get(str(path)) != file.file_id:
             path.write_bytes(file.getvalue())
             st.session_state[str(path)] = file.file_id
-        wanted[name] = path
-    for left in set(folder.iterdir()) - set(wanted.values()):
-        left.unlink()
-    return [wanted[name] for name in sorted(wanted)]
+        paths[name] = path
+    for stale_path in set(folder.iterdir()) - set(paths.values()):
+        stale_path.unlink()
+    return [paths[name] for name in sorted(paths)]
 
 
 def forget_files(field: str = NEW_LOT) -> None:
@@ -73,22 +73,24 @@ def _folder(field: str) -> str:
 
 def choose_layout() -> TableOptions:
     """Draw what a person can state of the tables' layout; what is left empty is detected."""
-    with st.expander(say("layout.title"), icon=":material/table_rows:"):
-        st.caption(say("layout.how"))
+    with st.expander(translate("layout.title"), icon=":material/table_rows:"):
+        st.caption(translate("layout.how"))
         first, second, third, fourth = st.columns(4)
-        unset = say("layout.detected")
+        unset = translate("layout.detected")
         delimiter = first.selectbox(
-            say("layout.delimiter"), [None, *MARKS], format_func=lambda one: one or unset, key="new-lot-delimiter"
+            translate("layout.delimiter"), [None, *MARKS], format_func=lambda one: one or unset, key="new-lot-delimiter"
         )
         decimal = second.selectbox(
-            say("layout.decimal"), [None, ".", ","], format_func=lambda one: one or unset, key="new-lot-decimal"
+            translate("layout.decimal"), [None, ".", ","], format_func=lambda one: one or unset, key="new-lot-decimal"
         )
-        encoding = third.text_input(say("layout.encoding"), placeholder="utf-16", key="new-lot-encoding").strip()
-        header_row = fourth.number_input(say("layout.header_row"), 0, value=None, key="new-lot-header-row")
+        encoding = third.text_input(translate("layout.encoding"), placeholder="utf-16", key="new-lot-encoding").strip()
+        header_row = fourth.number_input(translate("layout.header_row"), 0, value=None, key="new-lot-header-row")
         first, second, third, _ = st.columns(4)
-        sheet = first.text_input(say("layout.sheet"), key="new-lot-sheet").strip()
-        time_format = second.text_input(say("layout.time_format"), placeholder="ms", key="new-lot-time-format").strip()
-        missing = third.text_input(say("layout.missing"), placeholder="OL; --", key="new-lot-missing")
+        sheet = first.text_input(translate("layout.sheet"), key="new-lot-sheet").strip()
+        time_format = second.text_input(
+            translate("layout.time_format"), placeholder="ms", key="new-lot-time-format"
+        ).strip()
+        missing = third.text_input(translate("layout.missing"), placeholder="OL; --", key="new-lot-missing")
     return TableOptions(
         delimiter=delimiter,
         decimal=decimal,
@@ -102,13 +104,13 @@ def choose_layout() -> TableOptions:
 
 def first_readable(files: Sequence[Path], options: TableOptions) -> "tuple[Path, pd.DataFrame] | None":
     """Return the first file that can be read as a table; say why where none can."""
-    why = ""
+    refusal = ""
     for path in files:
         try:
             return path, _table(str(path), path.stat().st_mtime_ns, options)
         except InputError as error:
-            why = why or in_words(str(error).replace(f"{path}: ", f"{path.name}: "))
-    st.error(why, icon=":material/error:")
+            refusal = refusal or localize(str(error).replace(f"{path}: ", f"{path.name}: "))
+    st.error(refusal, icon=":material/error:")
     return None
 
 
@@ -126,17 +128,17 @@ def choose_columns(table: "pd.DataFrame", wide: bool) -> Columns:
         stems = [re.sub(r"\d+$", "", name) for name in names]
         often = max(set(stems), key=lambda stem: (stems.count(stem), len(stem)))
         pattern = f"{often}*" if stems.count(often) > 1 else "*"
-        output = str(left.text_input(say("new_lot.pattern"), pattern, key="new-lot-pattern")).strip()
+        output = str(left.text_input(translate("new_lot.pattern"), pattern, key="new-lot-pattern")).strip()
     else:
         output = str(
-            left.selectbox(say("new_lot.output"), names, index=_guess("output", names) or 0, key="new-lot-output")
+            left.selectbox(translate("new_lot.output"), names, index=_guess("output", names) or 0, key="new-lot-output")
         )
-    optional, unset, chosen = [None, *names], say("new_lot.no_column"), []
-    for place, name in ((second, "reference"), (third, "time"), (right, "stage")):
+    optional, unset, chosen = [None, *names], translate("new_lot.no_column"), []
+    for slot, name in ((second, "reference"), (third, "time"), (right, "stage")):
         index = _guess(name, names)
         index = 0 if index is None else index + 1
-        label, key = say(f"new_lot.{name}"), f"new-lot-{name}"
-        chosen.append(place.selectbox(label, optional, index, lambda one: unset if one is None else one, key))
+        label, key = translate(f"new_lot.{name}"), f"new-lot-{name}"
+        chosen.append(slot.selectbox(label, optional, index, lambda one: unset if one is None else one, key))
     return Columns(output or "*", *chosen)
 
 

@@ -7,10 +7,10 @@ import streamlit as st
 from softcal.app.charts.live import live_signal
 from softcal.app.jobs.launch import SIMULATED, start_simulated_station
 from softcal.app.ui.account import actor, allows, permit
-from softcal.app.ui.actions import refusals_in_words
-from softcal.app.ui.desk import colours, errors_in_words, in_words, say
-from softcal.app.ui.server_memory import registry
-from softcal.app.views.common import phase_said
+from softcal.app.ui.actions import show_refusals
+from softcal.app.ui.presentation import colours, localize, show_errors, translate
+from softcal.app.ui.server_cache import registry
+from softcal.app.views.common import render_phase
 from softcal.core.errors import InputError
 from softcal.core.orders import Order, OrderKind, Progress, RunState
 
@@ -20,10 +20,10 @@ AWAITED = "station-awaited"
 
 def choose_station() -> str | None:
     """Let a person choose a station; None, with how to start one, where there is none."""
-    names = [beat.station for beat in registry().order_queue.stations()]
+    names = [heartbeat.station for heartbeat in registry().order_queue.stations()]
     if not names:
-        st.info(say("station.none.how"), icon=":material/inbox:", title=say("station.none"))
-        if allows("set_up") and st.button(say("station.simulate"), icon=":material/science:"):
+        st.info(translate("station.none.how"), icon=":material/inbox:", title=translate("station.none"))
+        if allows("set_up") and st.button(translate("station.simulate"), icon=":material/science:"):
             permit("set_up")
             start_simulated_station(SIMULATED)
             registry().trail.add("start", "station", (SIMULATED,), {"rig": "simulated"}, actor=actor())
@@ -31,7 +31,7 @@ def choose_station() -> str | None:
         if st.session_state.get(AWAITED):
             _await_station()
         return None
-    return str(st.selectbox(say("station.station"), names, key="station-choice"))
+    return str(st.selectbox(translate("station.station"), names, key="station-choice"))
 
 
 @st.fragment(run_every=POLL_S)
@@ -40,15 +40,15 @@ def _await_station() -> None:
     if registry().order_queue.stations():
         del st.session_state[AWAITED]
         st.rerun()
-    st.caption(say("station.starting"))
+    st.caption(translate("station.starting"))
 
 
-def place(station: str, kind: OrderKind, serial: str = "", lot_id: str = "", reason: str = "") -> bool:
+def place_order(station: str, kind: OrderKind, serial: str = "", lot_id: str = "", reason: str = "") -> bool:
     """Order something from a station; a refusal is shown as one line."""
     permit("override" if kind is OrderKind.OVERRIDE else "set_up")
-    with refusals_in_words():
+    with show_refusals():
         if not registry().order_queue.is_answering(station):
-            raise InputError(say("station.silent", station=station))
+            raise InputError(translate("station.silent", station=station))
         registry().order_queue.place(Order(uuid.uuid4().hex, station, kind, serial, lot_id, actor(), reason))
         return True
     return False
@@ -66,26 +66,26 @@ def run_panel(run: tuple[Order, Progress]) -> bool:
     if progress.state.is_active:
         _running(order.order_id, order.station)
     elif progress.state is RunState.ERROR:
-        st.error(in_words(progress.message), icon=":material/report:", title=progress.code)
+        st.error(localize(progress.message), icon=":material/report:", title=progress.code)
     elif progress.state is RunState.CANCELLED:
-        st.info(in_words(progress.message) or say("job.cancelled"), icon=":material/cancel:")
+        st.info(localize(progress.message) or translate("job.cancelled"), icon=":material/cancel:")
     return progress.state is RunState.DONE
 
 
 @st.fragment(run_every=POLL_S)
-@errors_in_words()
+@show_errors()
 def _running(order_id: str, station: str) -> None:
     queue = registry().order_queue
     progress = queue.progress(order_id)
     if not progress.state.is_active:
         st.rerun()
     left, right = st.columns([5, 1], vertical_alignment="bottom")
-    phase = phase_said(progress.phase, say)
-    left.progress(progress.fraction, text=say("station.left", phase=phase, seconds=round(progress.remaining_s)))
-    if right.button(say("line.action.STOP"), type="primary", key=f"stop-{order_id}", width="stretch"):
-        place(station, OrderKind.STOP)
+    phase = render_phase(progress.phase, translate)
+    left.progress(progress.fraction, text=translate("station.left", phase=phase, seconds=round(progress.remaining_s)))
+    if right.button(translate("line.action.STOP"), type="primary", key=f"stop-{order_id}", width="stretch"):
+        place_order(station, OrderKind.STOP)
     if not queue.is_answering(station):
-        st.warning(say("station.silent", station=station), icon=":material/heart_broken:")
+        st.warning(translate("station.silent", station=station), icon=":material/heart_broken:")
     if progress.signal.t_s:
-        drawn = live_signal(progress.signal, colours(), say, has_force=True)
-        st.echarts_chart(drawn, height=320, key=f"signal-{order_id}")
+        chart_options = live_signal(progress.signal, colours(), translate, has_force=True)
+        st.echarts_chart(chart_options, height=320, key=f"signal-{order_id}")

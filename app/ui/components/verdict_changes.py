@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import streamlit as st
 
 from softcal.app.calibration.changes import VerdictChange
-from softcal.app.ui.desk import in_words, say, verdict_word
 from softcal.app.ui.panels import table, unit_link
+from softcal.app.ui.presentation import localize, translate, verdict_word
 from softcal.core.lot import UnitKey
 
 MOST_SHOWN = 200
@@ -17,15 +17,15 @@ def draw_changes(changed: Sequence[VerdictChange]) -> None:
     table(
         (
             {
-                say("column.serial"): unit_link(UnitKey(one.lot_id, one.serial)),
-                say("choose.lot"): one.lot_id,
-                say("limits.now.verdict"): verdict_word(one.verdict),
-                say("limits.then.verdict"): verdict_word(one.next_verdict),
-                say("column.reasons"): in_words([one.reason]),
+                translate("column.serial"): unit_link(UnitKey(one.lot_id, one.serial)),
+                translate("choose.lot"): one.lot_id,
+                translate("limits.now.verdict"): verdict_word(one.verdict),
+                translate("limits.then.verdict"): verdict_word(one.next_verdict),
+                translate("column.reasons"): localize([one.reason]),
             }
             for one in changed[:MOST_SHOWN]
         ),
-        say("changes.none"),
+        translate("changes.none"),
     )
     if len(changed) > MOST_SHOWN:
-        st.caption(say("limits.more", count=len(changed) - MOST_SHOWN))
+        st.caption(translate("limits.more", count=len(changed) - MOST_SHOWN))

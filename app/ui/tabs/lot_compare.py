@@ -3,25 +3,25 @@
 import streamlit as st
 
 from softcal.app.charts.compare import errors_of_lots
-from softcal.app.ui.desk import colours, say
 from softcal.app.ui.panels import figure_under, rest_may_follow, table
-from softcal.app.ui.server_memory import registry, remembered_lot_view
-from softcal.app.views.lot_report import MOST_LOTS, lot_rows
+from softcal.app.ui.presentation import colours, translate
+from softcal.app.ui.server_cache import cached_lot_view, registry
+from softcal.app.views.lot_report import MAX_LOTS, lot_rows
 
 
 def draw_compare(lot_id: str) -> None:
     others = [lot for lot in registry().lots.ids() if lot != lot_id]
-    named = [lot for lot in st.query_params.get_all("with") if lot in others]
+    requested = [lot for lot in st.query_params.get_all("with") if lot in others]
     chosen = st.multiselect(
-        say("compare.lots"),
+        translate("compare.lots"),
         others,
-        named or others[-1:],
-        max_selections=MOST_LOTS - 1,
+        requested or others[-1:],
+        max_selections=MAX_LOTS - 1,
         key=f"compare-lots-{lot_id}",
-        placeholder=say("choose.some"),
+        placeholder=translate("choose.some"),
     )
-    views = [remembered_lot_view(lot) for lot in (lot_id, *chosen)]
-    table(lot_rows(views, say))
+    views = [cached_lot_view(lot) for lot in (lot_id, *chosen)]
+    table(lot_rows(views, translate))
     # One lot alone has its histogram on its first tab.
     if chosen and rest_may_follow():
-        figure_under("lot.distribution", errors_of_lots(views, colours(), say), "compare-errors")
+        figure_under("lot.distribution", errors_of_lots(views, colours(), translate), "compare-errors")

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 import streamlit as st
 
 from softcal.app.ui.account import actor, allows, permit
-from softcal.app.ui.actions import ask_reason, finish, refusals_in_words, role_allows, say_finished
+from softcal.app.ui.actions import ask_reason, finish, role_allows, show_finished, show_refusals
 from softcal.app.ui.components.job_panel import begin_job, is_running, job_panel, newest_job
 from softcal.app.ui.components.verdict_changes import draw_changes
-from softcal.app.ui.desk import empty, instant, say
-from softcal.app.ui.panels import headline, rest_may_follow, table, told
-from softcal.app.ui.server_memory import registry, remembered_network_changes
+from softcal.app.ui.panels import drop_empty_columns, headline, rest_may_follow, table
+from softcal.app.ui.presentation import empty, format_instant, translate
+from softcal.app.ui.server_cache import registry, remembered_network_changes
 from softcal.app.views.common import number
 from softcal.app.views.network import NetworkRow, hidden_widths, loss_spec, network_rows
 from softcal.core.lot import Lot
@@ -26,9 +26,11 @@ def draw_networks(lot_id: str) -> None:
     rows = network_rows(registry(), lot.id)
     if rows:
         # Which network is in use and how well it was trained, in one sentence.
-        used = next((row for row in rows if row.is_in_use), None)
-        facts = {"network": used.id[:12], "error": number(used.validation_rmse, lot.reference_unit)} if used else {}
-        headline(say("networks.headline" if used else "networks.none_in_use", count=len(rows), **facts))
+        in_use = next((row for row in rows if row.is_in_use), None)
+        values = (
+            {"network": in_use.id[:12], "error": number(in_use.validation_rmse, lot.reference_unit)} if in_use else {}
+        )
+        headline(translate("networks.headline" if in_use else "networks.none_in_use", count=len(rows), **values))
     else:
         empty("networks.none")
     if not rest_may_follow():
@@ -36,21 +38,23 @@ def draw_networks(lot_id: str) -> None:
     if rows:
         listed = [
             {
-                say("column.network"): row.id[:12],
-                say("column.state"): say("networks.in_use") if row.is_in_use else say(f"networks.state.{row.state}"),
-                say("networks.decided"): row.decided,
-                say("column.made"): instant(row.added_at),
-                say("networks.hidden"): row.layers,
-                say("networks.members"): row.members,
-                say("networks.seed"): row.seed,
-                say("networks.validation"): number(row.validation_rmse, lot.reference_unit),
-                say("networks.epochs"): row.epochs,
-                say("networks.train_s"): number(row.train_s, "s"),
-                say("column.remark"): say("networks.stale") if row.is_stale else "",
+                translate("column.network"): row.id[:12],
+                translate("column.state"): translate("networks.in_use")
+                if row.is_in_use
+                else translate(f"networks.state.{row.state}"),
+                translate("networks.decided"): row.decided,
+                translate("column.made"): format_instant(row.added_at),
+                translate("networks.hidden"): row.layers,
+                translate("networks.members"): row.members,
+                translate("networks.seed"): row.seed,
+                translate("networks.validation"): number(row.validation_rmse, lot.reference_unit),
+                translate("networks.epochs"): row.epochs,
+                translate("networks.train_s"): number(row.train_s, "s"),
+                translate("column.remark"): translate("networks.stale") if row.is_stale else "",
             }
             for row in rows
         ]
-        table(told(listed))
+        table(drop_empty_columns(listed))
         release(lot, rows)
     training(lot)
     if rows:
@@ -59,63 +63,77 @@ def draw_networks(lot_id: str) -> None:
 
 def release(lot: Lot, rows: Sequence[NetworkRow]) -> None:
     """Draw which network the line uses, and the two decisions on the others."""
-    st.header(say("networks.release"))
-    used = next((row for row in rows if row.is_in_use), None)
-    st.caption(say("networks.release.how", network=used.id[:12]) if used else say("networks.release.none"))
-    say_finished("network")
+    st.header(translate("networks.release"))
+    in_use = next((row for row in rows if row.is_in_use), None)
+    st.caption(
+        translate("networks.release.how", network=in_use.id[:12]) if in_use else translate("networks.release.none")
+    )
+    show_finished("network")
     names = {
         row.id: f"{row.id[:12]} · {row.layers} · {number(row.validation_rmse, lot.reference_unit)}" for row in rows
     }
-    chosen = st.selectbox(say("column.network"), list(names), format_func=names.__getitem__, key=f"release-{lot.id}")
+    chosen = st.selectbox(
+        translate("column.network"), list(names), format_func=names.__getitem__, key=f"release-{lot.id}"
+    )
     row = next(row for row in rows if row.id == chosen)
     networks = registry().networks
     decisions = (
         ("release", not row.is_in_use, networks.release),
         ("withdraw", row.state == RELEASED, networks.withdraw),
     )
-    with refusals_in_words():
-        for what, is_open, decide in decisions:
+    with show_refusals():
+        for action, is_open, decide in decisions:
             if not is_open:
                 continue
             with st.container(border=True):
                 if allows("release"):
-                    draw_changes(remembered_network_changes(lot.id, what, row.id).changed)
-                reason = ask_reason(f"{what}-{row.id[:12]}-{row.state}", say(f"networks.{what}.do"), "release")
+                    draw_changes(remembered_network_changes(lot.id, action, row.id).changed)
+                reason = ask_reason(
+                    f"{action}-{row.id[:12]}-{row.state}", translate(f"networks.{action}.do"), "release"
+                )
             if reason is not None:
                 decide(row.id, reason=reason, actor=actor())
-                finish("network", say(f"networks.{what}.done", network=row.id[:12]))
+                finish("network", translate(f"networks.{action}.done", network=row.id[:12]))
 
 
-USUAL = NetworkConfig()
-MOST_UNITS = 200
+DEFAULTS = NetworkConfig()
+MAX_UNITS = 200
 
 
 def training(lot: Lot) -> None:
     """Draw the form beside the newest training of the lot."""
-    st.header(say("networks.train"))
+    st.header(translate("networks.train"))
     left, right = st.columns([2, 3])
     job = newest_job("train", lot=lot.id)
     is_sent = False
     with left:
         if role_allows("set_up"):
             with st.form("train", border=True):
-                hidden = st.text_input(say("networks.hidden"), "-".join(map(str, USUAL.hidden)), key="train-hidden")
+                hidden = st.text_input(
+                    translate("networks.hidden"), "-".join(map(str, DEFAULTS.hidden)), key="train-hidden"
+                )
                 first, second, third = st.columns(3)
-                members = first.number_input(say("networks.members"), 1, 10, USUAL.members, key="train-members")
-                seed = second.number_input(say("networks.seed"), 0, 10**6, USUAL.seed, key="train-seed")
-                epochs = third.number_input(say("networks.max_epochs"), 5, 2000, USUAL.max_epochs, key="train-epochs")
-                is_sent = st.form_submit_button(say("networks.train.do"), type="primary", disabled=is_running(job))
+                members = first.number_input(
+                    translate("networks.members"), 1, 10, DEFAULTS.members, key="train-members"
+                )
+                seed = second.number_input(translate("networks.seed"), 0, 10**6, DEFAULTS.seed, key="train-seed")
+                epochs = third.number_input(
+                    translate("networks.max_epochs"), 5, 2000, DEFAULTS.max_epochs, key="train-epochs"
+                )
+                is_sent = st.form_submit_button(
+                    translate("networks.train.do"), type="primary", disabled=is_running(job)
+                )
         if is_sent:
             permit("set_up")
-            with refusals_in_words():
+            with show_refusals():
                 widths = hidden_widths(str(hidden))
                 begin_job("train", lot=lot.id, hidden=widths, seed=seed, members=members, max_epochs=epochs)
                 st.rerun()
     with right:
         if job is None:
-            st.caption(say("networks.train.how"))
+            st.caption(translate("networks.train.how"))
         elif job_panel(job, lambda running: _loss(running, lot)):
-            message = say("networks.trained" if job.result["is_new"] else "networks.found", network=job.message)
+            message = translate("networks.trained" if job.result["is_new"] else "networks.found", network=job.message)
             st.success(message, icon=":material/check:")
             _loss(job, lot)
 
@@ -123,53 +141,53 @@ def training(lot: Lot) -> None:
 def _loss(job: Job, lot: Lot) -> None:
     trace = job.trace or job.result.get("trace", {})
     if trace.get("epoch"):
-        names = {name: say(f"networks.{name}") for name in ("epoch", "train", "validation")}
-        spec = loss_spec(trace, lot.reference_unit, names | {"train": say("networks.training_error")})
+        names = {name: translate(f"networks.{name}") for name in ("epoch", "train", "validation")}
+        spec = loss_spec(trace, lot.reference_unit, names | {"train": translate("networks.training_error")})
         st.echarts_chart(spec, height=300, key=f"loss-{job.job_id}")
 
 
 def comparison(lot: Lot, rows: Sequence[NetworkRow]) -> None:
     """Draw the choice of what to compare and the newest comparison."""
-    st.header(say("networks.compare"))
-    st.caption(say("networks.compare.how"))
+    st.header(translate("networks.compare"))
+    st.caption(translate("networks.compare.how"))
     job = newest_job("compare", lot=lot.id)
     if allows("set_up"):
         names = {row.id: f"{row.id[:12]} · {row.layers}" for row in rows}
-        some = say("choose.some")
+        some = translate("choose.some")
         with st.form("compare", border=True):
             left, middle, right = st.columns([3, 3, 1], vertical_alignment="bottom")
             networks = left.multiselect(
-                say("tab.networks"),
+                translate("tab.networks"),
                 list(names),
                 default=list(names)[:2],
                 format_func=names.__getitem__,
                 placeholder=some,
             )
             families = middle.multiselect(
-                say("column.family"), [DEFAULT, *FAMILIES], default=[DEFAULT, "affine"], placeholder=some
+                translate("column.family"), [DEFAULT, *FAMILIES], default=[DEFAULT, "affine"], placeholder=some
             )
-            units = right.number_input(say("lot.units"), 1, MOST_UNITS, 12)
-            is_asked = st.form_submit_button(say("networks.compare.do"), disabled=is_running(job))
-        if is_asked and networks and families:
+            units = right.number_input(translate("lot.units"), 1, MAX_UNITS, 12)
+            is_sent = st.form_submit_button(translate("networks.compare.do"), disabled=is_running(job))
+        if is_sent and networks and families:
             begin_job("compare", lot=lot.id, networks=networks, families=families, units=units)
             st.rerun()
-        elif is_asked:
-            st.warning(say("networks.compare.choose"), icon=":material/edit:")
+        elif is_sent:
+            st.warning(translate("networks.compare.choose"), icon=":material/edit:")
     if job is None or not job_panel(job):
         return
     unit, compared = lot.reference_unit, job.result["rows"]
     table(
         {
-            say("column.network"): row["network"][:12],
-            say("column.family"): row["family"],
-            say("lot.units"): row["units"],
-            say("verdict.pass"): row["passed"],
-            say("networks.refused"): row["refused"],
-            say("column.predicted"): number(row["predicted"], unit),
-            say("lot.audited"): row["audited"],
-            say("column.before"): number(row["before"], unit),
-            say("column.after"): number(row["after"], unit),
-            say("networks.after_95"): number(row["after_95"], unit),
+            translate("column.network"): row["network"][:12],
+            translate("column.family"): row["family"],
+            translate("lot.units"): row["units"],
+            translate("verdict.pass"): row["passed"],
+            translate("networks.refused"): row["refused"],
+            translate("column.predicted"): number(row["predicted"], unit),
+            translate("lot.audited"): row["audited"],
+            translate("column.before"): number(row["before"], unit),
+            translate("column.after"): number(row["after"], unit),
+            translate("networks.after_95"): number(row["after_95"], unit),
         }
         for row in compared
     )

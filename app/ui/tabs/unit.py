@@ -2,31 +2,39 @@
 
 import streamlit as st
 
-from softcal.app.calibration.changes import reached_lots
+from softcal.app.calibration.changes import list_affected_lots
 from softcal.app.calibration.release import roll_back
 from softcal.app.charts import unit as charts_unit
 from softcal.app.charts.compare import maps_together, predicted_over_load
+from softcal.app.charts.explanation import HEIGHT, explanation_figure
 from softcal.app.charts.long_term import course_figure
-from softcal.app.charts.why import HEIGHT, why_figure
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
-from softcal.app.export.export import exported_file_record, withdraw_given
-from softcal.app.export.formats import writer_of
+from softcal.app.export.export import exported_file_record, withdraw_recalled_files
+from softcal.app.export.formats import find_writer
 from softcal.app.export.names import FORMATS
-from softcal.app.texts.reasons import all_said, phrase
+from softcal.app.texts.reasons import render_reasons, translate_phrase
 from softcal.app.ui.account import actor, allows
-from softcal.app.ui.actions import ask_reason, download, finish, refusals_in_words
+from softcal.app.ui.actions import ask_reason, download, finish, show_refusals
 from softcal.app.ui.components.verdict_changes import draw_changes
-from softcal.app.ui.desk import colours, empty, in_words, instant, named, say, verdict_word
 from softcal.app.ui.panels import (
     figure_under,
-    figures_beside,
-    named_units,
     rest_may_follow,
     show_figure,
+    show_figures,
     table,
     table_to_choose,
+    units_of_address,
 )
-from softcal.app.ui.server_memory import registry, remembered_rollback
+from softcal.app.ui.presentation import (
+    colours,
+    empty,
+    format_instant,
+    label_formatter,
+    localize,
+    translate,
+    verdict_word,
+)
+from softcal.app.ui.server_cache import registry, remembered_rollback
 from softcal.app.views.common import number, percent
 from softcal.app.views.long_term import course, units_in_use
 from softcal.app.views.unit import UnitView, unit_view
@@ -38,11 +46,11 @@ from softcal.db.entries import StoredCalibration
 def draw_why(key: UnitKey, stored: StoredCalibration) -> None:
     """Draw what was measured first, else what the forecast is made of."""
     for reason in stored.state.decision.reasons:
-        st.markdown(f"- {in_words(reason)}")
+        st.markdown(f"- {localize(reason)}")
     if not rest_may_follow():
         return
     view = unit_view(registry(), key, stored.revision)
-    figure = why_figure(view, colours(), say)
+    figure = explanation_figure(view, colours(), translate)
     figure.update_layout(title=None, margin_t=36, height=HEIGHT if view.audit else HEIGHT // 2)
     figure_under("unit.why", figure, "why")
 
@@ -53,14 +61,14 @@ def draw_recording(key: UnitKey, stored: StoredCalibration) -> None:
         return
     view = unit_view(registry(), key, stored.revision)
     share = percent(view.flagged / len(view.estimate.flag))
-    st.caption(say("unit.flags", flagged=view.flagged, rows=len(view.estimate.flag), share=share))
-    figures_beside(
-        ("unit.estimate", charts_unit.estimate_band(view, colours(), say), "estimate_band"),
-        ("unit.hysteresis", charts_unit.hysteresis(view, colours(), say), "hysteresis"),
+    st.caption(translate("unit.flags", flagged=view.flagged, rows=len(view.estimate.flag), share=share))
+    show_figures(
+        ("unit.estimate", charts_unit.estimate_band(view, colours(), translate), "estimate_band"),
+        ("unit.hysteresis", charts_unit.hysteresis(view, colours(), translate), "hysteresis"),
     )
-    figures_beside(
-        ("unit.outputs", charts_unit.output_distributions(view, colours(), say), "output_distributions"),
-        ("unit.map", charts_unit.map_curve(view, colours(), say), "map_curve"),
+    show_figures(
+        ("unit.outputs", charts_unit.output_distributions(view, colours(), translate), "output_distributions"),
+        ("unit.map", charts_unit.map_curve(view, colours(), translate), "map_curve"),
     )
     draw_recordings(key)
 
@@ -70,38 +78,41 @@ def draw_recordings(key: UnitKey) -> None:
     lot = registry().lots.get(key.lot_id)
     entries = registry().recordings.of_lot(lot.id, key.serial)[::-1]
     if not entries:
-        st.caption(say("unit.recordings.none"))
+        st.caption(translate("unit.recordings.none"))
         return
     rows = [
         {
-            say("column.kind"): say(f"kind.{entry.kind}"),
-            say("column.made"): instant(entry.added_at),
-            say("column.duration"): f"{entry.samples / entry.sample_rate_Hz:.1f} s",
-            say("column.rate"): f"{entry.sample_rate_Hz:g} Hz",
+            translate("column.kind"): translate(f"kind.{entry.kind}"),
+            translate("column.made"): format_instant(entry.added_at),
+            translate("column.duration"): f"{entry.samples / entry.sample_rate_Hz:.1f} s",
+            translate("column.rate"): f"{entry.sample_rate_Hz:g} Hz",
             "SHA-256": entry.sha256[:12],
         }
         for entry in entries
     ]
     chosen = entries[table_to_choose(rows, f"recordings-{key}") or 0]
     show_figure(
-        charts_unit.recording(registry().recordings.get(chosen.sha256), lot, colours(), say), f"recordings-{key}-plot"
+        charts_unit.recording(registry().recordings.get(chosen.sha256), lot, colours(), translate),
+        f"recordings-{key}-plot",
     )
 
 
 def draw_files(key: UnitKey, stored: StoredCalibration) -> None:
     """Draw the choice of a format, and a button a file."""
-    chosen = st.segmented_control(say("unit.files.format"), FORMATS, format_func=named("format"), key=f"format-{key}")
+    chosen = st.segmented_control(
+        translate("unit.files.format"), FORMATS, format_func=label_formatter("format"), key=f"format-{key}"
+    )
     if chosen is None:
-        st.caption(say("unit.files.how"))
+        st.caption(translate("unit.files.how"))
         return
     # The calibration in use is asked for as such: whether it still is the answer is looked up with it.
     revision = None if stored.is_current else stored.revision
     options = ExportOptions(revision=revision, lot_id=key.lot_id)
     try:
         unit = UnitLoader(registry(), options).load(key.serial)
-        files = writer_of(chosen)(unit)
+        files = find_writer(chosen)(unit)
     except UnitRefused as error:
-        st.warning(in_words(error), icon=":material/block:")
+        st.warning(localize(error), icon=":material/block:")
         return
     with st.container(horizontal=True):
         for name, content in files.items():
@@ -116,18 +127,18 @@ def draw_history(key: UnitKey, stored: StoredCalibration) -> None:
     unit, rows, older = registry().lots.get(key.lot_id).reference_unit, [], []
     for entry in reversed(registry().calibrations.history(key.serial, key.lot_id)):
         state, errors = entry.state, entry.state.errors
-        back = say("unit.rolled_back", revision=entry.rolled_back_to) if entry.rolled_back_to else ""
+        back = translate("unit.rolled_back", revision=entry.rolled_back_to) if entry.rolled_back_to else ""
         rows.append(
             {
-                say("column.revision"): entry.revision,
-                say("column.in_use"): say("unit.in_use") if entry.is_current else "",
-                say("column.made"): instant(entry.made_at),
-                say("column.verdict"): verdict_word(state.verdict),
-                say("column.predicted"): number(errors["predicted_rmse"], unit, state.limit.maximum_rmse),
-                say("column.after"): number(errors["after_rmse"], unit, state.limit.maximum_rmse),
-                say("column.family"): state.fit.family,
-                say("column.actor"): entry.actor,
-                say("column.reason"): "; ".join(filter(None, (back, entry.reason))),
+                translate("column.revision"): entry.revision,
+                translate("column.in_use"): translate("unit.in_use") if entry.is_current else "",
+                translate("column.made"): format_instant(entry.made_at),
+                translate("column.verdict"): verdict_word(state.verdict),
+                translate("column.predicted"): number(errors["predicted_rmse"], unit, state.limit.maximum_rmse),
+                translate("column.after"): number(errors["after_rmse"], unit, state.limit.maximum_rmse),
+                translate("column.family"): state.fit.family,
+                translate("column.actor"): entry.actor,
+                translate("column.reason"): "; ".join(filter(None, (back, entry.reason))),
             }
         )
         if not entry.is_current:
@@ -140,71 +151,71 @@ def draw_history(key: UnitKey, stored: StoredCalibration) -> None:
 
 def _roll_back(key: UnitKey, older: list[int]) -> None:
     with st.container(border=True):
-        st.markdown(f"**{say('unit.rollback')}**")
-        revision = int(st.selectbox(say("column.revision"), older, key=f"rollback-{key}-{len(older)}"))
+        st.markdown(f"**{translate('unit.rollback')}**")
+        revision = int(st.selectbox(translate("column.revision"), older, key=f"rollback-{key}-{len(older)}"))
         if allows("rollback"):
-            with refusals_in_words():
+            with show_refusals():
                 draw_changes(remembered_rollback(key.lot_id, key.serial, revision).changed)
-        reason = ask_reason(f"rollback-{key}-{len(older)}", say("unit.rollback.do"), "rollback")
+        reason = ask_reason(f"rollback-{key}-{len(older)}", translate("unit.rollback.do"), "rollback")
         if reason is None:
             return
-        with refusals_in_words():
+        with show_refusals():
             roll_back(registry(), key.serial, revision, reason=reason, actor=actor(), lot_id=key.lot_id)
-            withdraw_given(registry(), reached_lots(registry(), key.lot_id))
-            finish("unit", say("unit.rollback.done", revision=revision))
+            withdraw_recalled_files(registry(), list_affected_lots(registry(), key.lot_id))
+            finish("unit", translate("unit.rollback.done", revision=revision))
 
 
 def _draw_long_use(key: UnitKey, stored: StoredCalibration) -> None:
     """Draw the state and the course of a unit in use; nothing where it is not followed."""
-    use = next((found for found in units_in_use(registry()) if found[0].key == key), None)
-    if use is None:
+    entry = next((candidate for candidate in units_in_use(registry()) if candidate[0].key == key), None)
+    if entry is None:
         return
-    unit, reference_unit = use
-    st.header(say("long_term.course", serial=key.serial))
+    unit, reference_unit = entry
+    st.header(translate("long_term.course", serial=key.serial))
     state, limit = "alarm" if unit.entry["alarm"] else unit.entry["verdict"], stored.state.limit.maximum_rmse
     cells = (
-        (say("column.state"), say(f"event.{state}")),
-        (say("lot.predicted"), number(unit.entry["predicted_rmse"], reference_unit, limit)),
-        (say("chart.drift_scale"), number(unit.entry["shift"])),
-        (say("long_term.steps"), str(unit.steps)),
-        (say("column.made"), instant(unit.made_at)),
+        (translate("column.state"), translate(f"event.{state}")),
+        (translate("lot.predicted"), number(unit.entry["predicted_rmse"], reference_unit, limit)),
+        (translate("chart.drift_scale"), number(unit.entry["shift"])),
+        (translate("long_term.steps"), str(unit.steps)),
+        (translate("column.made"), format_instant(unit.made_at)),
     )
     st.markdown(" · ".join(f"{label}: **{value}**" for label, value in cells))
     streams = registry().adaptations.streams(key)
-    stream = streams[0] if len(streams) == 1 else str(st.selectbox(say("long_term.stream"), streams))
+    stream = streams[0] if len(streams) == 1 else str(st.selectbox(translate("long_term.stream"), streams))
     stream_course = course(registry(), key, stream)
     if stream_course.alarm:
-        why = phrase("adapt", stream_course.alarm, say)
-        st.warning(why, icon=":material/notification_important:", title=say("long_term.due"))
+        message = translate_phrase("adapt", stream_course.alarm, translate)
+        st.warning(message, icon=":material/notification_important:", title=translate("long_term.due"))
     if not stream_course.steps:
-        st.caption(say("long_term.no_steps"))
+        st.caption(translate("long_term.no_steps"))
         return
     if rest_may_follow():
-        show_figure(course_figure(stream_course, colours(), say), f"course-{key}")
+        show_figure(course_figure(stream_course, colours(), translate), f"course-{key}")
 
 
 def draw_compare(key: UnitKey, stored: StoredCalibration) -> None:
     """Draw the numbers of this unit and another one, and their maps in one picture."""
-    asked = str(st.query_params.get("with", ""))
-    text = str(st.text_input(say("unit.find"), key=f"compare-find-{key}", icon=":material/search:") or "").strip()
-    offered = list(dict.fromkeys([*(() if text else named_units(asked)), *_others(key, text)]))
+    requested_unit = str(st.query_params.get("with", ""))
+    text = str(st.text_input(translate("unit.find"), key=f"compare-find-{key}", icon=":material/search:") or "").strip()
+    offered = list(dict.fromkeys([*(() if text else units_of_address(requested_unit)), *_others(key, text)]))
     if not offered:
         empty("empty.units")
         return
     other = st.selectbox(
-        say("choose.unit"),
+        translate("choose.unit"),
         offered,
         format_func=lambda unit: f"{unit.serial} · {unit.lot_id}",
         key=f"compare-with-{key}-{text}",
     )
     st.query_params["with"] = str(other)
     left, right = unit_view(registry(), key, stored.revision), unit_view(registry(), other)
-    one, two = _facts(left), _facts(right)
-    table([{say("compare.fact"): name, str(key): one[name], str(other): two[name]} for name in one])
+    one, two = _unit_values(left), _unit_values(right)
+    table([{translate("compare.fact"): name, str(key): one[name], str(other): two[name]} for name in one])
     if rest_may_follow():
-        figures_beside(
-            ("unit.map", maps_together((left, right), colours(), say), "compare-maps"),
-            ("compare.interval", predicted_over_load((left, right), colours(), say), "compare-interval"),
+        show_figures(
+            ("unit.map", maps_together((left, right), colours(), translate), "compare-maps"),
+            ("compare.interval", predicted_over_load((left, right), colours(), translate), "compare-interval"),
         )
 
 
@@ -213,17 +224,17 @@ def _others(key: UnitKey, text: str) -> list[UnitKey]:
     return [unit for unit in units if registry().calibrations.history(unit.serial, unit.lot_id)]
 
 
-def _facts(view: UnitView) -> dict[str, str]:
+def _unit_values(view: UnitView) -> dict[str, str]:
     errors, unit = view.stored.state.errors, view.lot.reference_unit
     limit = view.stored.state.limit.maximum_rmse
     return {
-        say("column.verdict"): verdict_word(view.stored.state.verdict),
-        say("column.revision"): str(view.stored.revision),
-        say("column.made"): instant(view.stored.made_at),
-        say("column.family"): view.stored.state.fit.family,
-        say("lot.predicted"): number(errors["predicted_rmse"], unit, limit),
-        say("column.before"): number(errors["before_rmse"], unit, limit),
-        say("column.after"): number(errors["after_rmse"], unit, limit),
-        say("column.own"): number(errors["own_rmse"], unit, limit),
-        say("column.reasons"): all_said(view.stored.state.decision.reasons, say),
+        translate("column.verdict"): verdict_word(view.stored.state.verdict),
+        translate("column.revision"): str(view.stored.revision),
+        translate("column.made"): format_instant(view.stored.made_at),
+        translate("column.family"): view.stored.state.fit.family,
+        translate("lot.predicted"): number(errors["predicted_rmse"], unit, limit),
+        translate("column.before"): number(errors["before_rmse"], unit, limit),
+        translate("column.after"): number(errors["after_rmse"], unit, limit),
+        translate("column.own"): number(errors["own_rmse"], unit, limit),
+        translate("column.reasons"): render_reasons(view.stored.state.decision.reasons, translate),
     }

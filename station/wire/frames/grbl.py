@@ -114,11 +114,12 @@ def parse(line: bytes) -> Reply:
             state, _, substate = head.partition(":")
             if state not in _STATES:
                 raise ValueError(text)
-            named = dict(field.split(":", 1) for field in fields if ":" in field)
+            fields_by_name = dict(field.split(":", 1) for field in fields if ":" in field)
             machine_mm, work_mm, offset_mm = (
-                tuple(map(float, named[name].split(","))) if name in named else None for name in ("MPos", "WPos", "WCO")
+                tuple(map(float, fields_by_name[name].split(","))) if name in fields_by_name else None
+                for name in ("MPos", "WPos", "WCO")
             )
-            return GrblStatus(state, int(substate or 0), machine_mm, work_mm, offset_mm, named.get("Pn", ""))
+            return GrblStatus(state, int(substate or 0), machine_mm, work_mm, offset_mm, fields_by_name.get("Pn", ""))
         if _GREETING.match(text):
             return Greeting(text)
         if setting := _SETTING.match(text):

@@ -23,13 +23,13 @@ class Command:
 
     Args:
         message_id: echoed by the device; None when it was not given.
-        words: the command itself, "" asks only for the status.
+        instruction: the command itself, "" asks only for the status.
     """
 
     device: int
     axis: int
     message_id: int | None
-    words: str
+    instruction: str
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ def lrc(content: bytes) -> bytes:
 def format_command(command: Command) -> bytes:
     """Return a command with its checksum."""
     identity = "" if command.message_id is None else f" {command.message_id:02d}"
-    words = f" {command.words}" if command.words else ""
-    content = f"{command.device} {command.axis}{identity}{words}".encode()
+    instruction = f" {command.instruction}" if command.instruction else ""
+    content = f"{command.device} {command.axis}{identity}{instruction}".encode()
     return b"/" + content + b":" + lrc(content) + b"\n"
 
 
@@ -76,18 +76,18 @@ def parse_command(line: bytes) -> tuple[Command, bool]:
         raise BadReply(reason("zaber.no_command", line=repr(line[:40])))
     content, has_checksum = _without_checksum(line)
     numbers: list[int] = []
-    words = content.decode("ascii", "replace").split()
-    while words and len(numbers) < 3 and words[0].isdigit():
-        numbers.append(int(words.pop(0)))
+    tokens = content.decode("ascii", "replace").split()
+    while tokens and len(numbers) < 3 and tokens[0].isdigit():
+        numbers.append(int(tokens.pop(0)))
     device, axis = [*numbers, 0, 0][:2]
-    return Command(device, axis, numbers[2] if len(numbers) == 3 else None, " ".join(words)), has_checksum
+    return Command(device, axis, numbers[2] if len(numbers) == 3 else None, " ".join(tokens)), has_checksum
 
 
 def format_reply(reply: Reply, has_checksum: bool) -> bytes:
     """Return a reply in the device's format."""
     identity = "" if reply.message_id is None else f" {reply.message_id:02d}"
-    words = ("OK" if reply.is_ok else "RJ", "BUSY" if reply.is_busy else "IDLE", reply.warning, reply.data)
-    content = f"{reply.device:02d} {reply.scope}{identity} {' '.join(words)}".encode()
+    fields = ("OK" if reply.is_ok else "RJ", "BUSY" if reply.is_busy else "IDLE", reply.warning, reply.data)
+    content = f"{reply.device:02d} {reply.scope}{identity} {' '.join(fields)}".encode()
     return b"@" + content + (b":" + lrc(content) if has_checksum else b"") + b"\r\n"
 
 
@@ -98,10 +98,10 @@ def parse_reply(line: bytes) -> Reply | None:
         return None
     try:
         content, _ = _without_checksum(line)
-        words = content.decode("ascii").split(" ")
-        device, scope = int(words[0]), int(words[1])
-        message_id = int(words.pop(2)) if words[2].isdigit() else None
-        verdict, state, warning, *data = words[2:]
+        tokens = content.decode("ascii").split(" ")
+        device, scope = int(tokens[0]), int(tokens[1])
+        message_id = int(tokens.pop(2)) if tokens[2].isdigit() else None
+        verdict, state, warning, *data = tokens[2:]
     except (ValueError, IndexError) as error:
         raise BadReply(reason("zaber.noise", line=repr(line[:60]))) from error
     if line[:1] != b"@" or verdict not in ("OK", "RJ") or state not in ("BUSY", "IDLE"):

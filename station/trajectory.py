@@ -33,14 +33,14 @@ class Trapezoid:
         """Return positions at times since the start; outside the move those of its ends."""
         ramp_s = self.peak_mm_s / self.acceleration_mm_s2
         t = np.clip(t_s, 0.0, self.duration_s)
-        left = self.duration_s - t
-        braking = np.abs(self.end_mm - self.start_mm) - 0.5 * self.acceleration_mm_s2 * left**2
-        gone = np.where(
+        remaining_s = self.duration_s - t
+        braking = np.abs(self.end_mm - self.start_mm) - 0.5 * self.acceleration_mm_s2 * remaining_s**2
+        travelled_mm = np.where(
             t < ramp_s,
             0.5 * self.acceleration_mm_s2 * t**2,
-            np.where(left < ramp_s, braking, self.peak_mm_s * (t - 0.5 * ramp_s)),
+            np.where(remaining_s < ramp_s, braking, self.peak_mm_s * (t - 0.5 * ramp_s)),
         )
-        return np.asarray(self.start_mm + np.sign(self.end_mm - self.start_mm) * gone)
+        return np.asarray(self.start_mm + np.sign(self.end_mm - self.start_mm) * travelled_mm)
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ FOLLOWS_MM, OVERTAKEN_S = 0.1, 0.15
 line that a busy host or cable held back shows the stage behind its path, and the next line shows it there again."""
 
 
-def reconstruct(polls: Sequence[StagePosition], moves: Sequence[DrivenMove]) -> StageTrack:
+def reconstruct_track(polls: Sequence[StagePosition], moves: Sequence[DrivenMove]) -> StageTrack:
     """Return where the stage was at any time of a run.
 
     A controller answers ten polls a second at most, too few to draw a corner. So every move is the trapezoid it was
@@ -95,8 +95,8 @@ def reconstruct(polls: Sequence[StagePosition], moves: Sequence[DrivenMove]) -> 
     poll_s = np.array([poll.host_s for poll in polls])
     poll_mm = np.array([poll.position_mm for poll in polls])
     delays = [_delay_s(move, poll_s, poll_mm) for move in moves]
-    known = [delay for delay in delays if delay is not None]
-    usual_s = float(np.median(known)) if known else 0.0
+    measured = [delay for delay in delays if delay is not None]
+    usual_s = float(np.median(measured)) if measured else 0.0
     # The clock of a track starts before its first poll and ends after its last one, at rest.
     t_s, position_mm = [poll_s[:1] - 1.0], [poll_mm[:1] if not moves else np.array([moves[0].path.start_mm])]
     for move, delay in zip(moves, delays, strict=True):
@@ -123,23 +123,23 @@ def _follows(move: DrivenMove, start_s: float, poll_s: Array, poll_mm: Array) ->
         return False  # No line comes early.
     # The controller's word that the move is over is a line as well: then the stage was at the end.
     is_over = start_s + path.duration_s <= move.confirmed_s
-    there_s = np.append(poll_s[behind_mm <= FOLLOWS_MM], move.confirmed_s if is_over else np.inf)
+    on_path_s = np.append(poll_s[behind_mm <= FOLLOWS_MM], move.confirmed_s if is_over else np.inf)
     off_s = poll_s[behind_mm > FOLLOWS_MM]
-    return bool(np.all(there_s[np.searchsorted(there_s, off_s)] - off_s <= OVERTAKEN_S))
+    return bool(np.all(on_path_s[np.searchsorted(on_path_s, off_s)] - off_s <= OVERTAKEN_S))
 
 
 def _delay_s(move: DrivenMove, poll_s: Array, poll_mm: Array) -> float | None:
     """Return the delay from command to motion in s, from the polls on its flanks."""
     path = move.path
     inside = (poll_s > move.begun_s) & (poll_s < move.confirmed_s)
-    gone = np.abs(poll_mm - path.start_mm)
+    travelled_mm = np.abs(poll_mm - path.start_mm)
     length = abs(path.end_mm - path.start_mm)
     ramp_mm = 0.5 * path.peak_mm_s**2 / path.acceleration_mm_s2
-    cruising = inside & (gone > ramp_mm) & (gone < length - ramp_mm)
+    cruising = inside & (travelled_mm > ramp_mm) & (travelled_mm < length - ramp_mm)
     if not cruising.any():
         return None
     ramp_s = path.peak_mm_s / path.acceleration_mm_s2
-    planned_s = gone[cruising] / path.peak_mm_s + 0.5 * ramp_s
+    planned_s = travelled_mm[cruising] / path.peak_mm_s + 0.5 * ramp_s
     begins_s = poll_s[cruising] - planned_s
     # Lines come late, never early.
     on_time = begins_s <= np.min(begins_s) + FOLLOWS_MM / path.peak_mm_s

@@ -32,11 +32,11 @@ HEAD_S, BODY_S = 10.0, 10.0
 MAX_CONNECTIONS = 256
 """With more, the one that has waited longest for its head is closed: who says nothing shuts nobody out."""
 
-OPEN = ("/health", "/openapi.json")
+PUBLIC_PATHS = ("/health", "/openapi.json")
 """What needs no token."""
 
 
-class Front:
+class RequestGuard:
     """ASGI middleware: host, token, size of the body, and ETag of an answer.
 
     Args:
@@ -57,12 +57,12 @@ class Front:
         if refusal is None:
             try:
                 body = await _read_body(receive, headers)
-            except _Refused as refused:
+            except _RequestRefused as refused:
                 refusal = refused.answer
             except ClientDisconnect:
                 return
             else:
-                answer = _Answer(send, headers.one("if-none-match")) if scope["method"] == "GET" else None
+                answer = _EtagSender(send, headers.one("if-none-match")) if scope["method"] == "GET" else None
                 await self._app(scope, _replay(body, receive), send if answer is None else answer.take)
                 return
         # The body stays where it is: a connection that went on would have to read it.
@@ -71,14 +71,14 @@ class Front:
 
     def _refusal(self, headers: Headers) -> Response | None:
         hosts = headers.all("host")
-        if len(hosts) != 1 or _name_of(hosts[0]) not in self._hosts:
+        if len(hosts) != 1 or _host_name(hosts[0]) not in self._hosts:
             return problem(400, "this server is not known under this name; start it with --name, or ask it by its own")
         if headers.size() > MAX_HEAD:
             return problem(431, f"a head of at most {MAX_HEAD // 1024} KiB was expected; nothing was done")
         return None
 
     async def _sign_in(self, scope: Scope, headers: Headers) -> Response | None:
-        if scope["path"] in OPEN or not scope["path"].startswith("/v1/"):
+        if scope["path"] in PUBLIC_PATHS or not scope["path"].startswith("/v1/"):
             return None
         kind, _, secret = headers.one("authorization").partition(" ")
         if kind.lower() != "bearer" or not secret:
@@ -92,24 +92,24 @@ class Front:
         return None
 
 
-def _name_of(host: str) -> str:
+def _host_name(host: str) -> str:
     name, colon, port = host.rpartition(":")
     return (name if colon and port.isdigit() else host).lower().strip("[]")
 
 
-class _Refused(Exception):
+class _RequestRefused(Exception):
     def __init__(self, status: int, detail: str) -> None:
         super().__init__(detail)
         self.answer = problem(status, f"{detail}; nothing was done")
 
 
 async def _read_body(receive: Receive, headers: Headers) -> bytes:
-    """Return the body; raise `_Refused` if it is too long or too slow, and never pass on a partial body."""
+    """Return the body; raise `_RequestRefused` if it is too long or too slow, and never pass on a partial body."""
     length, body = headers.one("content-length"), bytearray()
-    announced = int(length) if length.isdigit() else 0
+    declared_length = int(length) if length.isdigit() else 0
     try:
         async with asyncio.timeout(BODY_S):
-            while max(announced, len(body)) <= MAX_BODY:
+            while max(declared_length, len(body)) <= MAX_BODY:
                 message = await receive()
                 if message["type"] == "http.disconnect":
                     raise ClientDisconnect
@@ -117,8 +117,8 @@ async def _read_body(receive: Receive, headers: Headers) -> bytes:
                 if not message.get("more_body") and len(body) <= MAX_BODY:
                     return bytes(body)
     except TimeoutError as error:
-        raise _Refused(408, f"the body did not come within {BODY_S:g} s") from error
-    raise _Refused(413, f"a body of at most {MAX_BODY // 1024} KiB was expected")
+        raise _RequestRefused(408, f"the body did not come within {BODY_S:g} s") from error
+    raise _RequestRefused(413, f"a body of at most {MAX_BODY // 1024} KiB was expected")
 
 
 def _replay(body: bytes, receive: Receive) -> Receive:
@@ -130,11 +130,11 @@ def _replay(body: bytes, receive: Receive) -> Receive:
     return read
 
 
-class _Answer:
+class _EtagSender:
     """Buffers a complete answer, then sends it with its ETag, or 304 if the client has it already."""
 
-    def __init__(self, send: Send, known: str) -> None:
-        self._send, self._known, self._body = send, known, bytearray()
+    def __init__(self, send: Send, if_none_match: str) -> None:
+        self._send, self._if_none_match, self._body = send, if_none_match, bytearray()
         self._start: Message = {}
 
     async def take(self, message: Message) -> None:
@@ -148,24 +148,24 @@ class _Answer:
             etag = f'"{hashlib.sha256(self._body).hexdigest()[:32]}"'
             # What is said of a unit may change at any time, and is for who may read it.
             self._start["headers"] += [(b"etag", etag.encode()), (b"cache-control", b"private, no-cache")]
-            if is_known(etag, self._known):
-                kept = (b"etag", b"cache-control")
-                headers = [(name, value) for name, value in self._start["headers"] if name in kept]
+            if is_etag_listed(etag, self._if_none_match):
+                etag_headers = (b"etag", b"cache-control")
+                headers = [(name, value) for name, value in self._start["headers"] if name in etag_headers]
                 self._start, self._body = {**self._start, "status": 304, "headers": headers}, bytearray()
         await self._send(self._start)
         await self._send({"type": "http.response.body", "body": bytes(self._body)})
 
 
-def is_known(etag: str, known: str) -> bool:
+def is_etag_listed(etag: str, if_none_match: str) -> bool:
     """Whether If-None-Match names a tag (RFC 9110, 13.1.2: a list, weak or strong, or `*`)."""
-    tags = {tag.strip().removeprefix("W/") for tag in known.split(",")}
+    tags = {tag.strip().removeprefix("W/") for tag in if_none_match.split(",")}
     return "*" in tags or etag in tags
 
 
 class BoundedProtocol(H11Protocol):
     """HTTP/1.1 whose heads have to be whole in time; uvicorn itself waits for them for ever."""
 
-    begun_s = 0.0
+    wait_start_s = 0.0
     _head_timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
@@ -174,7 +174,7 @@ class BoundedProtocol(H11Protocol):
         self._await_head()
         if len(self.connections) > MAX_CONNECTIONS:
             waiting = [one for one in self.connections if isinstance(one, BoundedProtocol) and one.is_waiting]
-            oldest = min(waiting, key=lambda one: one.begun_s)
+            oldest = min(waiting, key=lambda one: one.wait_start_s)
             # It is among the connections until the loop comes to it; it must not be chosen twice.
             oldest._end_wait()
             oldest.transport.abort()
@@ -212,7 +212,7 @@ class BoundedProtocol(H11Protocol):
 
     def _await_head(self) -> None:
         self._end_wait()
-        self.begun_s = time.monotonic()
+        self.wait_start_s = time.monotonic()
         self._head_timer = self.loop.call_later(HEAD_S, self.transport.abort)
 
     def _end_wait(self) -> None:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 from softcal.core.errors import DeviceError, NoReply
 from softcal.core.messages.reason import reason
-from softcal.station.device_names import named
+from softcal.station.device_names import device_label
 from softcal.station.interfaces import Clock, Sample
-from softcal.station.wire.asked import next_turn_s
+from softcal.station.wire.query_reader import next_query_s
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class ThreadedReader:
         self._device_s: float | None = None
         self._ends = threading.Event()
         self._is_closed = False
-        self._thread = threading.Thread(target=self._call, name=name, daemon=True)
+        self._thread = threading.Thread(target=self._read_repeatedly, name=name, daemon=True)
         self._thread.start()
 
     def start(self) -> None:
@@ -88,11 +88,11 @@ class ThreadedReader:
         if isinstance(fault, DeviceError):
             raise fault
         if fault is not None:
-            what = f"{type(fault).__name__}: {fault}" if str(fault) else type(fault).__name__
-            raise NoReply(reason("rig.library.ended", device=named(self.name), what=what)) from fault
+            error_text = f"{type(fault).__name__}: {fault}" if str(fault) else type(fault).__name__
+            raise NoReply(reason("rig.library.ended", device=device_label(self.name), what=error_text)) from fault
         silent_s = self._clock.now_s() - newest_s
         if silent_s > self._stale_s:
-            raise NoReply(reason("rig.library.silent", device=named(self.name), seconds=silent_s))
+            raise NoReply(reason("rig.library.silent", device=device_label(self.name), seconds=silent_s))
         return []
 
     def close(self) -> None:
@@ -106,10 +106,10 @@ class ThreadedReader:
             self._close_library()
         self._thread.join(self._stale_s)  # Closing ends the call of most libraries.
 
-    def _call(self) -> None:
+    def _read_repeatedly(self) -> None:
         next_s = self._clock.now_s()
         while not self._ends.is_set():
-            asked_s = self._clock.now_s()
+            call_s = self._clock.now_s()
             try:
                 reading = self._read()
             except Exception as error:  # What a library raises is its own choice; poll says it.
@@ -119,8 +119,8 @@ class ThreadedReader:
             now_s = self._clock.now_s()
             is_new = reading.device_s is None or self._device_s is None or reading.device_s > self._device_s
             with self._lock:
-                if is_new and asked_s >= self._discard_before_s:
+                if is_new and call_s >= self._discard_before_s:
                     self._device_s, self._newest_s = reading.device_s, now_s
-                    self._samples.append(Sample((asked_s + now_s) / 2, reading.device_s, reading.values))
-            next_s = next_turn_s(next_s, asked_s, self.rate_Hz)
+                    self._samples.append(Sample((call_s + now_s) / 2, reading.device_s, reading.values))
+            next_s = next_query_s(next_s, call_s, self.rate_Hz)
             self._ends.wait(max(0.0, next_s - now_s))

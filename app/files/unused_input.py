@@ -13,7 +13,7 @@ MAX_NAMES = 8
 
 
 @dataclass(frozen=True)
-class NotUsed:
+class UnusedInput:
     """One unused input.
 
     Args:
@@ -31,18 +31,18 @@ class NotUsed:
         return {"kind": self.kind, "name": self.name, **file, "why": str(self.why), "code": self.why.code}
 
 
-def not_used_lines(items: Iterable[NotUsed]) -> list[str]:
+def unused_input_lines(items: Iterable[UnusedInput]) -> list[str]:
     """Return the unused inputs, a line for each kind and reason: `not used: columns a, b of 3 files: ...`."""
-    groups: dict[tuple[str, str], list[NotUsed]] = {}
+    groups: dict[tuple[str, str], list[UnusedInput]] = {}
     for item in items:
         groups.setdefault((item.kind, str(item.why)), []).append(item)
-    return [_line(kind, why, group) for (kind, why), group in groups.items()]
+    return [_line(kind, cause, group) for (kind, cause), group in groups.items()]
 
 
-def _line(kind: str, why: str, group: Sequence[NotUsed]) -> str:
+def _line(kind: str, cause: str, group: Sequence[UnusedInput]) -> str:
     names = list(dict.fromkeys(item.name for item in group))
     more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
     files = {item.file for item in group if item.file and kind == "column"}
-    of = f" of {len(files)} files" if len(files) > 1 else f" of {min(files)}" if files else ""
-    what = "rows of" if kind == "rows" else kind if len(names) == 1 else f"{kind}s"
-    return f"not used: {what} {', '.join(names[:MAX_NAMES])}{more}{of}: {why}"
+    of_files = f" of {len(files)} files" if len(files) > 1 else f" of {min(files)}" if files else ""
+    subject = "rows of" if kind == "rows" else kind if len(names) == 1 else f"{kind}s"
+    return f"not used: {subject} {', '.join(names[:MAX_NAMES])}{more}{of_files}: {cause}"

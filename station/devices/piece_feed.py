@@ -6,12 +6,12 @@ from collections import deque
 import numpy as np
 
 from softcal.station.interfaces import Move
-from softcal.station.record.trajectory import Trapezoid
+from softcal.station.trajectory import Trapezoid
 
-PIECE_S, AHEAD_S, PIECES_AHEAD, LEAST_MM = 0.1, 0.3, 3, 0.001
+PIECE_S, AHEAD_S, PIECES_AHEAD, MIN_PIECE_MM = 0.1, 0.3, 3, 0.001
 """A move is fed in pieces of PIECE_S, at most AHEAD_S and the time of braking ahead: when the host dies, the stage soon
 stops by itself. A planner that sees less than its braking distance would never get up to speed. Where the way ahead is
-bounded, so many pieces fit into it; none is shorter than LEAST_MM, which is less than a step of most drives."""
+bounded, so many pieces fit into it; none is shorter than MIN_PIECE_MM, which is less than a step of most drives."""
 
 
 class PieceFeed:
@@ -24,7 +24,7 @@ class PieceFeed:
     def __init__(self, path: Trapezoid, ahead_mm: float, now_s: float) -> None:
         self._began_s = now_s
         peak_mm_s = max(path.peak_mm_s, 1e-9)
-        piece_s = min(PIECE_S, max(LEAST_MM, ahead_mm / PIECES_AHEAD) / peak_mm_s)
+        piece_s = min(PIECE_S, max(MIN_PIECE_MM, ahead_mm / PIECES_AHEAD) / peak_mm_s)
         self._ahead_s = min(_ahead_s(path.peak_mm_s, path.acceleration_mm_s2), ahead_mm / peak_mm_s - piece_s)
         edges_s = np.linspace(0.0, path.duration_s, 1 + max(1, math.ceil(path.duration_s / piece_s)))
         ends_mm = [*path.position_mm(edges_s[1:-1]), path.end_mm]
@@ -40,7 +40,7 @@ class PieceFeed:
         starts_s, ends_mm = self._pieces[0]
         return ends_mm if now_s - self._began_s - starts_s >= -self._ahead_s else None
 
-    def sent(self, now_s: float) -> None:
+    def mark_sent(self, now_s: float) -> None:
         starts_s, _ = self._pieces.popleft()
         # After a stall of the host the stage has paused; what follows must not run ahead of it.
         self._began_s += max(0.0, now_s - self._began_s - starts_s)

@@ -7,7 +7,7 @@ from softcal.core.messages.reason import Reason, reason
 
 
 @dataclass(frozen=True)
-class Pressed:
+class RecordedOutput:
     """Whose recording an output is.
 
     Args:
@@ -21,18 +21,18 @@ class Pressed:
     kind: str = "unit"
 
 
-def same_recordings(recordings: Iterable[Pressed]) -> tuple[Reason, ...]:
+def same_recordings(recordings: Iterable[RecordedOutput]) -> tuple[Reason, ...]:
     """Return a remark for every output that stands under several serials, or is source and golden run at once.
 
     Several lots may have the same press of one serial, and a unit and its audit may be one press.
     """
-    groups: dict[str, list[Pressed]] = {}
+    groups: dict[str, list[RecordedOutput]] = {}
     for one in recordings:
         groups.setdefault(one.output_sha256, []).append(one)
-    named = [{(one.serial, one.lot_id) for one in group} for group in groups.values()]
-    alike = [names for names in named if len({serial for serial, _ in names}) > 1]
+    unit_sets = [{(one.serial, one.lot_id) for one in group} for group in groups.values()]
+    shared = [names for names in unit_sets if len({serial for serial, _ in names}) > 1]
     # The press of a unit and a part of it as its audit are two outputs and one mistake.
-    largest = [names for k, names in enumerate(alike) if not any(names < o or names == o for o in alike[k + 1 :])]
+    largest = [names for k, names in enumerate(shared) if not any(names < o or names == o for o in shared[k + 1 :])]
     largest = [names for names in largest if not any(names < other for other in largest)]
     remarks = []
     for names in largest:

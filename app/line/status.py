@@ -8,10 +8,10 @@ from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 
 from softcal.app.bootstrap import is_alive
-from softcal.app.line.scan_codes import numbered
+from softcal.app.line.scan_codes import channel_serial
 from softcal.core.lot import Lot
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
-from softcal.core.quality.known_loads import KnownLoad, asked_loads, next_step
+from softcal.core.quality.known_loads import KnownLoad, next_step, requested_loads
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.unit.verdict import Verdict
 from softcal.db.entries import RunEntry, UnitResult
@@ -24,10 +24,10 @@ NEWEST_RUNS = 40
 HUNG_AFTER = timedelta(seconds=15)
 """A service that is seen to live may be late with its beat for so long: it trains, or waits."""
 
-SHOWN_RUNS = 14
+MAX_SHOWN_RUNS = 14
 """So many of the last units a screen shows."""
 
-MOST_AT_ONCE = 16
+MAX_CHANNELS = 16
 """So many units of one run are looked for."""
 
 SILENT = "silent"
@@ -47,11 +47,11 @@ class Note:
     values: Mapping[str, str] = field(default_factory=dict)
     is_refusal: bool = True
     run: str = ""
-    is_meanwhile: bool = False
+    is_during_run: bool = False
 
 
 @dataclass(frozen=True)
-class Place:
+class LineSession:
     """Session of a line between its runs.
 
     Args:
@@ -79,7 +79,7 @@ class Place:
     operator: str = ""
     badged_at: datetime | None = None
 
-    def emptied(self, newest_run: str) -> "Place":
+    def emptied(self, newest_run: str) -> "LineSession":
         """Return the session after the unit in the hand became uncertain."""
         return replace(self, after_run=newest_run, serial="", is_golden=False, is_new=False, is_confirmed=False)
 
@@ -87,33 +87,33 @@ class Place:
         return self.badged_at is not None and is_silent(self.badged_at, now, BADGE_HOLDS)
 
 
-def read_place(places: LinePlaces, station: str) -> Place:
+def read_session(places: LinePlaces, station: str) -> LineSession:
     """Return the session of the line of a station."""
     version, values = places.read(station)
     if not values:
-        return Place(version)
+        return LineSession(version)
     note, badged_at = values.get("note"), values.get("badged_at")
-    facts = {
+    fields = {
         "note": Note(**note) if note else None,
         "badged_at": datetime.fromisoformat(badged_at).astimezone(UTC) if badged_at else None,
     }
-    return Place(version, **{**values, **facts})
+    return LineSession(version, **{**values, **fields})
 
 
-def write_place(places: LinePlaces, station: str, place: Place) -> bool:
+def write_session(places: LinePlaces, station: str, session: LineSession) -> bool:
     """Replace the session; return False without a change if another screen was first."""
-    values = asdict(place) | {"badged_at": place.badged_at.isoformat() if place.badged_at else None}
+    values = asdict(session) | {"badged_at": session.badged_at.isoformat() if session.badged_at else None}
     return places.write(station, values.pop("version"), values)
 
 
-def state_of(beat: Heartbeat, now: datetime, is_alive: bool | None) -> str:
+def state_of(heartbeat: Heartbeat, now: datetime, is_alive: bool | None) -> str:
     """Return the state of a station for every screen; `ready` means that it takes a unit.
 
     None for `is_alive` means that its process cannot be checked from this machine.
     """
-    patience = HUNG_AFTER if is_alive else STATION_SILENT_AFTER
-    is_there = is_alive is not False and not is_silent(beat.at, now, patience)
-    return str(beat.state) if is_there or beat.state is StationState.OFF else SILENT
+    timeout = HUNG_AFTER if is_alive else STATION_SILENT_AFTER
+    is_present = is_alive is not False and not is_silent(heartbeat.at, now, timeout)
+    return str(heartbeat.state) if is_present or heartbeat.state is StationState.OFF else SILENT
 
 
 @dataclass(frozen=True)
@@ -122,13 +122,13 @@ class Screen:
 
     Args:
         station: chosen; "" leaves it to the only one.
-        seen: version of the session on the screen at the key press; None if unknown.
+        version: version of the session on the screen at the key press; None if unknown.
         until_s: `time.monotonic()` after which it says that the key was not taken.
     """
 
     station: str = ""
     tab: str = ""
-    seen: int | None = None
+    version: int | None = None
     until_s: float | None = None
 
 
@@ -150,7 +150,7 @@ class LotAtLine:
 
 
 @dataclass(frozen=True)
-class LineFacts:
+class LineStatus:
     """State of a line.
 
     Args:
@@ -158,7 +158,7 @@ class LineFacts:
         heartbeat: of the chosen station, or None.
         runs: newest runs of the station, newest first.
         results: in this lot, oldest first, of the unit that waits, else of the unit pressed last.
-        standings: status of the units of the runs, and of the waiting unit, by serial.
+        unit_statuses: status of the units of the runs, and of the waiting unit, by serial.
     """
 
     now: datetime
@@ -169,9 +169,9 @@ class LineFacts:
     lot: LotAtLine | None = None
     active: LineRun | None = None
     runs: tuple[LineRun, ...] = ()
-    place: Place = Place()
+    session: LineSession = LineSession()
     results: tuple[RunEntry, ...] = ()
-    standings: Mapping[str, UnitResult] = field(default_factory=dict)
+    unit_statuses: Mapping[str, UnitResult] = field(default_factory=dict)
 
     @property
     def station(self) -> str:
@@ -206,21 +206,21 @@ class LineFacts:
     @property
     def result_run(self) -> LineRun | None:
         """Newest run whose result the line shows. None before one, or if another unit may be in the hand since."""
-        run = None if self.active or self.is_in_doubt else self.newest
+        run = None if self.active or self.is_unit_uncertain else self.newest
         if run is None or run[1].state is not RunState.DONE or self.load is not None:
             return run
         return run if run[0].kind.presses or run[0].kind is OrderKind.LOAD else None
 
     @property
-    def is_in_doubt(self) -> bool:
+    def is_unit_uncertain(self) -> bool:
         """Whether the unit in the hand changed, or became unknown, since the newest run."""
-        return self.place.after_run == self.newest_run
+        return self.session.after_run == self.newest_run
 
     @property
     def serial(self) -> str:
         """Serial of the scanned unit before its press; "" if it is uncertain."""
-        is_same_service = self.heartbeat is not None and self.place.process == self.heartbeat.process
-        return self.place.serial if self.is_in_doubt and is_same_service else ""
+        is_same_service = self.heartbeat is not None and self.session.process == self.heartbeat.process
+        return self.session.serial if self.is_unit_uncertain and is_same_service else ""
 
     @property
     def load_step(self) -> int:
@@ -228,111 +228,115 @@ class LineFacts:
 
         Not after a restart of the service, as events in between are unknown.
         """
-        if self.newest is None or self.active is not None or self.is_in_doubt or self.is_stopped:
+        if self.newest is None or self.active is not None or self.is_unit_uncertain or self.is_stopped:
             return 0
         order, progress = self.newest
         if not order.kind.is_about_unit or progress.state is not RunState.DONE or progress.verdict:
             return 0
-        is_same_service = self.heartbeat is not None and self.place.process == self.heartbeat.process
+        is_same_service = self.heartbeat is not None and self.session.process == self.heartbeat.process
         return next_step(progress.message) if is_same_service else 0
 
     @property
     def load(self) -> KnownLoad | None:
         if not self.load_step or self.newest is None:
             return None
-        return asked_loads(self.newest[1].message)[self.load_step - 1]
+        return requested_loads(self.newest[1].message)[self.load_step - 1]
 
     @property
     def is_golden(self) -> bool:
-        return bool(self.serial) and self.place.is_golden
+        return bool(self.serial) and self.session.is_golden
 
     @property
     def may_press(self) -> bool:
-        beat = self.heartbeat
-        is_closed = beat is None or beat.state in (StationState.CLOSED, StationState.STARTING)
-        is_open_to_golden = beat is not None and beat.state is StationState.CLOSED and self.is_golden
+        heartbeat = self.heartbeat
+        is_closed = heartbeat is None or heartbeat.state in (StationState.CLOSED, StationState.STARTING)
+        is_open_to_golden = heartbeat is not None and heartbeat.state is StationState.CLOSED and self.is_golden
         return self.is_answering and (not is_closed or is_open_to_golden)
 
     @property
-    def retests_left(self) -> int:
+    def remaining_retests(self) -> int:
         """Number of further presses allowed for the unit that `results` refer to."""
         if self.lot is None or not self.results:
             return 0
-        return self.lot.rules.retests_left(self.results[-1].verdict, len(self.results))
+        return self.lot.rules.remaining_retests(self.results[-1].verdict, len(self.results))
 
     @property
     def open_question(self) -> str:
         """Question that a person must confirm before the waiting unit is pressed; "" without one."""
         if not self.serial or self.is_golden:
             return ""
-        if self.results and self.retests_left == 0:
+        if self.results and self.remaining_retests == 0:
             return "used_up"
-        if self.place.is_confirmed or (self.results and self.results[-1].verdict == "retest"):
+        if self.session.is_confirmed or (self.results and self.results[-1].verdict == "retest"):
             return ""
-        return "ask" if self.results else "ask_new" if self.place.is_new else ""
+        return "ask" if self.results else "ask_new" if self.session.is_new else ""
 
     @property
     def operator(self) -> str:
         """Name that the badge of this shift gave; "" without."""
-        return "" if self.place.is_badge_over(self.now) else self.place.operator
+        return "" if self.session.is_badge_over(self.now) else self.session.operator
 
     @property
     def note(self) -> Note | None:
         """Sentence about the last scan, while it applies."""
-        note = self.place.note
+        note = self.session.note
         if note is None or note.run != self.newest_run:
             return None
-        if not note.is_meanwhile or self.active is not None:
+        if not note.is_during_run or self.active is not None:
             return note
         return replace(note, key="meanwhile") if note.key == "busy" else None
 
 
 def read_line(
     registry: Registry, screen: Screen, look_at_lot: Callable[[Registry, str], LotAtLine] | None = None
-) -> LineFacts:
+) -> LineStatus:
     """Return the state of a line. A screen that polls twice a second gives a `look_at_lot` with a cache.
 
     Raises:
         RegistryError: the registry is away.
     """
     queue, now = registry.order_queue, datetime.now(UTC)
-    beats = queue.stations()
-    chosen = [beat for beat in beats if beat.station == screen.station] or (beats if len(beats) == 1 else [])
-    facts = LineFacts(now, tuple(b.station for b in beats), lots=tuple(registry.lots.ids()))
+    heartbeats = queue.stations()
+    chosen = [heartbeat for heartbeat in heartbeats if heartbeat.station == screen.station] or (
+        heartbeats if len(heartbeats) == 1 else []
+    )
+    line = LineStatus(now, tuple(b.station for b in heartbeats), lots=tuple(registry.lots.ids()))
     if chosen:
         # In this order: a run that begins between must not find a place read after it.
-        beat, place = chosen[0], read_place(registry.line_places, chosen[0].station)
-        active = queue.active(beat.station)
-        runs = tuple(run for run in queue.runs(beat.station, NEWEST_RUNS) if run[0].kind.is_run)
-        facts = replace(facts, heartbeat=beat, is_alive=is_alive(beat.process), active=active, runs=runs, place=place)
-    last_lot = next((run[0].lot_id for run in facts.runs if run[0].lot_id), "")
-    wanted = (facts.place.lot_id, last_lot)
-    lot_id = next((lot for lot in wanted if lot in facts.lots), facts.lots[0] if len(facts.lots) == 1 else "")
+        heartbeat, session = chosen[0], read_session(registry.line_places, chosen[0].station)
+        active = queue.active(heartbeat.station)
+        runs = tuple(run for run in queue.runs(heartbeat.station, NEWEST_RUNS) if run[0].kind.is_run)
+        line = replace(
+            line, heartbeat=heartbeat, is_alive=is_alive(heartbeat.process), active=active, runs=runs, session=session
+        )
+    last_lot = next((run[0].lot_id for run in line.runs if run[0].lot_id), "")
+    candidates = (line.session.lot_id, last_lot)
+    lot_id = next((lot for lot in candidates if lot in line.lots), line.lots[0] if len(line.lots) == 1 else "")
     if not lot_id:
-        return facts
-    facts = replace(facts, lot=(look_at_lot or read_lot)(registry, lot_id))
-    subject = facts.serial or (facts.newest[0].serial if facts.newest else "")
+        return line
+    line = replace(line, lot=(look_at_lot or read_lot)(registry, lot_id))
+    subject = line.serial or (line.newest[0].serial if line.newest else "")
     results = tuple(registry.lots.runs(lot_id, subject)) if subject else ()
     # Where the units stand that the line shows, each of a run of several, too
-    over = [run for run in facts.runs if run[0].lot_id == lot_id and run[1].state is RunState.DONE][:SHOWN_RUNS]
-    shown = list(dict.fromkeys((*filter(None, [facts.serial]), *(order.serial for order, _ in over))))
-    standings = dict(registry.pages.standings(lot_id, shown)) if shown else {}
-    judged = {order.serial for order, done in over if done.verdict and order.serial not in standings}
-    if several := [numbered(serial, k) for serial in judged for k in range(MOST_AT_ONCE)]:
-        standings |= registry.pages.standings(lot_id, several)
-    return replace(facts, results=results, standings=standings)
+    over = [run for run in line.runs if run[0].lot_id == lot_id and run[1].state is RunState.DONE][:MAX_SHOWN_RUNS]
+    shown_serials = list(dict.fromkeys((*filter(None, [line.serial]), *(order.serial for order, _ in over))))
+    unit_statuses = dict(registry.pages.unit_statuses(lot_id, shown_serials)) if shown_serials else {}
+    undecided = {order.serial for order, done in over if done.verdict and order.serial not in unit_statuses}
+    if channel_serials := [channel_serial(serial, k) for serial in undecided for k in range(MAX_CHANNELS)]:
+        unit_statuses |= registry.pages.unit_statuses(lot_id, channel_serials)
+    return replace(line, results=results, unit_statuses=unit_statuses)
 
 
-def standing_of(facts: LineFacts, run: LineRun) -> tuple[UnitResult, ...]:
+def unit_statuses_of(line: LineStatus, run: LineRun) -> tuple[UnitResult, ...]:
     """Return the status of the units of a run, the worst first; none if the run decided none."""
     order, progress = run
-    if not order.kind.is_about_unit or facts.lot is None or order.lot_id != facts.lot.id:
+    if not order.kind.is_about_unit or line.lot is None or order.lot_id != line.lot.id:
         return ()
-    serials = (order.serial, *(numbered(order.serial, k) for k in range(MOST_AT_ONCE)))
-    known = (facts.standings[serial] for serial in serials if serial in facts.standings)
+    serials = (order.serial, *(channel_serial(order.serial, k) for k in range(MAX_CHANNELS)))
+    statuses = (line.unit_statuses[serial] for serial in serials if serial in line.unit_statuses)
     # A run without a verdict leaves the unit as it was judged before.
-    decided = [s for s in known if progress.verdict or (order.created and s.made_at and s.made_at >= order.created)]
-    return tuple(sorted(decided, key=lambda standing: -Verdict(standing.verdict).severity))
+    decided = [s for s in statuses if progress.verdict or (order.created and s.made_at and s.made_at >= order.created)]
+    return tuple(sorted(decided, key=lambda status: -Verdict(status.verdict).severity))
 
 
 def read_lot(registry: Registry, lot_id: str) -> LotAtLine:

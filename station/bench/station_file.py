@@ -11,8 +11,15 @@ import tomlkit
 
 from softcal.core.errors import InputError, reason_of
 from softcal.core.messages.reason import Reason, reason
-from softcal.station.devices.catalogue import driver_of
-from softcal.station.devices.config import DEVICES, DeviceConfig, FixtureConfig, SafetyConfig, StationConfig, filled
+from softcal.station.bench.catalogue import driver_of
+from softcal.station.devices.config import (
+    DEVICES,
+    DeviceConfig,
+    FixtureConfig,
+    SafetyConfig,
+    StationConfig,
+    fill_section,
+)
 from softcal.station.wire.transport import wire_of
 
 _SECTIONS: dict[str, type[Any]] = {**DEVICES, "safety": SafetyConfig, "fixture": FixtureConfig}
@@ -49,7 +56,7 @@ def station_from_table(content: dict[str, Any]) -> StationConfig:
         if name in content and not isinstance(content[name], dict):
             raise InputError(reason("station_file.no_table", name=name))
         if name in content:
-            make = device_section if name in DEVICES else partial(filled, kind=kind)
+            make = device_section if name in DEVICES else partial(fill_section, kind=kind)
             sections[name] = make(name, table=content[name])
     config = StationConfig(name=str(content.get("name", "station")), **sections)
     if config.force is None and not config.safety.without_cell:
@@ -64,7 +71,7 @@ def station_toml(config: StationConfig, choices: str = "") -> str:
     for name in _SECTIONS:
         section = getattr(config, name)
         if isinstance(section, DeviceConfig):
-            section = with_own_keys(section)
+            section = with_driver_keys(section)
         if section is None:
             continue
         table = tomlkit.table()
@@ -88,7 +95,7 @@ def meanings(kind: type[Any]) -> list[str]:
     return lines
 
 
-def with_own_keys(config: DeviceConfig) -> DeviceConfig:
+def with_driver_keys(config: DeviceConfig) -> DeviceConfig:
     """Return the section of a device with all keys of its driver, at their defaults if not given."""
     kind: type[DeviceConfig] = driver_of(config.role, config.kind).config
     return config if isinstance(config, kind) else kind(**vars(config))
@@ -106,7 +113,7 @@ def device_section(name: str, table: dict[str, Any]) -> DeviceConfig:
     common = DEVICES[name]
     kind = table.get("kind", common.kind)
     driver = driver_of(common.role, str(kind))
-    config: DeviceConfig = filled(name, driver.config, {**table, "kind": kind})
+    config: DeviceConfig = fill_section(name, driver.config, {**table, "kind": kind})
     if "library" in driver.wires:
         return config
     if not config.port:

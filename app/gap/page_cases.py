@@ -12,9 +12,9 @@ import numpy as np
 
 from softcal.app.bootstrap import data_folder
 from softcal.app.charts.gap import ChannelView, RunView
-from softcal.app.files.atomic import whole_folder, write_bytes, write_text
+from softcal.app.files.atomic import atomic_folder, write_bytes, write_text
 from softcal.app.files.case_folder import METADATA, RECORDING, open_case
-from softcal.app.gap.challenge import ask_rig, asked_run, make_challenge, open_challenge
+from softcal.app.gap.challenge import ask_rig, make_challenge, open_challenge, record_experiment
 from softcal.app.gap.diagnose import run_views
 from softcal.core.challenge.recording_mistakes import Mistake
 from softcal.core.errors import InputError
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from softcal.db.schema.arrays import Arrays
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,63}")
-LARGEST_RUN_BYTES = 50_000_000
-MOST_RUNS = 40
+MAX_RUN_BYTES = 50_000_000
+MAX_RUNS = 40
 
 
 def cases_folder() -> Path:
@@ -40,18 +40,21 @@ def cases_folder() -> Path:
 
 def cases() -> list[Path]:
     """Return the cases of that folder, the newest first: plain ones and those of sealed rigs."""
-    places = [p for p in cases_folder().iterdir() if p.is_dir() and not p.name.startswith(".")]
-    found = [
-        c for place in places for c in (place, *place.iterdir()) if (c / "runs").is_dir() or (c / RECORDING).is_file()
+    folders = [p for p in cases_folder().iterdir() if p.is_dir() and not p.name.startswith(".")]
+    case_folders = [
+        c
+        for folder in folders
+        for c in (folder, *folder.iterdir())
+        if (c / "runs").is_dir() or (c / RECORDING).is_file()
     ]
-    return sorted(found, key=lambda case: -case.stat().st_mtime)
+    return sorted(case_folders, key=lambda case: -case.stat().st_mtime)
 
 
 def practise(line: str | None = None) -> Path:
     """Make a sealed rig with something hidden and return its case."""
     folder = cases_folder() / f"practice-{datetime.now(UTC):%Y%m%d-%H%M%S}"
-    made = make_challenge(folder, _seal(folder), 1, line=line)
-    return folder / made.cases[0]
+    challenge = make_challenge(folder, _seal(folder), 1, line=line)
+    return folder / challenge.cases[0]
 
 
 def has_sealed_rig(case: Path) -> bool:
@@ -67,7 +70,7 @@ def ask_case(case: Path, experiment: str) -> Path:
     """
     if not has_sealed_rig(case):
         raise InputError(f"{case.name}: no simulated rig belongs to this case; press {experiment!r} on the station")
-    return ask_rig(case.parent, partial(asked_run, case.parent, _seal(case.parent)), case.name, experiment)
+    return ask_rig(case.parent, partial(record_experiment, case.parent, _seal(case.parent)), case.name, experiment)
 
 
 def truth(case: Path) -> tuple[tuple[str, ...], Mistake | None]:
@@ -95,10 +98,10 @@ def store_upload(name: str, runs: Sequence[bytes], metadata: Mapping[str, object
     """
     if not NAME.fullmatch(name) or ".." in name:
         raise InputError(f"case {name[:60]!r}: 1 to 64 letters, digits, spaces, '.', '-' or '_' were expected")
-    if not 1 <= len(runs) <= MOST_RUNS or any(len(run) > LARGEST_RUN_BYTES for run in runs):
-        raise InputError(f"{len(runs)} runs: 1 to {MOST_RUNS} files of at most {LARGEST_RUN_BYTES // 10**6} MB each")
+    if not 1 <= len(runs) <= MAX_RUNS or any(len(run) > MAX_RUN_BYTES for run in runs):
+        raise InputError(f"{len(runs)} runs: 1 to {MAX_RUNS} files of at most {MAX_RUN_BYTES // 10**6} MB each")
     target = cases_folder() / name
-    with whole_folder(target) as part:
+    with atomic_folder(target) as part:
         for number, content in enumerate(runs, 1):
             write_bytes(part / "runs" / str(number) / RECORDING, content)
             write_text(part / "runs" / str(number) / METADATA, json.dumps(dict(metadata), indent=2) + "\n")
@@ -110,7 +113,7 @@ def store_upload(name: str, runs: Sequence[bytes], metadata: Mapping[str, object
     return target
 
 
-def kept_of(diagnosis: "Diagnosis[TwinModel]") -> "tuple[dict[str, Any], Arrays]":
+def pack_diagnosis(diagnosis: "Diagnosis[TwinModel]") -> "tuple[dict[str, Any], Arrays]":
     """Return the report of a diagnosis with a list of runs, and the arrays of their figures."""
     views = run_views(diagnosis)
     runs = [

@@ -7,7 +7,7 @@ import numpy as np
 
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import Twin, TwinStream
-from softcal.station.devices.catalogue import driver_of
+from softcal.station.bench.catalogue import driver_of
 from softcal.station.devices.config import ForceConfig, ReadoutConfig, Role, StageConfig
 from softcal.station.devices.driver import AnyDriver, Simulated, Surroundings
 from softcal.station.simulated.grbl import SimulatedGrbl
@@ -30,7 +30,7 @@ class SimulatedStation:
     Args:
         rng: draws noise, delays, clock errors and how units come to lie.
         time_factor: simulated seconds per real second at most; None runs as fast as the computer can.
-        beside: further units under the same stage, each on its own channel.
+        other_units: further units under the same stage, each on its own channel.
     """
 
     counts_per_N, zero_counts = CELL_COUNTS_PER_N, CELL_ZERO_COUNTS
@@ -42,12 +42,12 @@ class SimulatedStation:
         time_factor: float | None = None,
         stage_kind: str = StageConfig.kind,
         force_kind: str = ForceConfig.kind,
-        beside: Sequence[Twin] = (),
+        other_units: Sequence[Twin] = (),
         readout_kind: str = ReadoutConfig.kind,
     ) -> None:
         self.world = World(time_factor)
         self.metadata = unit.metadata
-        self._rng, self._beside, self.channels = rng, tuple(beside), 1 + len(beside)
+        self._rng, self._other_units, self.channels = rng, tuple(other_units), 1 + len(other_units)
         self.free_mm = FREE_MM
         self.axis = Axis(ACCELERATION_MM_S2)
         self.axis.position_mm = 2.3  # Where somebody left it: nothing is known before homing.
@@ -95,14 +95,14 @@ class SimulatedStation:
         """The far end of any stage, load cell or readout, with its fault switches."""
         far_end = self._far_ends[("stage", "cell", "readout").index(role)]
         if not isinstance(far_end, kind):
-            shown = type(far_end).__name__
-            raise ValueError(f"these fault switches are those of {kind.__name__}; the station has {shown}")
+            actual_kind = type(far_end).__name__
+            raise ValueError(f"these fault switches are those of {kind.__name__}; the station has {actual_kind}")
         return far_end
 
     def mount(self, unit: Twin) -> None:
         """Put a unit under the stage, at a slightly different height than the previous unit."""
         clearance_mm = self.free_mm + 1.0 + float(self._rng.uniform(-0.2, 0.2))
-        streams = [TwinStream(each, self._rng.spawn(1)[0]) for each in (unit, *self._beside)]
+        streams = [TwinStream(each, self._rng.spawn(1)[0]) for each in (unit, *self._other_units)]
         self.rig.mount(streams, clearance_mm, self.world.now_s())
 
     def mount_rigid(self) -> None:

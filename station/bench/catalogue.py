@@ -13,7 +13,7 @@ from importlib.metadata import EntryPoint, PackageNotFoundError, version
 import softcal.station.drivers
 from softcal.core.errors import InputError
 from softcal.core.messages.reason import reason
-from softcal.core.plugins import installed
+from softcal.core.plugins import find_plugins
 from softcal.station.devices.config import DEVICES, Role
 from softcal.station.devices.driver import AnyDriver, Driver
 
@@ -44,24 +44,24 @@ class Offer:
 
 def offers() -> list[Offer]:
     """Return every driver, shipped drivers first; a driver that cannot be loaded has its error."""
-    return [*_shipped(), *(_load(role, point) for role in GROUPS for point in installed(GROUPS[role]))]
+    return [*_shipped(), *(_load(role, point) for role in GROUPS for point in find_plugins(GROUPS[role]))]
 
 
 def driver_of(role: Role, kind: str) -> AnyDriver:
     """Return the driver of a kind; raise `InputError` if there is none, if there are two, or if it is broken."""
-    points = installed(GROUPS[role])
-    found = [offer for offer in _shipped() if (offer.role, offer.kind) == (role, kind)]
-    found += [_load(role, point) for point in points if point.name == kind]
-    asked = {"section": SECTIONS[role], "kind": repr(kind)}
-    if not found:
-        known = {offer.kind for offer in _shipped() if offer.role == role} | {point.name for point in points}
-        raise InputError(reason("station_file.unknown_kind", known=", ".join(sorted(known)), **asked))
-    if len(found) > 1:
-        packages = " and ".join(f"{offer.package} {offer.version}" for offer in found)
-        raise InputError(reason("station_file.kind_twice", packages=packages, **asked))
-    (offer,) = found
+    points = find_plugins(GROUPS[role])
+    matches = [offer for offer in _shipped() if (offer.role, offer.kind) == (role, kind)]
+    matches += [_load(role, point) for point in points if point.name == kind]
+    request = {"section": SECTIONS[role], "kind": repr(kind)}
+    if not matches:
+        kinds = {offer.kind for offer in _shipped() if offer.role == role} | {point.name for point in points}
+        raise InputError(reason("station_file.unknown_kind", known=", ".join(sorted(kinds)), **request))
+    if len(matches) > 1:
+        packages = " and ".join(f"{offer.package} {offer.version}" for offer in matches)
+        raise InputError(reason("station_file.kind_twice", packages=packages, **request))
+    (offer,) = matches
     if offer.driver is None:
-        raise InputError(reason("station_file.broken_package", fault=offer.fault, package=offer.package, **asked))
+        raise InputError(reason("station_file.broken_package", fault=offer.fault, package=offer.package, **request))
     return offer.driver
 
 
@@ -71,10 +71,10 @@ def _shipped() -> tuple[Offer, ...]:
     modules = [importlib.import_module(f"{folder.__name__}.{m.name}") for m in pkgutil.iter_modules(folder.__path__)]
     drivers: list[AnyDriver] = [driver for module in modules for driver in getattr(module, "DRIVERS", ())]
     try:
-        own_version = version("softcal")
+        softcal_version = version("softcal")
     except PackageNotFoundError:  # A checkout that is not installed.
-        own_version = "unknown"
-    return tuple(Offer(driver.role, driver.kind, "softcal", own_version, driver) for driver in drivers)
+        softcal_version = "unknown"
+    return tuple(Offer(driver.role, driver.kind, "softcal", softcal_version, driver) for driver in drivers)
 
 
 def _load(role: Role, point: EntryPoint) -> Offer:

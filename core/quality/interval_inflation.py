@@ -28,12 +28,12 @@ class AuditedSamples:
     residual: Array
     half: Array
 
-    def ratio(self, widening: Widening) -> Array:
+    def ratio(self, inflation: Widening) -> Array:
         """Return |residual| over the half-width, widened: (n,)."""
-        return np.asarray(self.residual / np.maximum(widening(self.half), 1e-12))
+        return np.asarray(self.residual / np.maximum(inflation(self.half), 1e-12))
 
 
-def fit_widening(audits: Iterable[AuditedSamples], coverage: float, config: ReleaseConfig) -> Widening:
+def fit_interval_inflation(audits: Iterable[AuditedSamples], coverage: float, config: ReleaseConfig) -> Widening:
     """Return the widening that serves the samples on average and the units one by one.
 
     The factor is what the median unit asks for where that is less than 1. The added error is the smallest that
@@ -53,23 +53,25 @@ def fit_widening(audits: Iterable[AuditedSamples], coverage: float, config: Rele
         raise InputError("no audited unit: to widen intervals takes one at least")
     median = float(np.median([np.quantile(unit.ratio(Widening()), coverage) for unit in units]))
     scale, step = min(1.0, median), max(float(np.median(unit.residual)) for unit in units) or CLOSE
-    if _needed(units, Widening(scale), coverage, config) <= 1:
+    if _required_factor(units, Widening(scale), coverage, config) <= 1:
         return Widening(scale)
     low, high = 0.0, step
-    while _needed(units, Widening(scale, high), coverage, config) > 1:
+    while _required_factor(units, Widening(scale, high), coverage, config) > 1:
         low, high = high, 2 * high
     while high - low > CLOSE * high:
         middle = (low + high) / 2
-        is_enough = _needed(units, Widening(scale, middle), coverage, config) <= 1
+        is_enough = _required_factor(units, Widening(scale, middle), coverage, config) <= 1
         low, high = (low, middle) if is_enough else (middle, high)
     return Widening(scale, high)
 
 
-def _needed(units: Sequence[AuditedSamples], widening: Widening, coverage: float, config: ReleaseConfig) -> float:
+def _required_factor(
+    units: Sequence[AuditedSamples], inflation: Widening, coverage: float, config: ReleaseConfig
+) -> float:
     """Return the factor that the widened intervals would still need."""
-    ratios = [unit.ratio(widening) for unit in units]
-    own = np.log([max(float(np.quantile(ratio, config.min_coverage)), 1e-12) for ratio in ratios])
-    return max(pooled_scale(ratios, coverage), float(np.exp(_next_unit(own, config.risk))))
+    ratios = [unit.ratio(inflation) for unit in units]
+    unit_factors = np.log([max(float(np.quantile(ratio, config.min_coverage)), 1e-12) for ratio in ratios])
+    return max(pooled_scale(ratios, coverage), float(np.exp(_next_unit(unit_factors, config.risk))))
 
 
 def _next_unit(values: Array, risk: float) -> float:

@@ -18,10 +18,10 @@ from softcal.core.quality.gate import (
     Gate,
     GoldenCheck,
     Override,
-    RigFacts,
-    StationFacts,
+    RigStatus,
+    StationStatus,
     may_run,
-    quarantined,
+    quarantined_units,
 )
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.bridge import make_bridge
@@ -65,7 +65,7 @@ class StationGate:
         self._registry, self._station, self._config, self._rules = registry, station, config, rules
         self._override: Override | None = None
 
-    def __call__(self, kind: OrderKind, rig: RigFacts) -> Gate:
+    def __call__(self, kind: OrderKind, rig: RigStatus) -> Gate:
         """Return whether an order of this kind may run now."""
         now, rules, config = datetime.now(UTC), self._rules, self._config
         golden = golden_checks(self._registry, self._station, now, now - rules.shift)
@@ -76,7 +76,7 @@ class StationGate:
             last_day = newest.due_on - timedelta(days=1)
             certificate = CellAtGate(newest.number, last_day, newest.capacity_N, newest.uncertainty_N)
         is_over = self._override is None or has_passed(self._override.until, now, rules.shift)
-        facts = StationFacts(
+        status = StationStatus(
             now=now,
             certificate=certificate,
             largest_force_N=config.safety.force_N,
@@ -92,16 +92,16 @@ class StationGate:
             needs_qualification=rules.needs_qualification,
             override=None if is_over else self._override,
         )
-        return may_run(facts, kind)
+        return may_run(status, kind)
 
     def override(self, actor: str, reason: str) -> None:
         """Open the gate for a shift in spite of its reasons, with an entry in the audit trail."""
         if not reason.strip():
             raise InputError(Reason("gate.needs_reason"))
         until = datetime.now(UTC) + self._rules.shift
-        facts = {"until": until.isoformat()}
+        details = {"until": until.isoformat()}
         self._registry.trail.add(
-            "override", "station_gate", (self._station,), facts, reason=reason, actor=actor or None
+            "override", "station_gate", (self._station,), details, reason=reason, actor=actor or None
         )
         self._override = Override(actor, reason, until)
 
@@ -139,13 +139,15 @@ def check_golden(
         widest = lot.limit_rmse or stored.state.limit.maximum_rmse
     else:
         value = rmse(source.network.evaluate(recording.windows), recording.window_reference)
-        usual = default_limit(unit, source.held_out_rmse, source.full_range, source.method.decision).maximum_rmse
-        widest = registry.lots.get(lot_id).limit_rmse or usual
+        default = default_limit(unit, source.held_out_rmse, source.full_range, source.method.decision).maximum_rmse
+        widest = registry.lots.get(lot_id).limit_rmse or default
     earlier = [run.value for run in registry.stations.golden_runs(station, serial, lot_id=lot_id) if run.passed]
-    is_known = len(earlier) >= FIRST_RUNS
-    largest = control_chart(np.array(earlier)).upper if is_known else widest
-    what = Reason("golden.own_limit" if is_known else "golden.lot_limit")
-    reasons = () if value <= largest else (reason("golden.error", error=value, unit=unit, what=what, limit=largest),)
+    has_history = len(earlier) >= FIRST_RUNS
+    largest = control_chart(np.array(earlier)).upper if has_history else widest
+    limit_kind = Reason("golden.own_limit" if has_history else "golden.lot_limit")
+    reasons = (
+        () if value <= largest else (reason("golden.error", error=value, unit=unit, what=limit_kind, limit=largest),)
+    )
     if source is not None:
         # What units are to be fitted to must be readable when they come.
         try:
@@ -166,7 +168,7 @@ def quarantine(registry: Registry, station: str, now: datetime) -> tuple[str, ..
         for order, progress in registry.order_queue.runs(station, 10_000)
         if order.kind is OrderKind.UNIT and progress.recording_sha256 and order.created is not None
     ]
-    return quarantined(pressed, golden_checks(registry, station, now), now)
+    return quarantined_units(pressed, golden_checks(registry, station, now), now)
 
 
 def golden_checks(registry: Registry, station: str, now: datetime, since: datetime | None = None) -> list[GoldenCheck]:

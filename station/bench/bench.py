@@ -9,8 +9,9 @@ import numpy as np
 
 from softcal.core.errors import DeviceError, NoReply
 from softcal.core.messages.reason import Reason, several
+from softcal.station.bench.catalogue import driver_of
+from softcal.station.bench.station_file import with_driver_keys
 from softcal.station.clock import HostClock
-from softcal.station.devices.catalogue import driver_of
 from softcal.station.devices.config import (
     DeviceConfig,
     FixtureConfig,
@@ -21,12 +22,11 @@ from softcal.station.devices.config import (
     StationConfig,
 )
 from softcal.station.devices.driver import Opening
-from softcal.station.devices.station_file import with_own_keys
 from softcal.station.interfaces import Clock, ForceReader, Readout, Stage
 
 if TYPE_CHECKING:
     from softcal.core.twin.simulate import Twin
-    from softcal.station.devices.simulated_station import SimulatedStation
+    from softcal.station.bench.simulated_station import SimulatedStation
 
 SIMULATED_NAME = "simulated"
 """Name of every simulated station: nothing it measures is traceable."""
@@ -50,7 +50,7 @@ def open_bench(config: StationConfig, clock: Clock | None = None) -> Iterator[Be
     with ExitStack() as stack:
         missing: list[Reason] = []
 
-        def opened(device_config: DeviceConfig, stage: Stage | None = None) -> Any:
+        def open_device(device_config: DeviceConfig, stage: Stage | None = None) -> Any:
             try:
                 device = _open(device_config, Opening(clock, stage))
             except DeviceError as error:
@@ -59,9 +59,9 @@ def open_bench(config: StationConfig, clock: Clock | None = None) -> Iterator[Be
             stack.callback(device.close)
             return device
 
-        stage: Stage | None = opened(config.stage)
-        readout: Readout | None = opened(config.readout, stage)
-        force: ForceReader | None = opened(config.force, stage) if config.force is not None else None
+        stage: Stage | None = open_device(config.stage)
+        readout: Readout | None = open_device(config.readout, stage)
+        force: ForceReader | None = open_device(config.force, stage) if config.force is not None else None
         if missing or stage is None or readout is None:
             raise NoReply(several(missing))
         yield Bench(config, clock, stage, readout, force)
@@ -74,7 +74,7 @@ def open_simulated_bench(
     time_factor: float | None = None,
     stage_kind: str = StageConfig.kind,
     force_kind: str = ForceConfig.kind,
-    beside: "Sequence[Twin]" = (),
+    other_units: "Sequence[Twin]" = (),
     readout_kind: str = ReadoutConfig.kind,
 ) -> "Iterator[tuple[Bench, SimulatedStation]]":
     """Open the shipped drivers on simulated devices, each behind a serial line of its own.
@@ -82,18 +82,18 @@ def open_simulated_bench(
     Args:
         time_factor: simulated seconds per real second at most; None runs as fast as the computer can. A driver that
             reads in a thread of its own makes simulated time real time.
-        beside: further units under the same stage, each on its own channel.
+        other_units: further units under the same stage, each on its own channel.
 
     Returns:
         The bench, and the simulated station with its fault switches.
     """
     # The simulator is an extra: a real rig does without it.
     from softcal.core.twin.simulate import Twin  # noqa: PLC0415
-    from softcal.station.devices.simulated_station import SimulatedStation  # noqa: PLC0415
+    from softcal.station.bench.simulated_station import SimulatedStation  # noqa: PLC0415
 
     twin = unit or Twin()
     rng = np.random.default_rng(seed)
-    station = SimulatedStation(twin, rng, time_factor, stage_kind, force_kind, beside, readout_kind)
+    station = SimulatedStation(twin, rng, time_factor, stage_kind, force_kind, other_units, readout_kind)
     with ExitStack() as stack:
         stack.callback(station.close)
         if station.is_threaded:
@@ -131,4 +131,4 @@ def open_readout(config: ReadoutConfig, clock: Clock) -> Readout:
 
 
 def _open(config: DeviceConfig, opening: Opening) -> Any:
-    return driver_of(config.role, config.kind).open(with_own_keys(config), opening)
+    return driver_of(config.role, config.kind).open(with_driver_keys(config), opening)

@@ -10,28 +10,28 @@ from softcal.db.entries import UNDECIDED, StoredCalibration, UnitResult
 from softcal.db.registry import Registry
 
 
-def standing_of(registry: Registry, stored: StoredCalibration) -> UnitResult:
+def find_unit_status(registry: Registry, stored: StoredCalibration) -> UnitResult:
     """Return the present status of the unit of a calibration; `calibration` is None after a refusal."""
-    standing_now = registry.pages.standings(stored.lot_id, [stored.serial]).get(stored.serial)
-    nothing = UnitResult(stored.serial, UNDECIDED, (plain("none of its calibrations is in use"),), stored.made_at)
-    return nothing if standing_now is None else standing_now
+    status = registry.pages.unit_statuses(stored.lot_id, [stored.serial]).get(stored.serial)
+    undecided = UnitResult(stored.serial, UNDECIDED, (plain("none of its calibrations is in use"),), stored.made_at)
+    return undecided if status is None else status
 
 
 def caution(registry: Registry, stored: StoredCalibration, action: str) -> str:
     """Return the warning, and record the use; empty where the unit passed and still does."""
-    standing = standing_of(registry, stored)
+    status = find_unit_status(registry, stored)
     # An older calibration that passed is cautioned against where the unit does not pass any more.
-    verdict, reasons = standing.verdict, standing.reasons
-    if standing.calibration is not None and not stored.state.is_released:
+    verdict, reasons = status.verdict, status.reasons
+    if status.calibration is not None and not stored.state.is_released:
         verdict, reasons = str(stored.state.verdict), stored.state.decision.reasons
     if verdict == Verdict.PASS:
         return ""
-    why = str(reasons[0]) if reasons else "no reason is stored"
-    warning = f"warning: unit {stored.serial} has the verdict {verdict}: {why}"
-    facts = {"verdict": verdict, "revision": stored.revision, "action": action}
+    cause = str(reasons[0]) if reasons else "no reason is stored"
+    warning = f"warning: unit {stored.serial} has the verdict {verdict}: {cause}"
+    details = {"verdict": verdict, "revision": stored.revision, "action": action}
     try:
         key, reason = (stored.lot_id, stored.serial), f"{action} of a unit that did not pass"
-        registry.trail.add("use", "unit", key, facts, reason=reason)
+        registry.trail.add("use", "unit", key, details, reason=reason)
     except RegistryError:
         # Who may only read must still be able to estimate; the line is then all there is.
         return f"{warning}; this use could not be recorded, the registry cannot be written"

@@ -14,7 +14,7 @@ from softcal.core.quality.lot_release import LotRelease
 from softcal.core.unit.verdict import VERDICTS, Limit
 
 
-class Way(StrEnum):
+class Disposition(StrEnum):
     """Why a unit may leave the house, or what keeps it."""
 
     MEASURED = "measured"
@@ -43,13 +43,13 @@ class UnitInLot:
     measured_rmse: float | None = None
 
     @property
-    def way(self) -> Way:
+    def disposition(self) -> Disposition:
         """Whether it is released and by what, or what keeps it."""
         if self.verdict == "pass":
-            return Way.MEASURED if self.is_measured else Way.SAMPLED
+            return Disposition.MEASURED if self.is_measured else Disposition.SAMPLED
         if self.verdict is None:
-            return Way.OPEN
-        return Way.FAILED if self.verdict == "fail" else Way.WAITING
+            return Disposition.OPEN
+        return Disposition.FAILED if self.verdict == "fail" else Disposition.WAITING
 
     @property
     def is_withdrawn(self) -> bool:
@@ -57,13 +57,13 @@ class UnitInLot:
         return self.had_passed and self.verdict != "pass"
 
     @property
-    def doubt(self) -> Reason | None:
+    def suspect_reason(self) -> Reason | None:
         """Why its audit is set aside; None where it is not."""
-        return next((why for why in self.reasons if why.code.startswith(DOUBT)), None)
+        return next((reason for reason in self.reasons if reason.code.startswith(DOUBT)), None)
 
 
 @dataclass(frozen=True)
-class LotStanding:
+class LotStatus:
     """A lot as every page, paper and program tells it; nothing is decided while no unit has a forecast."""
 
     lot_id: str
@@ -86,7 +86,7 @@ class LotStanding:
     def audited(self) -> tuple[UnitInLot, ...]:
         """Units with an audit: those whose audit is set aside first, then by their error, the largest first."""
         audited = [unit for unit in self.units if unit.audited_at is not None]
-        return tuple(sorted(audited, key=lambda u: (u.doubt is None, -(u.measured_rmse or 0.0), u.serial)))
+        return tuple(sorted(audited, key=lambda u: (u.suspect_reason is None, -(u.measured_rmse or 0.0), u.serial)))
 
     @property
     def releasable(self) -> tuple[str, ...]:
@@ -94,8 +94,8 @@ class LotStanding:
         decided = set(self.decided.released if self.decided else ())
         return tuple(unit.serial for unit in self.units if unit.serial in decided and unit.verdict != "pass")
 
-    def on(self, way: Way) -> tuple[UnitInLot, ...]:
-        return tuple(unit for unit in self.units if unit.way == way)
+    def on(self, disposition: Disposition) -> tuple[UnitInLot, ...]:
+        return tuple(unit for unit in self.units if unit.disposition == disposition)
 
     def to_json(self) -> dict[str, object]:
         """Return it as JSON values: what is decided on unmeasured units, with the standing of all beside it.
@@ -109,11 +109,11 @@ class LotStanding:
             "released": [unit.serial for unit in self.units if unit.verdict == "pass"],
             "limit": None if self.limit is None else self.limit.to_json(),
             "counts": self.counts,
-            "units": {str(way): [unit.serial for unit in self.on(way)] for way in Way},
-            "waiting": {unit.serial: _why(unit) for unit in self.on(Way.WAITING)},
-            "withdrawn": {unit.serial: _why(unit) for unit in self.withdrawn},
+            "units": {str(disposition): [unit.serial for unit in self.on(disposition)] for disposition in Disposition},
+            "waiting": {unit.serial: _reasons_json(unit) for unit in self.on(Disposition.WAITING)},
+            "withdrawn": {unit.serial: _reasons_json(unit) for unit in self.withdrawn},
         }
 
 
-def _why(unit: UnitInLot) -> list[Mapping[str, object]]:
-    return [{"code": why.code, "text": str(why)} for why in unit.reasons]
+def _reasons_json(unit: UnitInLot) -> list[Mapping[str, object]]:
+    return [{"code": reason.code, "text": str(reason)} for reason in unit.reasons]

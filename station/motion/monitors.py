@@ -12,7 +12,7 @@ import numpy as np
 from softcal.core.errors import BadReply, NoReply, SafetyStop
 from softcal.core.messages.reason import reason
 from softcal.station.clock import CLOCK_SHARE
-from softcal.station.device_names import named
+from softcal.station.device_names import device_label
 from softcal.station.devices.config import SafetyConfig
 from softcal.station.interfaces import ForceReader, Readout, Sample
 
@@ -34,7 +34,7 @@ RATE_SAMPLES, MISSED_SAMPLES = 50, 4
 """When more are missing, or too many, among so many samples, the device has another rate or its wire loses lines."""
 
 
-class ForceWatch:
+class ForceMonitor:
     """Force limit of one load cell, which reads `zero_N` without a load.
 
     `ahead_s` is to be kept up to date: for how long the force may still grow at its present rate, until the stage has
@@ -58,25 +58,25 @@ class ForceWatch:
             raise SafetyStop(reason("rig.force", force_N=force_N, coming_N=coming_N, limit_N=self._bounds.force_N))
 
 
-class FollowWatch:
+class FollowMonitor:
     """Whether there is a force where the stage presses."""
 
     def __init__(self, contact_N: float) -> None:
         self._contact_N = contact_N
         self._missing_since_s: float | None = None
-        self._felt_mm, self._turned_mm = 0.0, math.inf
+        self._loaded_mm, self._turned_mm = 0.0, math.inf
         """Deepest with a force since the stage was last above the contact; shallowest since without."""
 
     def check(self, force_N: float, pressed_mm: float, now_s: float) -> None:
         """Raise `BadReply` when a stage well below the contact meets no force for a while."""
-        is_felt = force_N > self._contact_N
-        if is_felt:
-            self._felt_mm, self._turned_mm = max(self._felt_mm, pressed_mm), math.inf
+        is_loaded = force_N > self._contact_N
+        if is_loaded:
+            self._loaded_mm, self._turned_mm = max(self._loaded_mm, pressed_mm), math.inf
         else:
-            self._felt_mm = self._felt_mm if pressed_mm > 0.0 else 0.0
+            self._loaded_mm = self._loaded_mm if pressed_mm > 0.0 else 0.0
             self._turned_mm = min(self._turned_mm, pressed_mm)
-        may_be_slow = pressed_mm < self._felt_mm - RISEN_MM and pressed_mm < self._turned_mm + PRESSED_MM
-        if is_felt or pressed_mm < PRESSED_MM or may_be_slow:
+        may_be_slow = pressed_mm < self._loaded_mm - RISEN_MM and pressed_mm < self._turned_mm + PRESSED_MM
+        if is_loaded or pressed_mm < PRESSED_MM or may_be_slow:
             self._missing_since_s = None
         elif self._missing_since_s is None:
             self._missing_since_s = now_s
@@ -84,7 +84,7 @@ class FollowWatch:
             raise BadReply(reason("rig.no_force", force_N=force_N, pressed_mm=pressed_mm))
 
 
-class JumpWatch:
+class JumpMonitor:
     """Whether the force jumps while nothing moves: a cable, an amplifier, or a hand at the rig."""
 
     def __init__(self) -> None:
@@ -104,7 +104,7 @@ class JumpWatch:
             raise BadReply(reason("rig.jump", before_N=last_N, after_N=force_N))
 
 
-class StuckWatch:
+class StuckMonitor:
     """Monitor of a channel that must follow the stage: frozen value, stuck cell, motor without supply.
 
     Args:
@@ -115,7 +115,7 @@ class StuckWatch:
     def __init__(self, name: str, noise: float, rate_Hz: float, stuck_mm: float = STUCK_MM) -> None:
         self._stuck_mm = stuck_mm
         averaged = max(1, round(STUCK_MEAN_S * rate_Hz)) if noise else 1
-        self._name, self._least = name, STUCK_NOISES * noise / np.sqrt(averaged)
+        self._name, self._min_change = name, STUCK_NOISES * noise / np.sqrt(averaged)
         self._recent: deque[float] = deque(maxlen=averaged)
         self._count, self._low, self._high = 0, float("inf"), float("-inf")
         self._shallow_mm, self._deep_mm = float("inf"), float("-inf")
@@ -132,10 +132,10 @@ class StuckWatch:
         mean = math.fsum(self._recent) / len(self._recent)
         self._low, self._high = min(self._low, mean), max(self._high, mean)
         self._shallow_mm, self._deep_mm = min(self._shallow_mm, pressed_mm), max(self._deep_mm, pressed_mm)
-        if self._high - self._low > self._least:
+        if self._high - self._low > self._min_change:
             self._forget()
         elif self._deep_mm - self._shallow_mm > self._stuck_mm and self._count >= STUCK_SAMPLES:
-            raise BadReply(reason("rig.stuck", device=named(self._name), level=mean, stuck_mm=self._stuck_mm))
+            raise BadReply(reason("rig.stuck", device=device_label(self._name), level=mean, stuck_mm=self._stuck_mm))
 
     def _forget(self) -> None:
         self._count = 0
@@ -143,7 +143,7 @@ class StuckWatch:
         self._high = self._deep_mm = float("-inf")
 
 
-class StreamWatch:
+class StreamMonitor:
     """Monitor of a stream: silence and sample rate.
 
     Args:
@@ -158,7 +158,7 @@ class StreamWatch:
         rails: tuple[float, float] | None = None,
     ) -> None:
         self._reader, self._bounds, self._rails = reader, bounds, rails
-        self._seen_s = now_s
+        self._newest_s = now_s
         self._times: deque[float] = deque(maxlen=RATE_SAMPLES)
         self._on_rail_since_s: float | None = None
         self._earliest_s, self._old_since_s = float("inf"), float("inf")
@@ -166,25 +166,25 @@ class StreamWatch:
 
     def resume(self, now_s: float) -> None:
         """Restart the count after a stall of the host, which reads buffered samples late."""
-        self._seen_s = self._resumed_s = now_s
+        self._newest_s = self._resumed_s = now_s
         self._old_since_s, self._on_rail_since_s = float("inf"), None
 
     def check(self, sample: Sample) -> None:
         """Raise `BadReply` for a channel at its rail or at another rate; `NoReply` for an old sample."""
-        self._seen_s = sample.host_s
+        self._newest_s = sample.host_s
         low, high = self._rails or (0.0, 0.0)
         if self._rails is None or not any(value <= low or value >= high for value in sample.values):
             self._on_rail_since_s = None
         elif self._on_rail_since_s is None:
             self._on_rail_since_s = sample.host_s
         elif sample.host_s - self._on_rail_since_s > LASTS_S:
-            raise BadReply(reason("rig.rail", device=named(self._reader.name), rail_s=LASTS_S))
+            raise BadReply(reason("rig.rail", device=device_label(self._reader.name), rail_s=LASTS_S))
         if (device_s := sample.device_s) is None:
             return
         self._times.append(device_s)
         count, span_s, rate_Hz = len(self._times), device_s - self._times[0], self._reader.rate_Hz
         if abs(round(span_s * rate_Hz) + 1 - count) > MISSED_SAMPLES:
-            name = named(self._reader.name)
+            name = device_label(self._reader.name)
             raise BadReply(reason("rig.rate", device=name, count=count, span_s=span_s, rate_Hz=rate_Hz))
         # A line may begin to hold readings back: they are old by the earliest ones of before.
         allowed_s = CLOCK_SHARE * (device_s - self._times[-2]) if len(self._times) > 1 else 0.0
@@ -194,9 +194,9 @@ class StreamWatch:
             self._old_since_s = float("inf")
         self._old_since_s = min(self._old_since_s, device_s)
         if age_s > LASTS_S and device_s - self._old_since_s > LASTS_S:
-            raise NoReply(reason("rig.old", device=named(self._reader.name), age_s=age_s))
+            raise NoReply(reason("rig.old", device=device_label(self._reader.name), age_s=age_s))
 
     def check_silence(self, now_s: float) -> None:
         """Raise `NoReply` when no sample came for too long."""
-        if now_s - self._seen_s > self._bounds.silence_s:
-            raise NoReply(reason("rig.silent", device=named(self._reader.name), seconds=now_s - self._seen_s))
+        if now_s - self._newest_s > self._bounds.silence_s:
+            raise NoReply(reason("rig.silent", device=device_label(self._reader.name), seconds=now_s - self._newest_s))

@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from softcal.app.files.toml_file import check_known, read_section, read_toml
+from softcal.app.files.toml_file import check_names, read_section, read_toml
 from softcal.core.errors import InputError
 from softcal.db.registry import Registry
 
@@ -120,7 +120,7 @@ def read_laboratory(path: Path | None) -> Laboratory:
         return Laboratory()
     values = read_toml(path)
     kinds: dict[str, type[Any]] = {field.name: type(field.default) for field in fields(Laboratory)}
-    check_known(f"{path}: section", values, tuple(kinds))
+    check_names(f"{path}: section", values, tuple(kinds))
     sections: dict[str, Any] = {n: read_section(f"{path}: [{n}]", kinds[n], table) for n, table in values.items()}
     return Laboratory(**sections)
 

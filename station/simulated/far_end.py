@@ -17,7 +17,7 @@ class FarEnd:
     """
 
     def __init__(self, wire: Wire, line_end: bytes = b"\n", axis: Axis | None = None) -> None:
-        self.wire, self.axis, self._line_end, self.said_end = wire, axis or Axis(1.0), line_end, b"\r\n"
+        self.wire, self.axis, self._line_end, self.reply_end = wire, axis or Axis(1.0), line_end, b"\r\n"
         self._received = b""
         self.frozen_mm: float | None = None
         """Fault switch: what a stage reports as its position, wherever it is; None for the truth."""
@@ -43,16 +43,16 @@ class FarEnd:
 
     def take_line(self, line: bytes, now_s: float) -> None:
         """Receive one line without its end and answer it."""
-        self.say(self.answer(line.decode("ascii", "replace").strip(), now_s), now_s)
+        self.send_line(self.answer(line.decode("ascii", "replace").strip(), now_s), now_s)
 
-    def answer(self, words: str, now_s: float) -> str:
+    def answer(self, request: str, now_s: float) -> str:
         """Return the answer to one line, "" for none."""
         return ""
 
-    def say(self, text: str, now_s: float) -> None:
+    def send_line(self, text: str, now_s: float) -> None:
         """Send a line to the host; nothing where there is no text."""
         if text:
-            self.wire.send(text.encode() + self.said_end, now_s)
+            self.wire.send(text.encode() + self.reply_end, now_s)
 
     def coming_s(self) -> Iterator[float]:
         """Yield when the device does something by itself, now or later."""
@@ -86,7 +86,7 @@ class SimulatedAnswers(FarEnd):
 
     def __init__(self, wire: Wire, answer: Callable[[str, float], str], line_end: bytes = b"\n") -> None:
         super().__init__(wire, line_end)
-        self._answer, self.said_end = answer, line_end
+        self._answer, self.reply_end = answer, line_end
 
-    def answer(self, words: str, now_s: float) -> str:
-        return self._answer(words, now_s)
+    def answer(self, request: str, now_s: float) -> str:
+        return self._answer(request, now_s)

@@ -33,9 +33,9 @@ class Recall:
         return vars(self) | {"why": str(self.why)}
 
 
-def remember_files(registry: Registry, units: Mapping[UnitKey, Mapping[str, object]], place: str) -> None:
+def record_exported_files(registry: Registry, units: Mapping[UnitKey, Mapping[str, object]], place: str) -> None:
     """Store the export of files of units with these revisions, maps and verdicts; each goes to one folder once."""
-    rows = [{**vars(key), "host": socket.gethostname(), "place": place, **facts} for key, facts in units.items()]
+    rows = [{**vars(key), "host": socket.gethostname(), "place": place, **values} for key, values in units.items()]
     try:
         with registry.transaction():
             for lot_id in sorted({key.lot_id for key in units}):
@@ -51,26 +51,26 @@ def list_recalls(registry: Registry, lot_ids: Sequence[str]) -> list[Recall]:
 
     A unit's verdict is worse than it was, or another map is in use.
     """
-    found = []
+    recalls = []
     for lot_id in lot_ids:
         rows = registry.declarations.in_force("exports", lot_id)
-        standings = registry.pages.standings(lot_id, sorted({row["serial"] for row in rows}), has_stale=True)
+        unit_statuses = registry.pages.unit_statuses(lot_id, sorted({row["serial"] for row in rows}), has_stale=True)
         for row in rows:
-            now = standings.get(row["serial"])
-            if (why := _why_not(row, now)) is not None:
-                facts = (row["serial"], row["revision"], row["host"], row["place"])
-                found.append(Recall(lot_id, *facts, UNDECIDED if now is None else now.verdict, why))
-    return found
+            status = unit_statuses.get(row["serial"])
+            if (reason := _recall_reason(row, status)) is not None:
+                details = (row["serial"], row["revision"], row["host"], row["place"])
+                recalls.append(Recall(lot_id, *details, UNDECIDED if status is None else status.verdict, reason))
+    return recalls
 
 
-def _why_not(row: Mapping[str, object], now: UnitResult | None) -> Reason | None:
+def _recall_reason(row: Mapping[str, object], status: UnitResult | None) -> Reason | None:
     """Return why files no longer hold; None where they do."""
-    if now is None:
+    if status is None:
         return plain("none of its calibrations is in use")
-    if VERDICTS.index(now.verdict) > VERDICTS.index(str(row["verdict"])):
-        return now.reasons[0]
-    if now.calibration is not None and now.calibration.map_sha256 == row["map_sha256"]:
+    if VERDICTS.index(status.verdict) > VERDICTS.index(str(row["verdict"])):
+        return status.reasons[0]
+    if status.calibration is not None and status.calibration.map_sha256 == row["map_sha256"]:
         return None
     return plain(
-        "another map is in use" + ("" if now.calibration is None else f", of revision {now.calibration.revision}")
+        "another map is in use" + ("" if status.calibration is None else f", of revision {status.calibration.revision}")
     )
