@@ -206,7 +206,7 @@ class ReleaseConfig:
         min_lots: audits of fewer lots say nothing firm about a lot without audits: how lots differ is not known.
         lasts_days: how long an audit of an earlier lot counts.
         max_audits: audited units that the scale of the intervals is made of.
-        min_coverage: an interval covers at least this share of the samples of all units but the risk (`widening.py`).
+        min_coverage: an interval covers at least this share of the samples of all units but the risk (`interval_inflation.py`).
         min_others: an audit is out of line with at least so many others. Fewer audited units or golden runs show no
             spread of a line or its days.
         exchanged, min_rest: two audits look exchanged where each rests nearer to the other unit than to its own by so

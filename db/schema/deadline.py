@@ -24,6 +24,6 @@ def passed_condition(until: ColumnElement[Any], now: datetime, longest: timedelt
     return or_(until.is_(None), until <= now, until > now + longest + MAX_CLOCK_ERROR)
 
 
-def is_silent(last: datetime, now: datetime, timeout: timedelta) -> bool:
-    """Whether a sign of life is older than `timeout`, or was given by a clock that was ahead."""
-    return not -MAX_CLOCK_ERROR <= now - last <= timeout
+def is_silent(last: datetime, now: datetime, max_silence: timedelta) -> bool:
+    """Whether a sign of life is older than `max_silence`, or was given by a clock that was ahead."""
+    return not -MAX_CLOCK_ERROR <= now - last <= max_silence
